@@ -1,0 +1,1 @@
+"""Drive fast and never hit anything, knowing only an approximate model of yourself."""

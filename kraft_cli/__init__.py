@@ -1,0 +1,1 @@
+"""The `kraft` command line."""

@@ -1,0 +1,1 @@
+"""DIRT with retainment and SAFETY as an OMPL planner plugin."""
