@@ -1,0 +1,88 @@
+"""What can go wrong, as types.
+
+    KraftError
+    ├── InputError             what was given is wrong; carries every problem found, each with its place
+    ├── MissingError           something this installation should have is not there
+    │   ├── MissingDependency  a package
+    │   └── MissingAsset       a file that kraft itself ships or makes
+    ├── NegativeResult         everything worked and the answer is no (no plan found, not identifiable)
+    └── Defect                 kraft broke a promise it makes; never the user's fault
+
+A name or file that the user gave and that does not exist is an InputError. Exit codes belong to the
+command line, not here.
+"""
+
+# ruff: noqa: N818 - the names say what happened
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """One problem in one place; prints as ``FILE:LINE:COLUMN: path.to.key: problem; expected``.
+
+    ``line`` and ``column`` count from 1 and are None when the problem is the file itself.
+    ``path`` is empty when the problem is not at a key.
+    """
+
+    file: str
+    problem: str
+    expected: str
+    line: int | None = None
+    column: int | None = None
+    path: str = ""
+
+    @property
+    def place(self) -> str:
+        """``FILE:LINE:COLUMN``, or the file alone."""
+        return self.file if self.line is None else f"{self.file}:{self.line}:{self.column}"
+
+    def __str__(self) -> str:
+        key = f"{self.path}: " if self.path else ""
+        return f"{self.place}: {key}{self.problem}; {self.expected}"
+
+
+class KraftError(Exception):
+    """Root of everything kraft raises on purpose."""
+
+
+class InputError(KraftError):
+    """What was given is wrong. ``diagnostics`` holds every problem, in the order of the file."""
+
+    diagnostics: tuple[Diagnostic, ...]
+
+    def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
+        found = dict.fromkeys(diagnostics)  # the same problem seen through two checks is said once
+        self.diagnostics = tuple(sorted(found, key=lambda d: (d.file, d.line or 0, d.column or 0)))
+        super().__init__(self.diagnostics)
+
+    @classmethod
+    def of(cls, subject: str, problem: str, expected: str) -> InputError:
+        """Make the error for a single problem of ``subject`` (a file, a name, an option) as a whole."""
+        return cls([Diagnostic(subject, problem, expected)])
+
+    def __str__(self) -> str:
+        return "\n".join(str(d) for d in self.diagnostics)
+
+
+class MissingError(KraftError):
+    """Something this installation should have is not there."""
+
+
+class MissingDependency(MissingError):
+    """A Python package or system library is missing or does not load."""
+
+
+class MissingAsset(MissingError):
+    """A file that kraft ships or makes is missing."""
+
+
+class NegativeResult(KraftError):
+    """Everything worked and the answer is no."""
+
+
+class Defect(KraftError):
+    """kraft broke a promise it makes."""

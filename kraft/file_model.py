@@ -1,0 +1,47 @@
+"""What every configuration file's schema is made of: a strict frozen model and the numbers it holds."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+from kraft.source import KeyPath
+
+
+class FileModel(BaseModel):
+    """One mapping of a configuration file: frozen, no unknown keys, no conversions between types."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+def refuse(problem: str, expected: str, at: KeyPath = ()) -> PydanticCustomError:
+    """Make the error that a validator raises; ``at`` is where, relative to what is being validated."""
+    context = {"problem": problem, "expected": expected, "at": at}
+    return PydanticCustomError("kraft", "{problem}; {expected}", context)
+
+
+def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
+    low, high = interval
+    if low >= high:
+        raise refuse(
+            f"the interval [{low:g}, {high:g}] is empty or inverted", "expected [low, high] with low < high"
+        )
+    return interval
+
+
+LENGTH_MAX = 10_000.0
+"""Metres. Beyond it a workspace is a typing mistake, and grids over it would not fit into memory."""
+
+Coordinate: TypeAlias = Annotated[float, Field(ge=-LENGTH_MAX, le=LENGTH_MAX)]
+Length: TypeAlias = Annotated[float, Field(gt=0, le=LENGTH_MAX)]
+Angle: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]
+Positive: TypeAlias = Annotated[float, Field(gt=0, le=1e6)]
+NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
+Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+Point: TypeAlias = tuple[Coordinate, Coordinate]
+Size: TypeAlias = tuple[Length, Length]
+Span: TypeAlias = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ascending)]

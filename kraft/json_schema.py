@@ -1,0 +1,39 @@
+"""JSON Schemas of the configuration files, for editors.
+
+``python -m kraft.json_schema`` writes them beside the bundled files; each of those names its schema in its
+first line, so that editors complete and check it while one types.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from kraft import resources
+from kraft.scenario.schema import ScenarioFile
+from kraft.vehicle_config import VehicleConfig
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def files() -> dict[Path, type[BaseModel]]:
+    """Each schema file and the model it describes."""
+    return {
+        resources.folder("scenario") / "scenario.schema.json": ScenarioFile,
+        resources.folder("vehicle") / "vehicle.schema.json": VehicleConfig,
+    }
+
+
+def text(model: type[BaseModel]) -> str:
+    """Return a schema as it is written."""
+    schema: dict[str, Any] = {"$schema": DIALECT, **model.model_json_schema()}
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    for path, model in files().items():
+        path.write_text(text(model), encoding="utf-8")
+        print(path)

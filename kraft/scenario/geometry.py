@@ -1,0 +1,158 @@
+"""Obstacles as plain geometry: metres and radians, x forward, y left.
+
+Footprints are all that the planner knows; ``height`` is for the physics world and for pictures.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vec2: TypeAlias = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle of full ``size`` (length, width) in m, turned by ``yaw`` rad about its ``center``."""
+
+    center: Vec2
+    size: Vec2
+    yaw: float = 0.0
+    height: float = 0.2
+    name: str | None = None
+
+    @property
+    def corners(self) -> tuple[Vec2, Vec2, Vec2, Vec2]:
+        """The four corners, counter-clockwise."""
+        (x, y), (length, width) = self.center, self.size
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        a, b = length / 2, width / 2
+        q0, q1, q2, q3 = (
+            (x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
+        )
+        return q0, q1, q2, q3
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A disc."""
+
+    center: Vec2
+    radius: float
+    height: float = 0.2
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A simple polygon, convex or not; ``vertices`` run counter-clockwise and do not repeat the first."""
+
+    vertices: tuple[Vec2, ...]
+    height: float = 0.2
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyMap:
+    """A grid of square cells.
+
+    Attributes:
+        occupied: read-only bool array [ny, nx]; row 0 lies at the origin, x grows with the column.
+            Cells that the map does not know are occupied.
+        resolution: side of a cell, m.
+        origin: pose (x, y, yaw) of the outer corner of cell [0, 0], m and rad.
+    """
+
+    occupied: NDArray[np.bool_]
+    resolution: float
+    origin: tuple[float, float, float]
+    height: float = 0.2
+    name: str | None = None
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, OccupancyMap):
+            return NotImplemented
+        mine = (self.resolution, self.origin, self.height, self.name)
+        theirs = (other.resolution, other.origin, other.height, other.name)
+        return mine == theirs and np.array_equal(self.occupied, other.occupied)
+
+    def __hash__(self) -> int:
+        return hash((self.occupied.tobytes(), self.occupied.shape, self.resolution, self.origin))
+
+    def boxes(self) -> tuple[Box, ...]:
+        """Cover exactly the occupied cells with few rectangles that do not overlap."""
+        return tuple(self._box(*cells) for cells in _rectangles(self.occupied))
+
+    def _box(self, row: int, column: int, rows: int, columns: int) -> Box:
+        x0, y0, yaw = self.origin
+        u, v = (column + columns / 2) * self.resolution, (row + rows / 2) * self.resolution
+        c, s = math.cos(yaw), math.sin(yaw)
+        size = (columns * self.resolution, rows * self.resolution)
+        return Box((x0 + c * u - s * v, y0 + s * u + c * v), size, yaw, self.height, self.name)
+
+
+Obstacle: TypeAlias = Box | Circle | Polygon | OccupancyMap
+
+
+def _rectangles(occupied: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
+    """Split the set cells into (row, column, rows, columns): runs of a row, grown while the next repeats them."""
+    done: list[tuple[int, int, int, int]] = []
+    growing: dict[tuple[int, int], int] = {}  # (first column, past last column) -> first row
+    for row in range(occupied.shape[0] + 1):
+        runs = set(_runs(occupied[row])) if row < occupied.shape[0] else set()
+        for (first, last), start in list(growing.items()):
+            if (first, last) not in runs:
+                done.append((start, first, row - start, last - first))
+                del growing[first, last]
+        for run in sorted(runs):
+            growing.setdefault(run, row)
+    return done
+
+
+def _runs(cells: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], cells, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def signed_area(vertices: NDArray[np.float64]) -> float:
+    """Area of a polygon [n, 2] in m^2, positive when it runs counter-clockwise."""
+    local = vertices - vertices[0]  # far from the world's origin the products would lose digits
+    x, y = local[:, 0], local[:, 1]
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def crossing_edges(vertices: NDArray[np.float64]) -> tuple[int, int] | None:
+    """Return two edges of a polygon [n, 2] that meet where they should not, or None when it is simple.
+
+    Edge i runs from vertex i to i + 1. Neighbours meet in one point; meeting in more (folding back) counts.
+    """
+    n = len(vertices)
+    a, b = vertices, np.roll(vertices, -1, axis=0)
+    for i in range(n):
+        following = (i + 1) % n
+        along, onward = b[i] - a[i], b[following] - a[following]
+        if along[0] * onward[1] == along[1] * onward[0] and along @ onward < 0:
+            return i, following
+        others = np.arange(i + 2, n - (i == 0))
+        hit = _meet(a[i], b[i], a[others], b[others])
+        if hit.any():
+            return i, int(others[np.argmax(hit)])
+    return None
+
+
+def _meet(
+    p: NDArray[np.float64], q: NDArray[np.float64], r: NDArray[np.float64], s: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether the segment pq meets each segment rs [m, 2]; touching counts."""
+
+    def side(o: NDArray[np.float64], d: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+        u, v = d - o, t - o
+        return np.sign(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+    straddle = (side(p, q, r) * side(p, q, s) <= 0) & (side(r, s, p) * side(r, s, q) <= 0)
+    overlap = (np.minimum(p, q) <= np.maximum(r, s)) & (np.minimum(r, s) <= np.maximum(p, q))
+    return np.asarray(straddle & overlap.all(axis=-1), dtype=np.bool_)

@@ -1,0 +1,162 @@
+"""Load scenarios: read, check everything, and turn into plain geometry."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from kraft import resources
+from kraft.errors import Diagnostic, InputError
+from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, signed_area
+from kraft.scenario.model import Goal, Scenario, Start
+from kraft.scenario.occupancy import read_map
+from kraft.scenario.schema import Bounds, GoalFile, MapFile, ObstacleFile, ScenarioFile, StartFile
+from kraft.source import KeyPath
+from kraft.validation import check, part
+from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
+from kraft.yaml_nodes import Document, Value, parse_document, read_document
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Load a bundled scenario (``turns``) or a scenario file.
+
+    Raises:
+        InputError: with every problem of the file, or if there is no such name or file.
+    """
+    path = resources.find("scenario", name_or_path)
+    return scenario_from(read_document(path), path.parent)
+
+
+def parse_scenario(content: bytes | str, file: str = "scenario.yaml", folder: Path | None = None) -> Scenario:
+    """Load a scenario from the content of a file; ``folder`` is what its paths are relative to.
+
+    Raises:
+        InputError: with every problem of the content.
+    """
+    return scenario_from(parse_document(content, file), folder if folder is not None else Path.cwd())
+
+
+def scenario_from(document: Document, folder: Path) -> Scenario:
+    """Check a document and build the scenario it describes.
+
+    Raises:
+        InputError: with every problem of the document and of the maps it names.
+    """
+    content, problems = check(ScenarioFile, document)
+    problems += _misplaced(document)
+    vehicle, vehicle_problems = _vehicle(document, folder)
+    maps, map_problems = _maps(document, folder)
+    problems += vehicle_problems + map_problems
+    if content is None or problems:
+        raise InputError(problems)
+    return Scenario(
+        name=content.name,
+        description=" ".join(content.description.split()),
+        bounds=content.bounds,
+        obstacles=tuple(_obstacle(entry, maps.get(i)) for i, entry in enumerate(content.obstacles)),
+        start=_start(content.start),
+        goal=_goal(content.goal),
+        vehicle=vehicle,
+        planning=content.planning,
+        source=document.source,
+        truth=content.truth,
+        sensing=content.sensing,
+        trial=content.trial,
+    )
+
+
+def _misplaced(document: Document) -> list[Diagnostic]:
+    """Find start and goal outside the bounds, as far as these sections are right in themselves."""
+    bounds = part(Bounds, _at(document.data, ("bounds",)))
+    start = part(StartFile, _at(document.data, ("start",)))
+    goal = part(GoalFile, _at(document.data, ("goal",)))
+    found: list[Diagnostic] = []
+    if bounds is None:
+        return found
+    points: list[tuple[str, float, float, KeyPath | None]] = []
+    if start is not None:
+        points.append(("the start", start.x, start.y, None))
+    if goal is not None:
+        points.append(("the goal's centre", *goal.center, ("goal", "center")))
+    for what, x, y, place in points:
+        if axis := bounds.outside(x, y):
+            low, high = getattr(bounds, axis)
+            value = x if axis == "x" else y
+            problem = f"{what} is out of bounds ({axis} = {value:g})"
+            at = place or ("start", axis)
+            found.append(document.source.diagnostic(at, problem, f"expected {axis} in [{low:g}, {high:g}]"))
+    return found
+
+
+def _vehicle(document: Document, folder: Path) -> tuple[str, list[Diagnostic]]:
+    default = ScenarioFile.model_fields["vehicle"].default
+    reference = _at(document.data, ("vehicle",), default)
+    if not isinstance(reference, str):  # its type was already reported
+        return "", []
+    try:
+        return resolve_vehicle(reference, folder), []
+    except VehicleProblem as error:
+        return "", [document.source.diagnostic("vehicle", error.problem, error.expected)]
+
+
+def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], list[Diagnostic]]:
+    """Read the maps of all obstacles that name one, by the obstacle's index."""
+    maps: dict[int, OccupancyMap] = {}
+    problems: list[Diagnostic] = []
+    entries = _at(document.data, ("obstacles",))
+    for i, entry in enumerate(entries if isinstance(entries, tuple) else ()):
+        settings = part(MapFile, _at(entry, ("map",)))
+        if settings is None:
+            continue
+        path = folder / settings.file
+        name = _at(entry, ("name",))
+        try:
+            if not os.path.isfile(path):
+                at = ("obstacles", i, "map", "file")
+                expected = "expected the path of a map's YAML file, relative to this file"
+                problems.append(document.source.diagnostic(at, f"there is no file {path}", expected))
+            else:
+                maps[i] = read_map(path, height=settings.height, name=name if isinstance(name, str) else None)
+        except InputError as error:
+            problems += error.diagnostics
+    return maps, problems
+
+
+def _at(data: Value, path: tuple[str, ...], default: Value = None) -> Value:
+    """Return what the raw data holds at ``path``, or ``default`` where there is no such key."""
+    for key in path:
+        if not isinstance(data, dict) or key not in data:
+            return default
+        data = data[key]
+    return data
+
+
+def _obstacle(entry: ObstacleFile, occupancy: OccupancyMap | None) -> Obstacle:
+    if entry.box is not None:
+        box = entry.box
+        return Box(box.center, box.size, math.radians(box.yaw_deg), box.height, entry.name)
+    if entry.circle is not None:
+        return Circle(entry.circle.center, entry.circle.radius, entry.circle.height, entry.name)
+    if entry.polygon is not None:
+        return _polygon(entry.polygon.vertices, entry.polygon.height, entry.name)
+    assert occupancy is not None, "the schema lets only these four shapes through"
+    return occupancy
+
+
+def _polygon(vertices: tuple[tuple[float, float], ...], height: float, name: str | None) -> Polygon:
+    counter_clockwise = signed_area(np.array(vertices)) > 0
+    return Polygon(vertices if counter_clockwise else vertices[::-1], height, name)
+
+
+def _start(start: StartFile) -> Start:
+    return Start(start.x, start.y, math.radians(start.heading_deg), start.speed)
+
+
+def _goal(goal: GoalFile) -> Goal:
+    if goal.heading_deg is None or goal.heading_tolerance_deg is None:
+        return Goal(goal.center, goal.radius)
+    heading, tolerance = math.radians(goal.heading_deg), math.radians(goal.heading_tolerance_deg)
+    return Goal(goal.center, goal.radius, heading, tolerance)

@@ -1,0 +1,67 @@
+"""A scenario as the rest of kraft sees it: plain geometry, metres and radians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+from kraft.scenario.geometry import Obstacle, Vec2
+from kraft.scenario.planning import Planning
+from kraft.scenario.schema import Bounds
+from kraft.scenario.trial import Sensing, Trial
+from kraft.scenario.truth import Truth
+from kraft.source import Source
+
+
+@dataclass(frozen=True)
+class Start:
+    """Pose (m, rad) and forward speed (m/s) at time 0."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A disc to arrive in, perhaps with a heading; angles in rad.
+
+    ``heading`` and ``heading_tolerance`` are both given or both None.
+    """
+
+    center: Vec2
+    radius: float
+    heading: float | None = None
+    heading_tolerance: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What the robot is told. Everything on the planner's side takes a `Task`, never a `Scenario`.
+
+    ``vehicle`` is a bundled name, the path of a YAML file, or ``module:attribute``. ``source`` finds the
+    place of a key in the scenario file: ``task.source.where("goal.center")``.
+    """
+
+    name: str
+    description: str = ""
+    bounds: Bounds
+    obstacles: tuple[Obstacle, ...] = ()
+    start: Start
+    goal: Goal
+    vehicle: str = "mushr"
+    planning: Planning = field(default_factory=Planning)
+    source: Source = field(default_factory=Source, compare=False, repr=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario(Task):
+    """A task together with what is true and how it is observed, for the simulated world alone."""
+
+    truth: Truth = field(default_factory=Truth)
+    sensing: Sensing = field(default_factory=Sensing)
+    trial: Trial = field(default_factory=Trial)
+
+    def task(self) -> Task:
+        """Return the part that the robot is told."""
+        return Task(**{f.name: getattr(self, f.name) for f in fields(Task)})

@@ -1,0 +1,72 @@
+"""How to plan: the `planning` section of a scenario."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from kraft.file_model import FileModel, NonNegative, Probability, refuse
+
+DEFAULT_ITERATIONS: Final = 20_000
+
+Duration = Annotated[float, Field(gt=0, le=1000)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+
+
+class Safety(FileModel):
+    """Clearance that every contingency manoeuvre must keep: delta(v) = delta + delta_per_speed |v|."""
+
+    delta: NonNegative = 0.0
+    """clearance at rest, m"""
+    delta_per_speed: NonNegative = 0.0
+    """clearance added per unit of speed, m per m/s"""
+
+    def clearance(self, speed: float) -> float:
+        """Clearance in m that a state of this ``speed`` in m/s must keep."""
+        return self.delta + self.delta_per_speed * abs(speed)
+
+
+class Planning(FileModel):
+    """Settings of the planner; all of them have defaults."""
+
+    planner: Literal["dirt", "rrt", "est", "kpiece1"] = "dirt"
+    """name of the planner"""
+    cycle: Duration = 1.0
+    """time between two plans while driving, s"""
+    iterations: Count | None = None
+    """planning budget as a number of iterations (repeatable); 20000 if `time` is not given either"""
+    time: Duration | None = None
+    """planning budget as wall-clock time, s (not repeatable)"""
+    edge_duration: tuple[Duration, Duration] = (0.5, 1.0)
+    """shortest and longest duration of one tree edge, s"""
+    integration_step: Duration = 0.05
+    """longest step of the integrator, s"""
+    blossom: Annotated[int, Field(ge=1, le=1024)] = 10
+    """candidate edges that a node proposes when it is first expanded"""
+    goal_bias: Probability = 0.05
+    """fraction of the random samples that are drawn from the goal"""
+    child_extension: bool = True
+    """expand a child next if it is nearer to the goal than its parent"""
+    pruning: bool = False
+    """remove nodes that can no longer improve the solution"""
+    safety: Safety = Safety()
+    """clearance of contingency manoeuvres"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        shortest, longest = self.edge_duration
+        if shortest > longest:
+            problem = f"the shortest duration {shortest:g} is longer than the longest {longest:g}"
+            raise refuse(problem, "expected [shortest, longest]", ("edge_duration",))
+        if self.integration_step > shortest:
+            problem = f"is {self.integration_step:g}, longer than the shortest edge"
+            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",))
+        if self.iterations is not None and self.time is not None:
+            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",))
+        return self
+
+    @property
+    def iteration_budget(self) -> int | None:
+        """Number of iterations to plan for, or None when the budget is `time`."""
+        return self.iterations if self.iterations is not None or self.time is not None else DEFAULT_ITERATIONS

@@ -1,0 +1,186 @@
+"""What a scenario file may say. `kraft.scenario.model` holds what it means."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
+
+from kraft.file_model import Angle, Coordinate, FileModel, Length, Point, Size, Span, refuse
+from kraft.scenario.geometry import crossing_edges
+from kraft.scenario.planning import Planning
+from kraft.scenario.trial import Sensing, Trial
+from kraft.scenario.truth import Truth
+
+VERTICES_MAX = 1000
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
+
+
+class Bounds(FileModel):
+    """The workspace. The footprint may not leave it."""
+
+    x: Span
+    """[low, high], m"""
+    y: Span
+    """[low, high], m"""
+
+    def outside(self, x: float, y: float) -> str | None:
+        """Return which coordinate of a point lies outside (``x`` or ``y``), or None."""
+        for axis, value, (low, high) in (("x", x, self.x), ("y", y, self.y)):
+            if not low <= value <= high:
+                return axis
+        return None
+
+
+class BoxFile(FileModel):
+    """A rectangle."""
+
+    center: Point
+    """[x, y] of the centre, m"""
+    size: Size
+    """[length, width] before turning by yaw_deg, m"""
+    yaw_deg: Angle = 0.0
+    """rotation, degrees"""
+    height: Length = 0.2
+    """height in the physics world, m"""
+
+
+class CircleFile(FileModel):
+    """A disc."""
+
+    center: Point
+    """[x, y] of the centre, m"""
+    radius: Length
+    """radius, m"""
+    height: Length = 0.2
+    """height in the physics world, m"""
+
+
+def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
+    if vertices[0] == vertices[-1]:
+        problem = "the last vertex repeats the first"
+        raise refuse(problem, "expected each vertex once (it closes by itself)", (len(vertices) - 1,))
+    seen: dict[Point, int] = {}
+    for i, vertex in enumerate(vertices):
+        if vertex in seen:
+            raise refuse(f"repeats vertex {seen[vertex]}", "expected each vertex once", (i,))
+        seen[vertex] = i
+    array = np.array(vertices, dtype=np.float64)
+    if np.linalg.matrix_rank(array - array[0]) < 2:
+        raise refuse("the polygon has no area", "expected vertices that are not on one line")
+    if crossing := crossing_edges(array):
+        problem = f"the polygon meets itself: edge {crossing[0]} and edge {crossing[1]}"
+        raise refuse(problem, "expected a simple polygon (edge i runs from vertex i to the next)")
+    return vertices
+
+
+class PolygonFile(FileModel):
+    """A simple polygon, convex or not."""
+
+    vertices: Annotated[
+        tuple[Point, ...], Field(min_length=3, max_length=VERTICES_MAX), AfterValidator(_simple)
+    ]
+    """[[x, y], ...] in order, m"""
+    height: Length = 0.2
+    """height in the physics world, m"""
+
+
+class MapFile(FileModel):
+    """An occupancy map in the format of ROS's map_server. Unknown cells count as occupied."""
+
+    file: str
+    """path of the map's YAML file, relative to this file"""
+    height: Length = 0.2
+    """height in the physics world, m"""
+
+
+SHAPES = ("box", "circle", "polygon", "map")
+
+
+class ObstacleFile(FileModel):
+    """One obstacle: exactly one shape, and perhaps a name."""
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [shape]} for shape in SHAPES]})
+
+    name: str | None = None
+    """name for messages and pictures"""
+    box: BoxFile | None = None
+    """a rectangle {center, size, yaw_deg, height}"""
+    circle: CircleFile | None = None
+    """a disc {center, radius, height}"""
+    polygon: PolygonFile | None = None
+    """a simple polygon {vertices, height}"""
+    map: MapFile | None = None
+    """an occupancy map {file, height}"""
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Self:
+        given = [shape for shape in SHAPES if getattr(self, shape) is not None]
+        if len(given) != 1:
+            problem = f"holds {' and '.join(given)}" if given else "holds no shape"
+            raise refuse(problem, "expected exactly one of box, circle, polygon, map")
+        return self
+
+
+class StartFile(FileModel):
+    """Where the vehicle starts."""
+
+    x: Coordinate
+    """m"""
+    y: Coordinate
+    """m"""
+    heading_deg: Angle
+    """heading, degrees from +x"""
+    speed: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    """forward speed, m/s"""
+
+
+class GoalFile(FileModel):
+    """Where the vehicle has to arrive."""
+
+    center: Point
+    """[x, y] of the centre, m"""
+    radius: Length
+    """distance from the centre that counts as arrived, m"""
+    heading_deg: Angle | None = None
+    """heading on arrival, degrees from +x"""
+    heading_tolerance_deg: Annotated[float, Field(gt=0, le=180)] | None = None
+    """deviation from that heading, to either side, that counts as arrived, degrees"""
+
+    @model_validator(mode="after")
+    def _both_or_none(self) -> Self:
+        if (self.heading_deg is None) != (self.heading_tolerance_deg is None):
+            given, other = "heading_deg", "heading_tolerance_deg"
+            if self.heading_deg is None:
+                given, other = other, given
+            raise refuse(f"is given without {other}", "expected both or none", (given,))
+        return self
+
+
+class ScenarioFile(FileModel):
+    """A scene, what to do in it, and what the planner is not told."""
+
+    name: Name
+    """short name of letters, digits, - and _"""
+    description: str = ""
+    """one sentence for `kraft list scenarios`"""
+    bounds: Bounds
+    """the workspace {x: [low, high], y: [low, high]}"""
+    obstacles: tuple[ObstacleFile, ...] = ()
+    """static obstacles, known to the planner"""
+    start: StartFile
+    """{x, y, heading_deg, speed}"""
+    goal: GoalFile
+    """{center: [x, y], radius}"""
+    vehicle: str = "mushr"
+    """a vehicle's name, the path of its YAML file, or module:attribute"""
+    planning: Planning = Planning()
+    """how to plan"""
+    truth: Truth = Truth()
+    """what is true and the planner does not know"""
+    sensing: Sensing = Sensing()
+    """how poses are observed and commands delivered"""
+    trial: Trial = Trial()
+    """when a trial ends"""

@@ -1,0 +1,38 @@
+"""How a trial is observed and when it ends: the `sensing` and `trial` sections of a scenario."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kraft.file_model import Coordinate, FileModel, Probability
+
+Delay = Annotated[float, Field(ge=0, le=10)]
+Timeout = Annotated[float, Field(gt=0, le=86_400)]
+
+
+class Sensing(FileModel):
+    """Camera and marker that the pose comes from, and the radio that commands go through."""
+
+    preset: Literal["planar", "single-tag"] = "single-tag"
+    """noise of the marker pose: `planar` knows the marker's height, `single-tag` does not"""
+    camera: tuple[Coordinate, Coordinate, Coordinate] = (1.0, 3.0, 5.0)
+    """[x, y, z] of the camera, m"""
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 30.0
+    """poses per second"""
+    latency: Delay = 0.0
+    """age of a pose when it arrives, s"""
+    dropout: Probability | None = None
+    """fraction of poses that never arrive; the preset's own if not given"""
+    communication_delay: Delay = 0.0
+    """time between a command and its effect, s"""
+
+
+class Trial(FileModel):
+    """When a trial counts as timed out."""
+
+    timeout: Timeout = 60.0
+    """time limit of methods that replan, s"""
+    oneshot_timeout: Timeout = 30.0
+    """time limit of methods that plan once, s"""

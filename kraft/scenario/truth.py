@@ -1,0 +1,128 @@
+"""What is true and the planner does not know: the `truth` section of a scenario.
+
+Only the simulated world may read it. Code on the planner's side takes a `kraft.scenario.Task`, which has no
+``truth``, so the type checker refuses a planner that peeks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from kraft.file_model import Angle, FileModel, Length, Point, Positive, Size, Span, refuse
+
+Friction = Annotated[float, Field(gt=0, le=10)]
+Factor = Annotated[float, Field(gt=0, le=10)]
+
+
+class SpeedBump(FileModel):
+    """A ridge on the floor that a car can drive over; touching it is not a collision."""
+
+    center: Point
+    """[x, y] of the centre, m"""
+    size: Size
+    """[length, width] before turning by yaw_deg, m"""
+    height: Annotated[float, Field(gt=0, le=0.5)]
+    """height of the crest, m"""
+    yaw_deg: Angle = 0.0
+    """rotation, degrees"""
+
+    @property
+    def yaw(self) -> float:
+        """Rotation, rad."""
+        return math.radians(self.yaw_deg)
+
+
+class FrictionPatch(FileModel):
+    """An axis-aligned part of the floor with another friction."""
+
+    x: Span
+    """[low, high], m"""
+    y: Span
+    """[low, high], m"""
+    friction: Friction
+    """sliding friction coefficient"""
+
+
+class MovableBox(FileModel):
+    """A free box that gives way when it is pushed and that nobody knows about."""
+
+    center: Point
+    """[x, y] of the centre, m"""
+    size: tuple[Length, Length, Length]
+    """[length, width, height], m"""
+    mass: Positive
+    """mass, kg"""
+    yaw_deg: Angle = 0.0
+    """rotation, degrees"""
+
+    @property
+    def yaw(self) -> float:
+        """Rotation, rad."""
+        return math.radians(self.yaw_deg)
+
+
+class Tilt(FileModel):
+    """The whole floor, obstacles with it, leans; give `angle` or `angle_deg`."""
+
+    angle: Annotated[float, Field(ge=0, le=0.7)] | None = None
+    """angle between the floor and the horizontal, rad"""
+    angle_deg: Annotated[float, Field(ge=0, le=40)] | None = None
+    """the same in degrees"""
+    uphill_deg: Angle = 90.0
+    """direction that leads uphill, degrees from +x (90 is +y)"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.angle is None) == (self.angle_deg is None):
+            raise refuse(
+                "needs one of `angle` and `angle_deg`", "expected angle in rad or angle_deg in degrees"
+            )
+        return self
+
+    @property
+    def slope(self) -> float:
+        """Angle between the floor and the horizontal, rad."""
+        return self.angle if self.angle is not None else math.radians(self.angle_deg or 0.0)
+
+    @property
+    def uphill(self) -> float:
+        """Direction that leads uphill, rad from +x."""
+        return math.radians(self.uphill_deg)
+
+
+class VehicleGap(FileModel):
+    """How the true car differs from the one its model was identified on."""
+
+    drive_scale: Factor = 1.0
+    """factor on the driving force"""
+    steering_scale: Factor = 1.0
+    """factor on the steering angle"""
+    steering_offset_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    """steering angle when it is commanded straight, degrees"""
+    mass_scale: Factor = 1.0
+    """factor on the chassis mass"""
+
+    @property
+    def steering_offset(self) -> float:
+        """Steering angle when it is commanded straight, rad."""
+        return math.radians(self.steering_offset_deg)
+
+
+class Truth(FileModel):
+    """Everything the planner's model leaves out; the default is a flat floor with good grip."""
+
+    floor_friction: Friction = 1.0
+    """sliding friction coefficient of the floor"""
+    friction_patches: tuple[FrictionPatch, ...] = ()
+    """parts of the floor with another friction"""
+    speed_bumps: tuple[SpeedBump, ...] = ()
+    """ridges on the floor"""
+    tilt: Tilt | None = None
+    """lean of the whole floor"""
+    movable_boxes: tuple[MovableBox, ...] = ()
+    """free boxes"""
+    vehicle: VehicleGap = VehicleGap()
+    """how the true car differs from its model"""

@@ -1,0 +1,77 @@
+"""Where in a file each value was written, so that errors found much later can still point at it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from kraft.errors import Diagnostic
+
+KeyPath: TypeAlias = tuple[str | int, ...]
+"""Keys and list indices from the root: ``("obstacles", 1, "box")`` is written ``obstacles[1].box``."""
+
+
+@dataclass(frozen=True, order=True)
+class Position:
+    """Line and column in a file, both counted from 1."""
+
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"line {self.line}, column {self.column}"
+
+
+def format_path(path: KeyPath) -> str:
+    """Write a key path as a person would: ``obstacles[1].box.size[0]``."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            text += f".{part}" if text else part
+    return text
+
+
+def parse_path(text: str) -> KeyPath:
+    """Read what `format_path` writes. Keys must not contain ``.``, ``[`` or ``]``."""
+    return tuple(
+        int(index) if index else key for key, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", text) or []
+    )
+
+
+@dataclass(frozen=True)
+class Source:
+    """Positions of the values and keys of one file.
+
+    A scenario that was built in code has an empty source; asking it for a place is not an error.
+    """
+
+    file: str = "<built in code>"
+    values: Mapping[KeyPath, Position] = field(default_factory=dict, repr=False)
+    keys: Mapping[KeyPath, Position] = field(default_factory=dict, repr=False)
+
+    def where(self, path: KeyPath | str) -> Position | None:
+        """Position of the value at ``path``.
+
+        A key that the file leaves to its default has no position: then that of the nearest enclosing
+        key, and None only when nothing was read from a file.
+        """
+        parts = parse_path(path) if isinstance(path, str) else path
+        for end in range(len(parts), -1, -1):
+            for table in (self.values, self.keys) if end == len(parts) else (self.keys, self.values):
+                if parts[:end] in table:
+                    return table[parts[:end]]
+        return None
+
+    def diagnostic(
+        self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False
+    ) -> Diagnostic:
+        """Make a diagnostic at the value of ``path`` (or at the key itself, for a key that is wrong)."""
+        parts = parse_path(path) if isinstance(path, str) else path
+        position = self.keys.get(parts) if at_key else None
+        position = position or self.where(parts)
+        line, column = (position.line, position.column) if position else (None, None)
+        return Diagnostic(self.file, problem, expected, line, column, format_path(parts))

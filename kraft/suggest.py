@@ -1,0 +1,34 @@
+"""Near-miss suggestions for error messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+def _folded(word: str) -> str:
+    return word.lower().replace("_", "-")
+
+
+def nearest(word: str, options: Iterable[str]) -> str | None:
+    """Return the option most like ``word`` (case and ``-``/``_`` do not count), or None."""
+    folded = {_folded(option): option for option in options}
+    close = get_close_matches(_folded(word)[:100], folded, n=1, cutoff=0.65)
+    return folded[close[0]] if close else None
+
+
+def choose(word: str, options: Iterable[str], *, none: str = "there is nothing to choose from") -> str:
+    """Say what to write instead of ``word``: the near miss if there is one, else all ``options``."""
+    options = list(options)
+    near = nearest(word, options)
+    if near is not None:
+        return f"did you mean {near!r}?"
+    return f"expected {alternatives(options)}" if options else none
+
+
+def alternatives(options: Iterable[str]) -> str:
+    """List ``options`` for a sentence: ``a``, ``a or b``, ``one of a, b, c``."""
+    options = list(options)
+    if len(options) <= 2:
+        return " or ".join(options)
+    return "one of " + ", ".join(options)

@@ -1,0 +1,176 @@
+"""Check a document against its schema and say everything that is wrong, each at its place in the file."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from kraft.errors import Diagnostic, InputError
+from kraft.source import KeyPath
+from kraft.suggest import choose
+from kraft.yaml_nodes import Document, Value, read_document
+
+Model = TypeVar("Model", bound=BaseModel)
+
+_NOUNS = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+    "model_type": "a mapping",
+    "dict_type": "a mapping",
+    "mapping_type": "a mapping",
+}
+_LIMITS = {
+    "greater_than": ("gt", "greater than"),
+    "greater_than_equal": ("ge", "of at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "of at most"),
+}
+
+
+def read_model(path: Path, model: type[Model]) -> tuple[Model, Document]:
+    """Read and check a file that needs no checks beyond its schema.
+
+    Raises:
+        InputError: with every problem of the file.
+    """
+    document = read_document(path)
+    value, problems = check(model, document)
+    if value is None:
+        raise InputError(problems)
+    return value, document
+
+
+def check(model: type[Model], document: Document) -> tuple[Model | None, list[Diagnostic]]:
+    """Validate a document. Returns the model, or None and what is wrong (YAML problems included)."""
+    problems = list(document.problems)
+    value = None
+    try:
+        value = model.model_validate(document.data)
+    except ValidationError as error:
+        for detail in error.errors(include_url=False):
+            unknown = detail["type"] == "extra_forbidden"  # said even if its value is unusable too
+            if unknown or not _already_reported(detail["loc"], document):
+                problems.append(_diagnostic(model, document, detail))
+    return (None if problems else value), problems
+
+
+def part(model: type[Model], value: Value) -> Model | None:
+    """Return ``value`` as a model if it is one; its errors, if any, are reported by `check` on the whole."""
+    try:
+        return model.model_validate(value)
+    except ValidationError:
+        return None
+
+
+def describe(value: object) -> str:
+    """Name a value for a sentence: ``the text 'x'``, ``the number 3``, ``a list``."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return f"the number {value:g}" if isinstance(value, float) else f"the number {value}"
+    if isinstance(value, str):
+        return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
+    return "a mapping" if isinstance(value, Mapping) else "a list"
+
+
+def _already_reported(path: tuple[int | str, ...], document: Document) -> bool:
+    return any(path[:end] in document.unusable for end in range(len(path) + 1))
+
+
+def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails) -> Diagnostic:
+    path: KeyPath = detail["loc"]
+    kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
+    source = document.source
+    known = _lookup(model, path)
+    about = f" ({known.description})" if known.description else ""
+    if kind == "kraft":
+        return source.diagnostic((*path, *context["at"]), context["problem"], context["expected"])
+    if kind == "extra_forbidden":
+        siblings = _lookup(model, path[:-1]).keys
+        return source.diagnostic(path, "unknown key", choose(str(path[-1]), siblings), at_key=True)
+    if kind == "missing" and isinstance(path[-1], int):  # an item of a list of fixed length
+        return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
+    if kind == "missing":
+        return source.diagnostic(path, "the key is missing", f"expected {known.description or 'it'}")
+    if kind == "too_long":
+        return source.diagnostic(
+            path, "the list is too long", f"expected {context['max_length']} items{about}"
+        )
+    if kind == "too_short":
+        return source.diagnostic(
+            path, "the list is too short", f"expected {context['min_length']} items or more"
+        )
+    if kind == "literal_error":
+        return source.diagnostic(path, f"is {describe(given)}", choose(str(given), known.choices))
+    if kind in _LIMITS:
+        key, words = _LIMITS[kind]
+        return source.diagnostic(
+            path, f"is {describe(given)}", f"expected a number {words} {context[key]:g}{about}"
+        )
+    if kind == "string_pattern_mismatch":
+        return source.diagnostic(path, f"is {describe(given)}", f"expected a {known.description}")
+    if kind in _NOUNS:
+        return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}")
+    return source.diagnostic(
+        path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}"
+    )
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What the schema says about one place."""
+
+    description: str | None = None
+    keys: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()
+    length: int = 0
+
+
+def _bare(annotation: Any) -> Any:
+    """Strip ``Annotated`` and ``| None``."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _bare(get_args(annotation)[0])
+    if origin in (Union, types.UnionType):
+        members = [a for a in get_args(annotation) if a is not type(None)]
+        return _bare(members[0]) if len(members) == 1 else annotation
+    return annotation
+
+
+def _lookup(model: type[BaseModel], path: KeyPath) -> _Known:
+    """Follow a key path through the annotations of a schema."""
+    annotation: Any = model
+    description: str | None = None
+    length = 0
+    for part_ in path:
+        annotation = _bare(annotation)
+        arguments = get_args(annotation)
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found = annotation.model_fields.get(str(part_))
+            if found is None:
+                return _Known()
+            annotation, description = found.annotation, found.description
+        elif get_origin(annotation) is tuple and isinstance(part_, int):
+            length = len(arguments)
+            annotation = arguments[0 if Ellipsis in arguments else min(part_, length - 1)]
+        elif len(arguments) == 2:
+            annotation, description = arguments[1], None
+        else:
+            return _Known()
+    annotation = _bare(annotation)
+    keys: tuple[str, ...] = ()
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        keys = tuple(annotation.model_fields)
+    choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
+    return _Known(description, keys, choices, length)

@@ -1,0 +1,104 @@
+"""A vehicle as configuration: which model it is, with which parameters, how large and how fast."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, Field, PrivateAttr, StringConstraints, model_validator
+
+from kraft import resources
+from kraft.file_model import FileModel, Length, Positive, refuse
+from kraft.source import Source
+from kraft.validation import read_model
+from kraft.vehicle_reference import is_attribute
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
+Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Quantity = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+
+def _model_reference(text: str) -> str:
+    if not is_attribute(text):
+        raise refuse(f"is {text!r}", "expected module:attribute, as in kraft.vehicles.mushr:MUSHR")
+    return text
+
+
+class Parameter(FileModel):
+    """One number of a model, with what system identification may do to it."""
+
+    value: Quantity
+    """nominal value, in the unit given"""
+    unit: str
+    """unit, `1` if it has none"""
+    description: str = ""
+    """what it is"""
+    min: Quantity | None = None
+    """smallest plausible value"""
+    max: Quantity | None = None
+    """largest plausible value"""
+    std: Positive | None = None
+    """standard deviation of what is known beforehand"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",))
+        if self.min is not None and self.value < self.min:
+            raise refuse(f"is {self.value:g}, below min", f"expected at least {self.min:g}", ("value",))
+        if self.max is not None and self.value > self.max:
+            raise refuse(f"is {self.value:g}, above max", f"expected at most {self.max:g}", ("value",))
+        return self
+
+
+class Footprint(FileModel):
+    """The rectangle that must not touch anything."""
+
+    length: Length
+    """extent along x, m"""
+    width: Length
+    """extent along y, m"""
+    offset: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    """distance of the rectangle's centre ahead of the body frame, m"""
+
+
+class VehicleConfig(FileModel):
+    """A vehicle file. The order of the parameters is the order in which the model takes them."""
+
+    name: Name
+    """short name of letters, digits, - and _"""
+    description: str = ""
+    """one sentence for `kraft list vehicles`"""
+    model: Annotated[str, AfterValidator(_model_reference)]
+    """the model's code, module:attribute"""
+    parameters: Mapping[Symbol, Parameter] = Field(default_factory=dict)
+    """{symbol: {value, unit, min, max, std}}"""
+    footprint: Footprint
+    """{length, width, offset}"""
+    top_speed: Annotated[float, Field(gt=0, le=100)]
+    """speed that the vehicle never exceeds, m/s (cost-to-go divides by it)"""
+
+    _source: Source = PrivateAttr(default_factory=Source)
+
+    @property
+    def source(self) -> Source:
+        """Where each value was written."""
+        return self._source
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Nominal value of each parameter, in the model's order."""
+        return {name: parameter.value for name, parameter in self.parameters.items()}
+
+
+def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
+    """Load a bundled vehicle (``mushr``) or a vehicle file.
+
+    Raises:
+        InputError: with every problem of the file, or if there is no such name or file.
+    """
+    path = resources.find("vehicle", name_or_path)
+    config, document = read_model(path, VehicleConfig)
+    config._source = document.source  # frozen fields stay as they are; this is where they came from
+    return config

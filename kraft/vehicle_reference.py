@@ -1,0 +1,50 @@
+"""The three ways to say which vehicle: a bundled name, the path of a YAML file, or ``module:attribute``."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from kraft import resources
+from kraft.suggest import choose
+
+_ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
+
+
+class VehicleProblem(ValueError):  # noqa: N818 - it becomes an InputError where the place is known
+    """A reference that names no vehicle."""
+
+    def __init__(self, problem: str, expected: str) -> None:
+        super().__init__(problem, expected)
+        self.problem = problem
+        self.expected = expected
+
+
+def is_attribute(text: str) -> bool:
+    """Whether ``text`` has the form ``module:attribute``, as in ``my_robots.car:CAR``."""
+    return _ATTRIBUTE.match(text) is not None
+
+
+def resolve_vehicle(reference: str, folder: Path) -> str:
+    """Check a reference; paths are relative to ``folder`` and come back absolute.
+
+    Modules are not imported and files are not read.
+
+    Raises:
+        VehicleProblem: if there is no such name or file, or it is none of the three.
+    """
+    if is_attribute(reference):
+        return reference
+    if ":" in reference and resources.is_name(reference):
+        raise VehicleProblem(f"{reference!r} is not a module and an attribute", "expected module:attribute")
+    if resources.is_name(reference):
+        if reference not in resources.names("vehicle"):
+            raise VehicleProblem(
+                f"there is no vehicle {reference!r}", choose(reference, resources.names("vehicle"))
+            )
+        return reference
+    path = folder / reference
+    if not os.path.isfile(path):
+        raise VehicleProblem(f"there is no file {path}", "expected the path of a vehicle's YAML file")
+    return str(path.resolve())
