@@ -13,6 +13,9 @@ def _folded(word: str) -> str:
 def nearest(word: str, options: Iterable[str]) -> str | None:
     """Return the option most like ``word`` (case and ``-``/``_`` do not count), or None."""
     folded = {_folded(option): option for option in options}
+    for candidate, option in folded.items():  # a unit that was left out: yaw for yaw_deg
+        if candidate.startswith(f"{_folded(word)}-"):
+            return option
     close = get_close_matches(_folded(word)[:100], folded, n=1, cutoff=0.65)
     return folded[close[0]] if close else None
 

@@ -57,6 +57,8 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
         value = model.model_validate(document.data)
     except ValidationError as error:
         for detail in error.errors(include_url=False):
+            if _counts_bad_items_as_absent(detail):
+                continue
             unknown = detail["type"] == "extra_forbidden"  # said even if its value is unusable too
             if unknown or not _already_reported(detail["loc"], document):
                 problems.append(_diagnostic(model, document, detail))
@@ -78,10 +80,20 @@ def describe(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int | float):
-        return f"the number {value:g}" if isinstance(value, float) else f"the number {value}"
+        return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
     if isinstance(value, str):
         return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
     return "a mapping" if isinstance(value, Mapping) else "a list"
+
+
+def _counts_bad_items_as_absent(detail: ErrorDetails) -> bool:
+    """Whether a list is called too short only because pydantic does not count items that are wrong."""
+    given = detail["input"]
+    return (
+        detail["type"] == "too_short"
+        and isinstance(given, tuple)
+        and len(given) >= detail["ctx"]["min_length"]
+    )
 
 
 def _already_reported(path: tuple[int | str, ...], document: Document) -> bool:
@@ -163,7 +175,10 @@ def _lookup(model: type[BaseModel], path: KeyPath) -> _Known:
             annotation, description = found.annotation, found.description
         elif get_origin(annotation) is tuple and isinstance(part_, int):
             length = len(arguments)
-            annotation = arguments[0 if Ellipsis in arguments else min(part_, length - 1)]
+            if Ellipsis in arguments:  # the description is that of the list, not of an item
+                annotation, description = arguments[0], None
+            else:
+                annotation = arguments[min(part_, length - 1)]
         elif len(arguments) == 2:
             annotation, description = arguments[1], None
         else:

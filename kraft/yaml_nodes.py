@@ -9,22 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import yaml
 
 from kraft.errors import Diagnostic, InputError
 from kraft.source import KeyPath, Position, Source
 from kraft.yaml_scalars import AmbiguousScalar, Scalar, plain_scalar
+from kraft.yaml_text import DEPTH_MAX, PLAIN, TOO_DEEP, compose, read_bytes
 
-BYTES_MAX: Final = 256 * 1024
-DEPTH_MAX: Final = 50
 NODES_MAX: Final = 100_000  # after aliases are followed: a few lines of aliases can stand for billions
 
-_PLAIN: Final = "!plain"
 _STANDARD: Final = "tag:yaml.org,2002:"
-_TOO_DEEP: Final = "nested too deep"
-_VALID: Final = "expected YAML, such as 'key: value'"
 
 
 class Unusable:
@@ -54,42 +50,13 @@ class Document:
     unusable: frozenset[KeyPath] = frozenset()
 
 
-class _Loader(yaml.SafeLoader):
-    """PyYAML's reader with a depth limit and without any opinion about unquoted words."""
-
-    depth = 0
-
-    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-        if kind is yaml.ScalarNode and implicit[0]:
-            return _PLAIN
-        return super().resolve(kind, value, implicit)  # type: ignore[no-untyped-call]
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        self.depth += 1
-        if self.depth > DEPTH_MAX:
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem=_TOO_DEEP, problem_mark=mark)
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-
 def read_document(path: Path) -> Document:
     """Read the file at ``path``.
 
     Raises:
         InputError: if the file cannot be read, is too large, is not UTF-8, or is not one YAML document.
     """
-    file = str(path)
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(BYTES_MAX + 1)
-    except FileNotFoundError:
-        raise InputError.of(file, "there is no such file", "expected a YAML file") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError.of(file, f"cannot be read ({reason})", "expected a readable YAML file") from error
-    return parse_document(content, file)
+    return parse_document(read_bytes(path), str(path))
 
 
 def parse_document(content: bytes | str, file: str) -> Document:
@@ -98,61 +65,7 @@ def parse_document(content: bytes | str, file: str) -> Document:
     Raises:
         InputError: if it is too large, not UTF-8, or not one YAML document.
     """
-    if len(content) > BYTES_MAX:
-        raise InputError.of(file, f"is larger than {BYTES_MAX // 1024} KiB", "expected a configuration file")
-    text = _decoded(content, file) if isinstance(content, bytes) else content.removeprefix("\ufeff")
-    root = _composed(text, file)
-    if root is None:
-        raise InputError([Diagnostic(file, "the file is empty", "expected a mapping", 1, 1)])
-    return _Converter(file).document(root)
-
-
-def _decoded(content: bytes, file: str) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
-        problem = "is not UTF-8 text"
-        raise InputError(
-            [Diagnostic(file, problem, "expected the file saved as UTF-8", line, column)]
-        ) from error
-
-
-def _composed(text: str, file: str) -> yaml.Node | None:
-    loader: _Loader | None = None
-    try:
-        loader = _Loader(text)
-        node: yaml.Node | None = loader.get_single_node()
-    except yaml.reader.ReaderError as error:
-        before = text[: error.position]
-        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-        code = error.character if isinstance(error.character, int) else ord(str(error.character))
-        problem = f"the character U+{code:04X} is not allowed"
-        raise InputError([Diagnostic(file, problem, "expected printable text", line, column)]) from error
-    except yaml.MarkedYAMLError as error:
-        raise _syntax_error(file, error.problem_mark or error.context_mark, *_explained(error)) from error
-    except (ValueError, OverflowError) as error:  # PyYAML lets these out for absurd escapes and directives
-        mark = loader.get_mark() if loader else None
-        raise _syntax_error(file, mark, "not valid YAML (a number out of range)", _VALID) from error
-    return node
-
-
-def _explained(error: yaml.MarkedYAMLError) -> tuple[str, str]:
-    """Say what is wrong and what was expected, for the mistakes people make."""
-    problem = error.problem or "cannot be read"
-    if error.context == "expected a single document in the stream":
-        return "a second document begins here", "expected one document in a file"
-    if "'\\t'" in problem:
-        return "a tab is used for indentation", "expected spaces"
-    if problem == _TOO_DEEP:
-        return problem, f"expected at most {DEPTH_MAX} levels"
-    return f"not valid YAML ({problem}{f', {error.context}' if error.context else ''})", _VALID
-
-
-def _syntax_error(file: str, mark: Any, problem: str, expected: str) -> InputError:
-    line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-    return InputError([Diagnostic(file, problem, expected, line, column)])
+    return _Converter(file).document(compose(content, file))
 
 
 def _position(node: yaml.Node) -> Position:
@@ -196,7 +109,7 @@ class _Converter:
                 node, path, "the alias stands for something it is part of", "expected a finite value"
             )
         if len(self.open_nodes) >= DEPTH_MAX:
-            return self.reject(node, path, _TOO_DEEP, f"expected at most {DEPTH_MAX} levels")
+            return self.reject(node, path, TOO_DEEP, f"expected at most {DEPTH_MAX} levels")
         self.open_nodes.append(node)
         value = self.content(node, path)
         self.open_nodes.pop()
@@ -207,7 +120,7 @@ class _Converter:
             return tuple(self.value(item, (*path, i)) for i, item in enumerate(node.value))
         if isinstance(node, yaml.MappingNode) and node.tag == _STANDARD + "map":
             return self.mapping(node, path)
-        if isinstance(node, yaml.ScalarNode) and node.tag in (_PLAIN, _STANDARD + "str"):
+        if isinstance(node, yaml.ScalarNode) and node.tag in (PLAIN, _STANDARD + "str"):
             return self.scalar(node, path)
         tag = node.tag.replace(_STANDARD, "!!")
         return self.reject(node, path, f"the tag {tag} is not supported", "expected the value without a tag")
@@ -216,7 +129,7 @@ class _Converter:
         text: str = node.value
         if any("\ud800" <= character <= "\udfff" for character in text):
             return self.reject(node, path, "holds half of a character", "expected text that UTF-8 can write")
-        if node.tag != _PLAIN:
+        if node.tag != PLAIN:
             return text
         try:
             return plain_scalar(text)
@@ -242,11 +155,11 @@ class _Converter:
 
     def key(self, node: yaml.Node, path: KeyPath) -> str | None:
         """Return the text of a key, or None after reporting that it is not text."""
-        if not isinstance(node, yaml.ScalarNode) or node.tag not in (_PLAIN, _STANDARD + "str"):
+        if not isinstance(node, yaml.ScalarNode) or node.tag not in (PLAIN, _STANDARD + "str"):
             self.report(node, path, "a key is a list, a mapping or tagged", "expected keys that are words")
         elif any("\ud800" <= character <= "\udfff" for character in node.value):
             self.report(node, path, "a key holds half of a character", "expected text that UTF-8 can write")
-        elif node.value == "<<" and node.tag == _PLAIN:
+        elif node.value == "<<" and node.tag == PLAIN:
             self.report(node, path, "merge keys (<<) are not supported", "expected the keys written out")
         else:
             return str(node.value)

@@ -99,7 +99,7 @@ Obstacle: TypeAlias = Box | Circle | Polygon | OccupancyMap
 
 
 def _rectangles(occupied: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Split the set cells into (row, column, rows, columns): runs of a row, grown while the next repeats them."""
+    """Split the set cells into (row, column, rows, columns): runs, grown while the next row repeats them."""
     done: list[tuple[int, int, int, int]] = []
     growing: dict[tuple[int, int], int] = {}  # (first column, past last column) -> first row
     for row in range(occupied.shape[0] + 1):

@@ -85,7 +85,7 @@ def _misplaced(document: Document) -> list[Diagnostic]:
         if axis := bounds.outside(x, y):
             low, high = getattr(bounds, axis)
             value = x if axis == "x" else y
-            problem = f"{what} is out of bounds ({axis} = {value:g})"
+            problem = f"{what} is out of bounds ({axis} = {value:.12g})"
             at = place or ("start", axis)
             found.append(document.source.diagnostic(at, problem, f"expected {axis} in [{low:g}, {high:g}]"))
     return found

@@ -35,9 +35,9 @@ class Planning(FileModel):
     cycle: Duration = 1.0
     """time between two plans while driving, s"""
     iterations: Count | None = None
-    """planning budget as a number of iterations (repeatable); 20000 if `time` is not given either"""
+    """planning budget in iterations, repeatable; 20000 unless `time` is given"""
     time: Duration | None = None
-    """planning budget as wall-clock time, s (not repeatable)"""
+    """planning budget in wall-clock time, not repeatable, s"""
     edge_duration: tuple[Duration, Duration] = (0.5, 1.0)
     """shortest and longest duration of one tree edge, s"""
     integration_step: Duration = 0.05

@@ -1,0 +1,131 @@
+"""Look at the machine kraft runs on, for `kraft doctor`."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal, TypeAlias
+
+from kraft import resources
+from kraft.errors import MissingAsset
+from kraft.version import VERSION
+
+State: TypeAlias = Literal["ok", "note", "missing"]
+
+REQUIRED: Final[dict[str, str]] = {
+    "ompl": "ompl.control",
+    "numpy": "numpy",
+    "numba": "numba",
+    "scipy": "scipy",
+    "python-fcl": "fcl",
+    "gtsam": "gtsam",
+    "mujoco": "mujoco",
+    "typer": "typer",
+    "rich": "rich",
+    "pyyaml": "yaml",
+    "pydantic": "pydantic",
+    "matplotlib": "matplotlib",
+    "pillow": "PIL",
+}
+"""Each package that kraft requires, and what to import to see that it loads."""
+
+OPTIONAL: Final[dict[str, tuple[str, str]]] = {
+    "ray": ("ray", "spreads `kraft eval` over a cluster"),
+    "rosbags": ("rosbags", "reads ROS logs for `kraft sysid`"),
+}
+"""Each package that few need: what to import, and what for."""
+
+_GL_BACKENDS: Final = ("egl", "osmesa", "glfw")
+_GL_TRIAL: Final = "import mujoco; mujoco.GLContext(16, 16).make_current()"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at. ``note`` means that something optional is not there."""
+
+    subject: str
+    state: State
+    detail: str
+
+
+def examine() -> list[Finding]:
+    """Look at everything; takes a few seconds, because every package is loaded."""
+    findings = [_python(), Finding("kraft", "ok", VERSION), _files()]
+    findings += [_package(name, module) for name, module in REQUIRED.items()]
+    findings += [_extra(name, *use) for name, use in OPTIONAL.items()]
+    return [*findings, _processor(), _cache(), _rendering()]
+
+
+def _python() -> Finding:
+    version = platform.python_version()
+    fits = (3, 11) <= sys.version_info[:2] < (3, 14)
+    return Finding(
+        "python", "ok" if fits else "missing", version if fits else f"{version}; needs 3.11 to 3.13"
+    )
+
+
+def _files() -> Finding:
+    try:
+        return Finding(
+            "bundled files", "ok", f"{len(resources.names('scenario'))} scenarios in {resources.root()}"
+        )
+    except MissingAsset as error:
+        return Finding("bundled files", "missing", str(error))
+
+
+def _package(name: str, module: str) -> Finding:
+    try:
+        importlib.import_module(module)
+        return Finding(name, "ok", importlib.metadata.version(name))
+    except (ImportError, OSError) as error:  # OSError: a shared library of the package does not load
+        return Finding(name, "missing", str(error))
+
+
+def _extra(name: str, module: str, purpose: str) -> Finding:
+    finding = _package(name, module)
+    return finding if finding.state == "ok" else Finding(name, "note", f"not installed; {purpose}")
+
+
+def _processor() -> Finding:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return Finding("cpu", "ok", f"{usable} cores, {platform.machine()}")
+
+
+def _cache() -> Finding:
+    """Where numba keeps compiled kernels: its variable, else beside the code, else the user's folder."""
+    beside = Path(__file__).resolve().parent.parent / "ompl_ext" / "__pycache__"
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        folder = Path(chosen)
+    elif os.access(beside if beside.exists() else beside.parent, os.W_OK):
+        folder = beside
+    else:
+        return Finding(
+            "kernel cache", "note", f"{beside} is read-only; kernels go to the user's cache folder"
+        )
+    existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    writable = os.access(existing, os.W_OK)
+    detail = str(folder) if writable else f"{folder} is not writable: every start compiles for seconds"
+    return Finding("kernel cache", "ok" if writable else "note", detail)
+
+
+def _rendering() -> Finding:
+    """Try, in another process, which of MuJoCo's ways to draw without a screen works here."""
+    asked = os.environ.get("MUJOCO_GL")
+    for backend in (asked,) if asked else _GL_BACKENDS:
+        environment = {**os.environ, "MUJOCO_GL": backend}
+        command = [sys.executable, "-c", _GL_TRIAL]
+        try:
+            trial = subprocess.run(command, env=environment, capture_output=True, timeout=20, check=False)
+        except subprocess.TimeoutExpired:
+            continue
+        if trial.returncode == 0:
+            return Finding("rendering", "ok", f"MUJOCO_GL={backend}")
+    return Finding(
+        "rendering", "note", f"no {asked or 'EGL, OSMesa or GLFW'}; `--video` and `--view` need one"
+    )

@@ -1,0 +1,55 @@
+"""The commands and the options common to all of them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from kraft.version import VERSION
+from kraft_cli.commands.doctor import doctor
+from kraft_cli.commands.listing import list_
+from kraft_cli.commands.validate import validate
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+GLOBAL_FLAGS = ("-q", "--quiet", "-v", "--verbose", "--traceback")
+"""Options that may stand anywhere on the command line; `kraft_cli.main` moves them to the front."""
+
+app = typer.Typer(
+    name="kraft",
+    help="Plan and drive safely with an approximate model of the vehicle.",
+    invoke_without_command=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"kraft {VERSION}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    context: typer.Context,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but results and errors.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show where an error came from.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Read the options common to all commands."""
+    terminal: Terminal = context.obj
+    terminal.quiet, terminal.verbose, terminal.traceback = quiet, verbose, traceback
+    if context.invoked_subcommand is None:
+        terminal.problem(context.get_help())
+        raise typer.Exit(ExitStatus.INVALID)
+
+
+app.command("validate")(validate)
+app.command("list")(list_)
+app.command("doctor")(doctor)

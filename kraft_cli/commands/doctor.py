@@ -1,0 +1,30 @@
+"""`kraft doctor`: say whether kraft can work on this machine."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+
+def doctor(
+    context: typer.Context,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> ExitStatus:
+    """Check Python, packages, processor, kernel cache and rendering."""
+    from kraft.environment import examine
+
+    terminal: Terminal = context.obj
+    findings = examine()
+    missing = [finding.subject for finding in findings if finding.state == "missing"]
+    if json:
+        terminal.json("kraft.doctor/1", {"ok": not missing, "findings": [asdict(f) for f in findings]})
+    else:
+        terminal.table(("CHECK", "STATE", "DETAIL"), [(f.subject, f.state, f.detail) for f in findings])
+        if missing:
+            terminal.error(f"missing: {', '.join(missing)}")
+    return ExitStatus.MISSING if missing else ExitStatus.DONE

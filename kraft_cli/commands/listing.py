@@ -1,0 +1,42 @@
+"""`kraft list`: show what can be named on the command line."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from kraft_cli.terminal import Terminal
+
+THINGS = ("scenarios", "methods", "vehicles", "planners")
+
+
+def list_(
+    context: typer.Context,
+    what: Annotated[str, typer.Argument(metavar="|".join(THINGS), help="What to list.")],
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """List scenarios, methods, vehicles or planners, each with its description."""
+    terminal: Terminal = context.obj
+    described = _described(what)
+    if json:
+        items = [{"name": name, "description": text} for name, text in described.items()]
+        terminal.json("kraft.list/1", {"kind": what, "items": items})
+    elif described:
+        terminal.table(("NAME", "DESCRIPTION"), list(described.items()))
+    else:
+        terminal.say(f"there are no {what}")
+
+
+def _described(what: str) -> dict[str, str]:
+    from kraft import resources
+    from kraft.errors import InputError
+    from kraft.planners import PLANNERS
+    from kraft.suggest import choose
+
+    if what == "planners":
+        return PLANNERS
+    kinds: dict[str, resources.Kind] = {"scenarios": "scenario", "methods": "method", "vehicles": "vehicle"}
+    if what not in kinds:
+        raise InputError.of(what, "cannot be listed", choose(what, THINGS))
+    return resources.descriptions(kinds[what])

@@ -1,0 +1,35 @@
+"""Entry point of the `kraft` command."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from kraft_cli.app import GLOBAL_FLAGS, app
+from kraft_cli.boundary import guarded
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+
+def main(argv: Sequence[str] | None = None, terminal: Terminal | None = None) -> int:
+    """Run one command line and return its exit code; ``argv`` is without the program's name."""
+    arguments = _flags_first(list(sys.argv[1:] if argv is None else argv))
+    terminal = terminal or Terminal()
+    terminal.traceback = "--traceback" in arguments  # so that it holds for errors in the arguments too
+
+    def command() -> ExitStatus:
+        program = typer.main.get_command(app)
+        with program.make_context("kraft", arguments, obj=terminal) as context:
+            result = program.invoke(context)
+        return ExitStatus.DONE if result is None else ExitStatus(result)
+
+    return int(guarded(terminal, command))
+
+
+def _flags_first(arguments: list[str]) -> list[str]:
+    """Move the global flags to the front, so that they mean the same before and after the command."""
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    flags = [a for a in arguments[:end] if a in GLOBAL_FLAGS]
+    return [*flags, *(a for a in arguments[:end] if a not in GLOBAL_FLAGS), *arguments[end:]]
