@@ -103,6 +103,10 @@ def _already_reported(path: tuple[int | str, ...], document: Document) -> bool:
 def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails) -> Diagnostic:
     path: KeyPath = detail["loc"]
     kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
+    if path and path[-1] == "[key]":  # pydantic's way to say that the key itself is wrong
+        return document.source.diagnostic(
+            path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True
+        )
     source = document.source
     known = _lookup(model, path)
     about = f" ({known.description})" if known.description else ""

@@ -77,7 +77,7 @@ class VehicleConfig(FileModel):
     footprint: Footprint
     """{length, width, offset}"""
     top_speed: Annotated[float, Field(gt=0, le=100)]
-    """speed that the vehicle never exceeds, m/s (cost-to-go divides by it)"""
+    """speed that the vehicle never exceeds, m/s"""
 
     _source: Source = PrivateAttr(default_factory=Source)
 

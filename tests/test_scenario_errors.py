@@ -23,7 +23,7 @@ BASE = {
 
 def with_line(line: str) -> str:
     """The smallest scenario with the line of one section replaced or added."""
-    return "\n".join({**BASE, line.split(":")[0]: line}.values())
+    return "\n".join({**BASE, line.partition(":")[0]: line}.values())
 
 
 def problems_of(text: str | bytes) -> list[str]:
@@ -140,7 +140,7 @@ def test_a_missing_section_is_named(section: str) -> None:
     [
         ("[]", "f.yaml:1:1: is a list; expected a mapping"),
         ("turns", "f.yaml:1:1: is the text 'turns'; expected a mapping"),
-        ("---\n", "f.yaml:1:4: is nothing; expected a mapping"),
+        ("---\n", "f.yaml:2:1: is nothing; expected a mapping"),
         ("", "f.yaml:1:1: the file is empty; expected a mapping"),
     ],
 )
@@ -166,7 +166,7 @@ obstacles:
         "f.yaml:5:10: vehicle: there is no vehicle 'mushrr'",
         "f.yaml:6:1: colour: unknown key",
         "f.yaml:6:9: colour: 012 is octal to some YAML readers and decimal to others",
-        "f.yaml:8:35: obstacles[0].box.size[1]: is the number -1",
+        "f.yaml:8:37: obstacles[0].box.size[1]: is the number -1",
         "f.yaml:9:17: obstacles[1].map.file: there is no file folder/none.yaml",
     ]
 

@@ -1,0 +1,132 @@
+"""`kraft validate`, `kraft list` and `kraft doctor`."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from kraft import environment, resources
+from kraft.environment import REQUIRED, Finding
+from kraft.planners import PLANNERS
+from kraft_cli.main import main
+
+ROOT = Path(__file__).resolve().parent.parent
+GOOD = """name: x
+bounds: {x: [0, 4], y: [0, 4]}
+start: {x: 1, y: 1, heading_deg: 0}
+goal: {center: [3, 3], radius: 1}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.yaml").write_text(GOOD)
+    (tmp_path / "bad.yaml").write_text(GOOD.replace("radius: 1", "radius: 0") + "colour: red\n")
+    (tmp_path / "car.yaml").write_text(
+        "name: car\nmodel: x\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n"
+    )
+    return tmp_path
+
+
+def test_valid_files_are_said_to_be_what_they_are(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "good.yaml", str(resources.folder("vehicle") / "mushr.yaml")]) == 0
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0] == "good.yaml: valid scenario"
+    assert out.splitlines()[1].endswith("mushr.yaml: valid vehicle")
+    assert err == ""
+
+
+def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", *resources.names("scenario"), *resources.names("vehicle")]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_all_problems_of_all_files_are_shown(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "bad.yaml", "good.yaml", "car.yaml", "none.yaml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == "good.yaml: valid scenario\n"
+    assert [line.split(";")[0] for line in err.splitlines()] == [
+        "bad.yaml:4:32: goal.radius: is the number 0",
+        "bad.yaml:5:1: colour: unknown key",
+        "car.yaml:2:8: model: is 'x'",
+        "none.yaml: there is no such file",
+        "4 problems in 3 files",
+    ]
+
+
+def test_quiet_leaves_only_the_problems(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "-q", "bad.yaml"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_validate_prints_one_json_object(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "--json", "good.yaml", "bad.yaml"]) == 2
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert err == ""
+    assert content["schema"] == "kraft.validate/1"
+    assert [(f["file"], f["kind"], f["valid"]) for f in content["files"]] == [
+        ("good.yaml", "scenario", True),
+        ("bad.yaml", "scenario", False),
+    ]
+    first = content["files"][1]["problems"][0]
+    assert (first["line"], first["column"], first["path"]) == (4, 32, "goal.radius")
+
+
+@pytest.mark.parametrize("what", ["scenarios", "vehicles", "planners"])
+def test_lists_name_and_describe_what_there_is(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", what]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main(["list", what, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["schema"], content["kind"]) == ("kraft.list/1", what)
+    assert all(item["description"] for item in content["items"])
+    assert [line.split()[0] for line in lines[1:]] == [item["name"] for item in content["items"]]
+
+
+def test_methods_are_what_the_folder_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "methods", "--json"]) == 0
+    items = json.loads(capsys.readouterr().out)["items"]
+    assert tuple(item["name"] for item in items) == resources.names("method")
+
+
+def test_the_planners_listed_are_those_a_scenario_may_name() -> None:
+    from typing import get_args
+
+    from kraft.scenario.planning import Planning
+
+    assert get_args(Planning.model_fields["planner"].annotation) == tuple(PLANNERS)
+
+
+def test_the_doctor_looks_at_every_required_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = {re.split(r"[<>=!~\[; ]", requirement)[0] for requirement in project["dependencies"]}
+    assert named == set(REQUIRED)
+
+
+def test_the_doctor_ends_with_3_when_something_required_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    findings = [Finding("python", "ok", "3.12"), Finding("gtsam", "missing", "No module named 'gtsam'")]
+    monkeypatch.setattr(environment, "examine", lambda: findings)
+    assert main(["doctor"]) == 3
+    out, err = capsys.readouterr()
+    assert "No module named 'gtsam'" in out
+    assert err == "error: missing: gtsam\n"
+    assert main(["doctor", "--json"]) == 3
+    assert json.loads(capsys.readouterr().out)["ok"] is False
+
+
+def test_the_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environment, "examine", lambda: [Finding("ray", "note", "not installed")])
+    assert main(["doctor"]) == 0
+
+
+def test_a_package_that_does_not_load_is_missing_with_the_reason() -> None:
+    finding = environment._package("nothing", "there_is_no_such_module")
+    assert finding == Finding("nothing", "missing", "No module named 'there_is_no_such_module'")

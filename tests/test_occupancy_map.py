@@ -1,0 +1,174 @@
+"""Occupancy maps: what a pixel means, which way is up, and broken images."""
+
+# ruff: noqa: E501 - what kraft says on one line is tested on one line
+
+from __future__ import annotations
+
+import contextlib
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import Image
+
+from kraft.errors import InputError
+from kraft.scenario import OccupancyMap, load_scenario
+from kraft.scenario.occupancy import read_map
+
+YAML = "image: m.pgm\nresolution: 0.5\norigin: [1.0, 2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+P2 = b"P2\n# comment\n3 2\n255\n0 254 254\n254 205 254\n"
+
+
+def written(folder: Path, image: bytes, text: str = YAML, name: str = "m.pgm") -> OccupancyMap:
+    (folder / name).write_bytes(image)
+    (folder / "m.yaml").write_text(text)
+    return read_map(folder / "m.yaml", height=0.2, name=None)
+
+
+def refusal(folder: Path, image: bytes, text: str = YAML) -> str:
+    with pytest.raises(InputError) as caught:
+        written(folder, image, text)
+    return str(caught.value).replace(str(folder), "D")
+
+
+def test_the_first_row_of_cells_is_the_last_row_of_pixels(tmp_path: Path) -> None:
+    grid = written(tmp_path, P2)
+    assert grid.occupied.tolist() == [[False, True, False], [True, False, False]]
+    assert (grid.resolution, grid.origin) == (0.5, (1.0, 2.0, 0.0))
+    assert not grid.occupied.flags.writeable
+
+
+def test_binary_and_plain_pgm_and_png_say_the_same(tmp_path: Path) -> None:
+    plain = written(tmp_path, P2)
+    binary = written(tmp_path, b"P5 3 2 255\n" + bytes([0, 254, 254, 254, 205, 254]))
+    Image.fromarray(np.array([[0, 254, 254], [254, 205, 254]], dtype=np.uint8)).save(tmp_path / "m.png")
+    png = written(tmp_path, b"", YAML.replace("m.pgm", "m.png"))
+    assert plain == binary == png
+
+
+def test_a_cell_that_the_map_does_not_know_is_occupied(tmp_path: Path) -> None:
+    pixels = bytes([254, 205, 128, 0])  # free, unknown, between the thresholds, occupied
+    for mode in ("trinary", "scale"):
+        grid = written(tmp_path, b"P5 4 1 255\n" + pixels, YAML + f"mode: {mode}\n")
+        assert grid.occupied.tolist() == [[False, True, True, True]]
+    generous = YAML.replace("free_thresh: 0.196", "free_thresh: 0.25")
+    assert written(tmp_path, b"P5 4 1 255\n" + pixels, generous).occupied.tolist() == [
+        [False, False, True, True]
+    ]
+
+
+def test_transparent_cells_are_occupied(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[[255, 255], [255, 0]]], dtype=np.uint8)).save(tmp_path / "m.png")
+    assert written(tmp_path, b"", YAML.replace("m.pgm", "m.png")).occupied.tolist() == [[False, True]]
+
+
+def test_negate_swaps_black_and_white(tmp_path: Path) -> None:
+    for flag in ("1", "true"):
+        grid = written(
+            tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", f"negate: {flag}")
+        )
+        assert grid.occupied.tolist() == [[False, True]]
+
+
+def test_raw_pixels_are_occupancy_in_percent(tmp_path: Path) -> None:
+    grid = written(tmp_path, b"P5 4 1 255\n" + bytes([0, 19, 60, 255]), YAML + "mode: raw\n")
+    assert grid.occupied.tolist() == [[False, False, True, True]]
+
+
+def test_sixteen_bit_images_are_read(tmp_path: Path) -> None:
+    grid = written(tmp_path, b"P5 2 1 65535\n" + bytes([0, 0, 255, 255]))
+    assert grid.occupied.tolist() == [[True, False]]
+
+
+@pytest.mark.parametrize(
+    ("image", "expected"),
+    [
+        (b"P5 3 2 255\n\0\0\0", "cannot be read (image file is truncated"),
+        (b"P2\n3 2\n255\n0 254", "cannot be read ("),
+        (b"P5 3", "cannot be read ("),
+        (b"P5 0 0 255\n", "D/m.pgm is neither PGM nor PNG; expected a PGM or PNG file"),
+        (b"P5 99999 99999 255\n", "is too large; expected at most 16000000 pixels"),
+        (b"P5 9000 9000 255\n", "is 9000 x 9000; expected at most 16000000 pixels"),
+        (b"\x89PNG\r\n\x1a\n1234", "; expected a"),
+        (b"GIF89a", "D/m.pgm is neither PGM nor PNG; expected a PGM or PNG file"),
+        (b"", "D/m.pgm is neither PGM nor PNG; expected a PGM or PNG file"),
+    ],
+)
+def test_a_broken_image_is_reported_at_the_line_that_names_it(
+    image: bytes, expected: str, tmp_path: Path
+) -> None:
+    line = refusal(tmp_path, image)
+    assert line.startswith("D/m.yaml:1:8: image: ")
+    assert expected in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("m.pgm", "n.pgm", "D/m.yaml:1:8: image: there is no image D/n.pgm; expected the path of a PGM or PNG file"),
+        ("m.pgm", ".", "D/m.yaml:1:8: image: there is no image D; expected the path of a PGM or PNG file"),
+        ("resolution: 0.5", "resolution: 0", "D/m.yaml:2:13: resolution: is the number 0; expected a number greater than 0 (side of a cell, m)"),
+        ("[1.0, 2.0, 0.0]", "[1.0, 2.0]", "D/m.yaml:3:9: origin: the list is too short; expected 3 items ([x, y, yaw] of the lower left corner, m and rad)"),
+        ("negate: 0", "negate: 2", "D/m.yaml:4:9: negate: is the number 2; expected 0 or 1"),
+        ("free_thresh: 0.196", "free_thresh: 0.7", "D/m.yaml:6:14: free_thresh: is 0.7, not below occupied_thresh; expected less than 0.65"),
+        ("negate: 0", "mode: trinry", "D/m.yaml:4:7: mode: is the text 'trinry'; did you mean 'trinary'?"),
+    ],
+)  # fmt: skip
+def test_a_wrong_map_file_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    assert refusal(tmp_path, P2, YAML.replace(old, new)) == expected
+
+
+def test_a_scenario_holds_the_map_it_names_and_reports_its_problems(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        "name: x\nbounds: {x: [0, 4], y: [0, 4]}\nstart: {x: 1, y: 1, heading_deg: 0}\n"
+        "goal: {center: [3, 3], radius: 0.5}\nobstacles:\n  - {name: floor, map: {file: maps/m.yaml, height: 0.4}}\n"
+    )
+    (tmp_path / "maps").mkdir()
+    expected = written(tmp_path / "maps", P2)
+    (grid,) = load_scenario(scene).obstacles
+    assert isinstance(grid, OccupancyMap)
+    assert np.array_equal(grid.occupied, expected.occupied)
+    assert (grid.name, grid.height) == ("floor", 0.4)
+    (tmp_path / "maps" / "m.pgm").write_bytes(b"P5 3 2 255\n")
+    with pytest.raises(InputError, match=r"maps/m.yaml:1:8: image: the image .* cannot be read"):
+        load_scenario(scene)
+
+
+def test_a_turned_map_turns_its_boxes() -> None:
+    grid = OccupancyMap(np.array([[False, True]]), 1.0, (1.0, 2.0, math.pi / 2))
+    (box,) = grid.boxes()
+    assert box.center == pytest.approx((0.5, 3.5))
+    assert (box.size, box.yaw) == ((1.0, 1.0), math.pi / 2)
+
+
+def cells(grid: OccupancyMap) -> NDArray[np.int64]:
+    """How many boxes cover each cell of an unturned map at the origin."""
+    count = np.zeros(grid.occupied.shape, dtype=np.int64)
+    for box in grid.boxes():
+        (x, y), (length, width) = box.center, box.size
+        count[round(y - width / 2) : round(y + width / 2), round(x - length / 2) : round(x + length / 2)] += 1
+    return count
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.randoms(use_true_random=False))
+def test_boxes_cover_each_occupied_cell_once_and_no_other(rows: int, columns: int, random: object) -> None:
+    occupied = np.array([[random.random() < 0.5 for _ in range(columns)] for _ in range(rows)])  # type: ignore[attr-defined]
+    grid = OccupancyMap(occupied, 1.0, (0.0, 0.0, 0.0))
+    assert np.array_equal(cells(grid), occupied.astype(np.int64))
+
+
+@given(
+    st.binary(max_size=120),
+    st.sampled_from([b"", b"P5 3 2 255\n", b"P2\n3 2\n", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"]),
+)
+def test_no_image_raises_anything_but_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, head: bytes
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    with contextlib.suppress(InputError):
+        written(folder, head + content)

@@ -1,0 +1,235 @@
+"""Bundled scenarios say what the paper's scenes are, and loading gives plain geometry in metres and radians."""
+
+# ruff: noqa: E501 - what kraft says on one line is tested on one line
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import math
+import pickle
+from pathlib import Path
+
+import pytest
+
+from kraft import json_schema, resources
+from kraft.errors import InputError
+from kraft.scenario import (
+    Bounds,
+    Box,
+    Circle,
+    Goal,
+    Polygon,
+    Scenario,
+    Start,
+    Task,
+    load_scenario,
+    parse_scenario,
+)
+from kraft.scenario.planning import DEFAULT_ITERATIONS, Planning, Safety
+
+SCENES = ("boxes", "boxes-real", "bump", "movable", "slip", "slope", "turns", "turns-real")
+TURNS = {((0.5, 1.5), (1.0, 1.0)), ((1.5, 3.5), (1.0, 1.0))}
+BOXES = {((x, y), (0.4, 0.3)) for x, y in ((1.0, 1.0), (0.5, 2.5), (1.5, 2.5), (1.0, 4.0))}
+INSIDE = {
+    "turns": TURNS,
+    "turns-real": TURNS,
+    "bump": TURNS,
+    "slope": TURNS,
+    "boxes": BOXES,
+    "boxes-real": BOXES,
+    "slip": {((1.6, 4.0), (1.0, 1.0)), ((0.4, 1.2), (1.0, 1.0))},
+    "movable": {((0.5, 2.0), (1.0, 1.0))},
+}
+
+
+def test_the_eight_scenes_are_bundled() -> None:
+    assert resources.names("scenario") == SCENES
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_has_the_papers_geometry(name: str) -> None:
+    scene = load_scenario(name)
+    boxes = [o for o in scene.obstacles if isinstance(o, Box)]
+    walls = [b for b in boxes if b.name is not None and "wall" in b.name]
+    assert scene.name == name
+    assert {(b.center, b.size) for b in boxes if b not in walls} == INSIDE[name]
+    assert {(b.center, min(b.size)) for b in walls} == {
+        ((-0.25, 2.5), 0.1),
+        ((2.25, 2.5), 0.1),
+        ((1.0, -1.0), 0.1),
+        ((1.0, 6.0), 0.1),
+    }
+    assert all(b.height == 0.2 and b.yaw == 0 for b in boxes)
+    assert scene.bounds == Bounds(x=(-0.25, 2.25), y=(-1.0, 6.0))
+    assert scene.start == Start(1.0, -0.5, math.pi / 2, 0.0)
+    assert scene.goal == Goal((1.0, 5.0), 0.25)
+    assert (scene.trial.timeout, scene.trial.oneshot_timeout) == (60, 30)
+    assert (scene.sensing.preset, scene.sensing.camera, scene.sensing.rate_hz) == (
+        "single-tag",
+        (1, 3, 5),
+        30,
+    )
+
+
+def test_nothing_is_hidden_in_turns_and_boxes() -> None:
+    for name in ("turns", "boxes"):
+        assert load_scenario(name).truth == Scenario.__dataclass_fields__["truth"].default_factory()  # type: ignore[misc]
+
+
+def test_each_other_scene_hides_its_own_feature() -> None:
+    assert all(0 < b.height <= 0.05 for b in load_scenario("bump").truth.speed_bumps)
+    tilt = load_scenario("slope").truth.tilt
+    assert tilt is not None
+    assert (tilt.slope, tilt.uphill) == (0.125, math.pi / 2)
+    (patch,) = load_scenario("slip").truth.friction_patches
+    assert (patch.y, patch.friction) == ((0.4, 2.0), 0.08)
+    movable = load_scenario("movable").truth.movable_boxes
+    assert {b.center for b in movable} == {(1.75, 2.0), (1.25, 2.0), (1.75, 3.5), (1.5, 1.0)}
+    assert all(b.size == (0.4, 0.4, 0.2) and b.mass == 1 for b in movable)
+    for name in ("turns-real", "boxes-real"):
+        scene = load_scenario(name)
+        assert scene.truth.vehicle.drive_scale < 1
+        assert scene.sensing.communication_delay > 0
+
+
+def test_the_bumps_leave_no_way_around() -> None:
+    scene = load_scenario("bump")
+    beside_first, between, beside_second = scene.truth.speed_bumps
+    spans = [(b.center[0] - b.size[0] / 2, b.center[0] + b.size[0] / 2) for b in scene.truth.speed_bumps]
+    assert spans[0] == pytest.approx((1.0, 2.2))
+    assert spans[1] == pytest.approx((-0.2, 2.2))
+    assert spans[2] == pytest.approx((-0.2, 1.0))
+    assert beside_first.center[1] < between.center[1] < beside_second.center[1]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_bundled_scene_names_its_schema_for_editors(name: str) -> None:
+    path = resources.folder("scenario") / f"{name}.yaml"
+    first = path.read_text(encoding="utf-8").splitlines()[0]
+    assert first == "# yaml-language-server: $schema=scenario.schema.json"
+
+
+def test_the_committed_schemas_are_up_to_date() -> None:
+    for path, model in json_schema.files().items():
+        assert path.read_text(encoding="utf-8") == json_schema.text(model), "run python -m kraft.json_schema"
+        assert json.loads(path.read_text(encoding="utf-8"))["additionalProperties"] is False
+
+
+def test_every_key_of_the_schema_is_described() -> None:
+    for path in json_schema.files():
+        schema = json.loads(path.read_text(encoding="utf-8"))
+        for name, definition in {**schema["$defs"], path.stem: schema}.items():
+            for key, content in definition.get("properties", {}).items():
+                assert content.get("description"), f"{name}.{key}"
+
+
+FULL = """
+name: full
+bounds: {x: [0, 4], y: [0, 4]}
+obstacles:
+  - {name: crate, box: {center: [1, 1], size: [1, 0.5], yaw_deg: 90, height: 0.3}}
+  - circle: {center: [3, 1], radius: 0.5}
+  - polygon: {vertices: [[0, 3], [0, 4], [1, 4], [0.4, 3.6]]}
+start: {x: 2, y: 2, heading_deg: 180, speed: 0.2}
+goal: {center: [3, 3], radius: 0.5, heading_deg: 45, heading_tolerance_deg: 10}
+vehicle: my_robots.car:CAR
+planning: {time: 0.5, safety: {delta: 0.05, delta_per_speed: 0.25}}
+"""
+
+
+def test_a_file_becomes_plain_geometry_in_radians() -> None:
+    scene = parse_scenario(FULL)
+    box, circle, polygon = scene.obstacles
+    assert box == Box((1, 1), (1, 0.5), math.pi / 2, 0.3, "crate")
+    assert circle == Circle((3, 1), 0.5)
+    assert polygon == Polygon(((0.4, 3.6), (1, 4), (0, 4), (0, 3)))
+    assert scene.start == Start(2, 2, math.pi, 0.2)
+    assert scene.goal == Goal((3, 3), 0.5, math.radians(45), math.radians(10))
+    assert scene.vehicle == "my_robots.car:CAR"
+
+
+def test_corners_of_a_box_turn_with_it_and_run_counter_clockwise() -> None:
+    corners = Box((1, 1), (2, 1), math.pi / 2).corners
+    assert [tuple(round(c, 9) for c in q) for q in corners] == [(0.5, 2), (0.5, 0), (1.5, 0), (1.5, 2)]
+
+
+def test_the_planners_budget_is_iterations_unless_a_time_is_given() -> None:
+    assert Planning().iteration_budget == DEFAULT_ITERATIONS
+    assert Planning(iterations=7).iteration_budget == 7
+    assert parse_scenario(FULL).planning.iteration_budget is None
+
+
+def test_the_margin_grows_with_speed_in_either_direction() -> None:
+    safety = Safety(delta=0.05, delta_per_speed=0.25)
+    assert safety.clearance(0.4) == safety.clearance(-0.4) == pytest.approx(0.15)
+
+
+def test_a_task_has_no_truth() -> None:
+    task = load_scenario("slope").task()
+    assert type(task) is Task
+    assert not {"truth", "sensing", "trial"} & {f.name for f in dataclasses.fields(task)}
+    assert "0.125" not in repr(task)
+
+
+def test_a_scenario_survives_pickling_and_keeps_its_places() -> None:
+    scene = load_scenario("turns")
+    again = pickle.loads(pickle.dumps(scene))
+    assert again == scene == copy.deepcopy(scene)
+    assert again.source.where("goal.center") == scene.source.where("goal.center") is not None
+
+
+def test_a_scenario_built_in_code_has_no_places_and_says_so_without_failing() -> None:
+    scene = Scenario(
+        name="x", bounds=Bounds(x=(0, 1), y=(0, 1)), start=Start(0.5, 0.5, 0), goal=Goal((0.5, 0.5), 0.1)
+    )
+    diagnostic = scene.source.diagnostic("start", "the start is in collision", "expected free space")
+    assert str(diagnostic) == "<built in code>: start: the start is in collision; expected free space"
+
+
+def test_a_later_check_can_point_into_the_file() -> None:
+    scene = load_scenario("turns")
+    line = str(scene.source.diagnostic("obstacles[4].box.size", "too large", "expected less"))
+    assert line.startswith(f"{resources.folder('scenario') / 'turns.yaml'}:")
+    assert ": obstacles[4].box.size: too large; expected less" in line
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("turnz", "turnz: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)"),
+        ("turns_real", "turns_real: there is no scenario of this name; did you mean 'turns-real'? (or the path of a .yaml file)"),
+        ("turn.yaml", "turn.yaml: there is no such file; did you mean 'turns.yaml'?"),
+        ("slop.yaml", "slop.yaml: there is no such file; expected the path of a .yaml file (kraft's own scenario is called 'slope')"),
+        ("no/folder.yaml", "no/folder.yaml: there is no such file; expected the path of a .yaml file or the name of a scenario"),
+        ("a\0.yaml", "a\0.yaml: there is no such file; expected the path of a .yaml file or the name of a scenario"),
+    ],
+)  # fmt: skip
+def test_a_missing_scenario_is_answered_with_the_nearest_one(
+    given: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "turns.yaml").write_text(FULL)
+    with pytest.raises(InputError) as caught:
+        load_scenario(given)
+    assert str(caught.value) == expected
+
+
+def test_a_name_of_a_missing_scenario_too_long_for_a_file_is_still_an_input_error() -> None:
+    with pytest.raises(InputError):
+        load_scenario("x" * 5000 + ".yaml")
+
+
+def test_a_bundled_name_wins_over_a_folder_of_that_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "turns").mkdir()
+    assert load_scenario("turns").name == "turns"
+
+
+def test_a_vehicle_file_is_found_beside_the_scenario(tmp_path: Path) -> None:
+    (tmp_path / "car.yaml").write_text("name: car")
+    (tmp_path / "scene.yaml").write_text(FULL.replace("my_robots.car:CAR", "car.yaml"))
+    assert load_scenario(tmp_path / "scene.yaml").vehicle == str((tmp_path / "car.yaml").resolve())

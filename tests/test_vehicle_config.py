@@ -1,0 +1,110 @@
+"""Vehicle files: the bundled ones hold the measured numbers, and wrong ones are explained."""
+
+# ruff: noqa: E501 - what kraft says on one line is tested on one line
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from kraft import resources
+from kraft.errors import InputError
+from kraft.vehicle_config import Footprint, load_vehicle_config
+from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
+
+CAR = """name: car
+model: my_robots.car:CAR
+parameters:
+  L: {value: 0.3, unit: m, min: 0.2, max: 0.4, std: 0.01}
+footprint: {length: 0.4, width: 0.28}
+top_speed: 1.0
+"""
+
+
+def problems_of(folder: Path, text: str) -> list[str]:
+    path = folder / "car.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_vehicle_config(path)
+    return str(caught.value).replace(f"{path}:", "").splitlines()
+
+
+def test_the_four_vehicles_are_bundled() -> None:
+    assert resources.names("vehicle") == ("benchmark", "mushr", "mushr-lag", "unicycle2")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("mushr", {"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228}),
+        ("mushr-lag", {"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228, "tau": 1.0103}),
+        ("benchmark", {"gain": 0.6228, "rate": 0.9898, "steering_max": 0.4203, "wheelbase": 0.2965}),
+    ],
+)
+def test_a_bundled_car_has_the_measured_parameters_in_the_models_order(
+    name: str, values: dict[str, float]
+) -> None:
+    config = load_vehicle_config(name)
+    assert config.name == name
+    assert list(config.values.items()) == list(values.items())
+    assert config.footprint == Footprint(length=0.40, width=0.28, offset=0.0)
+
+
+def test_the_lag_is_the_benchmarks_rate_seen_as_a_time() -> None:
+    tau, rate = (
+        load_vehicle_config("mushr-lag").values["tau"],
+        load_vehicle_config("benchmark").values["rate"],
+    )
+    assert tau == pytest.approx(1 / rate, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", resources.names("vehicle"))
+def test_a_bundled_vehicle_is_described_and_names_its_schema(name: str) -> None:
+    text = (resources.folder("vehicle") / f"{name}.yaml").read_text(encoding="utf-8")
+    assert text.splitlines()[0] == "# yaml-language-server: $schema=vehicle.schema.json"
+    assert load_vehicle_config(name).description
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("name: car", "name: a/b", "1:7: name: is the text 'a/b'; expected a short name of letters, digits, - and _"),
+        ("my_robots.car:CAR", "my_robots.car", "2:8: model: is 'my_robots.car'; expected module:attribute, as in kraft.vehicles.mushr:MUSHR"),
+        ("my_robots.car:CAR", "my-robots:CAR", "2:8: model: is 'my-robots:CAR'; expected module:attribute, as in kraft.vehicles.mushr:MUSHR"),
+        ("  L:", "  2L:", "4:3: parameters.2L: is not a symbol; expected letters, digits and _"),
+        ("value: 0.3", "value: 0.5", "4:14: parameters.L.value: is 0.5, above max; expected at most 0.4"),
+        ("value: 0.3", "value: 0.1", "4:14: parameters.L.value: is 0.1, below min; expected at least 0.2"),
+        ("value: 0.3", "value: .inf", "4:14: parameters.L.value: .inf is not a finite number; expected a finite number"),
+        ("min: 0.2", "min: 0.9", "4:33: parameters.L.min: is 0.9, not below max; expected less than 0.4"),
+        ("std: 0.01", "std: 0", "4:53: parameters.L.std: is the number 0; expected a number greater than 0 (standard deviation of what is known beforehand)"),
+        ("unit: m, ", "", "4:3: parameters.L.unit: the key is missing; expected unit, `1` if it has none"),
+        ("max: 0.4", "maxx: 0.4", "4:38: parameters.L.maxx: unknown key; did you mean 'max'?"),
+        ("length: 0.4", "length: 0", "5:21: footprint.length: is the number 0; expected a number greater than 0 (extent along x, m)"),
+        ("length: 0.4", "lenght: 0.4, length: 0.4", "5:13: footprint.lenght: unknown key; did you mean 'length'?"),
+        ("top_speed: 1.0", "top_speed: fast", "6:12: top_speed: is the text 'fast'; expected a number (speed that the vehicle never exceeds, m/s)"),
+    ],
+)  # fmt: skip
+def test_a_wrong_vehicle_file_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    assert problems_of(tmp_path, CAR.replace(old, new)) == [expected]
+
+
+def test_an_unknown_vehicle_is_answered_with_the_nearest_one() -> None:
+    with pytest.raises(InputError, match="musrh: there is no vehicle of this name; did you mean 'mushr'"):
+        load_vehicle_config("musrh")
+
+
+def test_a_vehicle_knows_where_its_values_were_written(tmp_path: Path) -> None:
+    (tmp_path / "car.yaml").write_text(CAR)
+    position = load_vehicle_config(tmp_path / "car.yaml").source.where("parameters.L.value")
+    assert str(position) == "line 4, column 14"
+
+
+def test_a_reference_is_a_name_a_path_or_a_module_and_attribute(tmp_path: Path) -> None:
+    (tmp_path / "car.yaml").write_text(CAR)
+    assert resolve_vehicle("mushr", tmp_path) == "mushr"
+    assert resolve_vehicle("a.b:C", tmp_path) == "a.b:C"
+    assert resolve_vehicle("car.yaml", tmp_path) == str((tmp_path / "car.yaml").resolve())
+    for wrong in ("mushrr", "a.b:", ":C", "a b:C", "none.yaml", "", "x\0.yaml"):
+        with pytest.raises(VehicleProblem):
+            resolve_vehicle(wrong, tmp_path)
