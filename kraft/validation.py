@@ -13,7 +13,7 @@ from pydantic_core import ErrorDetails
 
 from kraft.errors import Diagnostic, InputError
 from kraft.source import KeyPath
-from kraft.suggest import choose
+from kraft.suggest import choose, nearest
 from kraft.yaml_nodes import Document, Value, read_document
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -56,8 +56,12 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
     try:
         value = model.model_validate(document.data)
     except ValidationError as error:
-        for detail in error.errors(include_url=False):
-            if _counts_bad_items_as_absent(detail):
+        details = error.errors(include_url=False)
+        misspelt = _misspelt(model, details)
+        for detail in details:
+            if _counts_bad_items_as_absent(detail) or (
+                detail["type"] == "missing" and detail["loc"] in misspelt
+            ):
                 continue
             unknown = detail["type"] == "extra_forbidden"  # said even if its value is unusable too
             if unknown or not _already_reported(detail["loc"], document):
@@ -84,6 +88,13 @@ def describe(value: object) -> str:
     if isinstance(value, str):
         return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
     return "a mapping" if isinstance(value, Mapping) else "a list"
+
+
+def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
+    """Keys that an unknown key beside them was probably meant to be: one mistake, one line."""
+    unknown = [detail["loc"] for detail in details if detail["type"] == "extra_forbidden"]
+    meant = [(path[:-1], nearest(str(path[-1]), _lookup(model, path[:-1]).keys)) for path in unknown]
+    return {(*parent, key) for parent, key in meant if key is not None}
 
 
 def _counts_bad_items_as_absent(detail: ErrorDetails) -> bool:

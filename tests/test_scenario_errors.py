@@ -171,6 +171,11 @@ obstacles:
     ]
 
 
+def test_a_misspelt_key_is_one_problem_not_two() -> None:
+    lines = problems_of(with_line("goal: {center: [3, 3], radios: 1}"))
+    assert lines == ["f.yaml:4:24: goal.radios: unknown key; did you mean 'radius'?"]
+
+
 def test_a_value_that_cannot_be_read_is_reported_once() -> None:
     assert len(problems_of(with_line("goal: {center: [.nan, 3], radius: 0x1}"))) == 2
 
