@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import types
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kraft.errors import Diagnostic, InputError
-from kraft.source import KeyPath
+from kraft.schema_lookup import lookup
+from kraft.source import KeyPath, Source
 from kraft.suggest import choose, nearest
 from kraft.yaml_nodes import Document, Value, read_document
 
@@ -20,6 +19,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 _NOUNS = {
     "float_type": "a number",
+    "finite_number": "a finite number",
     "int_type": "a whole number",
     "string_type": "text",
     "bool_type": "true or false",
@@ -69,6 +69,18 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
     return (None if problems else value), problems
 
 
+def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
+    """Make a model from values that come from elsewhere than a file; ``origin`` is what errors name.
+
+    Raises:
+        InputError: with everything that is wrong.
+    """
+    value, problems = check(model, Document(dict(content), Source(origin)))
+    if value is None:
+        raise InputError(problems)
+    return value
+
+
 def part(model: type[Model], value: Value) -> Model | None:
     """Return ``value`` as a model if it is one; its errors, if any, are reported by `check` on the whole."""
     try:
@@ -93,7 +105,7 @@ def describe(value: object) -> str:
 def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
     """Keys that an unknown key beside them was probably meant to be: one mistake, one line."""
     unknown = [detail["loc"] for detail in details if detail["type"] == "extra_forbidden"]
-    meant = [(path[:-1], nearest(str(path[-1]), _lookup(model, path[:-1]).keys)) for path in unknown]
+    meant = [(path[:-1], nearest(str(path[-1]), lookup(model, path[:-1]).keys)) for path in unknown]
     return {(*parent, key) for parent, key in meant if key is not None}
 
 
@@ -119,12 +131,12 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
             path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True
         )
     source = document.source
-    known = _lookup(model, path)
+    known = lookup(model, path)
     about = f" ({known.description})" if known.description else ""
     if kind == "kraft":
         return source.diagnostic((*path, *context["at"]), context["problem"], context["expected"])
     if kind == "extra_forbidden":
-        siblings = _lookup(model, path[:-1]).keys
+        siblings = lookup(model, path[:-1]).keys
         return source.diagnostic(path, "unknown key", choose(str(path[-1]), siblings), at_key=True)
     if kind == "missing" and isinstance(path[-1], int):  # an item of a list of fixed length
         return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
@@ -152,55 +164,3 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     return source.diagnostic(
         path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}"
     )
-
-
-@dataclass(frozen=True)
-class _Known:
-    """What the schema says about one place."""
-
-    description: str | None = None
-    keys: tuple[str, ...] = ()
-    choices: tuple[str, ...] = ()
-    length: int = 0
-
-
-def _bare(annotation: Any) -> Any:
-    """Strip ``Annotated`` and ``| None``."""
-    origin = get_origin(annotation)
-    if origin is Annotated:
-        return _bare(get_args(annotation)[0])
-    if origin in (Union, types.UnionType):
-        members = [a for a in get_args(annotation) if a is not type(None)]
-        return _bare(members[0]) if len(members) == 1 else annotation
-    return annotation
-
-
-def _lookup(model: type[BaseModel], path: KeyPath) -> _Known:
-    """Follow a key path through the annotations of a schema."""
-    annotation: Any = model
-    description: str | None = None
-    length = 0
-    for part_ in path:
-        annotation = _bare(annotation)
-        arguments = get_args(annotation)
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found = annotation.model_fields.get(str(part_))
-            if found is None:
-                return _Known()
-            annotation, description = found.annotation, found.description
-        elif get_origin(annotation) is tuple and isinstance(part_, int):
-            length = len(arguments)
-            if Ellipsis in arguments:  # the description is that of the list, not of an item
-                annotation, description = arguments[0], None
-            else:
-                annotation = arguments[min(part_, length - 1)]
-        elif len(arguments) == 2:
-            annotation, description = arguments[1], None
-        else:
-            return _Known()
-    annotation = _bare(annotation)
-    keys: tuple[str, ...] = ()
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        keys = tuple(annotation.model_fields)
-    choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
-    return _Known(description, keys, choices, length)

@@ -9,9 +9,11 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Field, PrivateAttr, StringConstraints, model_validator
 
 from kraft import resources
+from kraft.errors import Diagnostic, InputError
 from kraft.file_model import FileModel, Length, Positive, refuse
 from kraft.source import Source
-from kraft.validation import read_model
+from kraft.suggest import choose
+from kraft.validation import build, read_model
 from kraft.vehicle_reference import is_attribute
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
@@ -90,6 +92,26 @@ class VehicleConfig(FileModel):
     def values(self) -> dict[str, float]:
         """Nominal value of each parameter, in the model's order."""
         return {name: parameter.value for name, parameter in self.parameters.items()}
+
+    def with_values(self, values: Mapping[str, float]) -> VehicleConfig:
+        """Return the same vehicle with other nominal values of some parameters.
+
+        Raises:
+            InputError: for parameters that the vehicle does not have and values outside their limits.
+        """
+        unknown = [name for name in values if name not in self.parameters]
+        if unknown:
+            raise InputError(
+                Diagnostic(name, f"{self.name} has no such parameter", choose(name, self.parameters))
+                for name in unknown
+            )
+        parameters = {
+            name: {**dict(parameter), "value": values.get(name, parameter.value)}
+            for name, parameter in self.parameters.items()
+        }
+        changed = build(VehicleConfig, {**dict(self), "parameters": parameters}, self.name)
+        changed._source = self._source
+        return changed
 
 
 def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:

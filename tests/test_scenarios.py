@@ -10,6 +10,7 @@ import json
 import math
 import pickle
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -160,6 +161,28 @@ def test_the_planners_budget_is_iterations_unless_a_time_is_given() -> None:
     assert Planning().iteration_budget == DEFAULT_ITERATIONS
     assert Planning(iterations=7).iteration_budget == 7
     assert parse_scenario(FULL).planning.iteration_budget is None
+
+
+def test_another_budget_replaces_the_old_one_whichever_it_was() -> None:
+    planning = Planning(iterations=7, blossom=3).with_budget(time=0.5)
+    assert (planning.iterations, planning.time, planning.blossom) == (None, 0.5, 3)
+    assert planning.with_budget(iterations=9) == Planning(iterations=9, blossom=3)
+
+
+@pytest.mark.parametrize(
+    ("budget", "expected"),
+    [
+        ({"iterations": 0}, "planning budget: iterations: is the number 0; expected a number of at least 1"),
+        ({"time": -1.0}, "planning budget: time: is the number -1; expected a number greater than 0"),
+        ({"time": math.nan}, "planning budget: time: is the number nan; expected a finite number"),
+        ({"time": math.inf}, "planning budget: time: is the number inf; expected a finite number"),
+        ({"time": 1.0, "iterations": 1}, "planning budget: time: both `iterations` and `time` are given"),
+    ],
+)
+def test_a_budget_that_is_none_is_refused(budget: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Planning().with_budget(**budget)
+    assert str(caught.value).startswith(expected)
 
 
 def test_the_margin_grows_with_speed_in_either_direction() -> None:

@@ -100,6 +100,29 @@ def test_a_vehicle_knows_where_its_values_were_written(tmp_path: Path) -> None:
     assert str(position) == "line 4, column 14"
 
 
+def test_other_values_keep_the_rest_of_the_vehicle() -> None:
+    config = load_vehicle_config("mushr")
+    changed = config.with_values({"L": 0.3})
+    assert changed.values == {"L": 0.3, "phi_diff": 0.0, "v_delta": 0.6228}
+    assert config.values["L"] == 0.2965
+    assert changed.source.where("top_speed") == config.source.where("top_speed")
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({"l": 0.3}, "l: mushr has no such parameter; did you mean 'L'?"),
+        ({"mass": 3.0}, "mass: mushr has no such parameter; expected one of L, phi_diff, v_delta"),
+        ({"L": 9.0}, "mushr: parameters.L.value: is 9, above max; expected at most 0.6"),
+        ({"L": float("nan")}, "mushr: parameters.L.value: is the number nan; expected a finite number"),
+    ],
+)
+def test_other_values_are_checked(values: dict[str, float], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_vehicle_config("mushr").with_values(values)
+    assert str(caught.value).startswith(expected)
+
+
 def test_a_reference_is_a_name_a_path_or_a_module_and_attribute(tmp_path: Path) -> None:
     (tmp_path / "car.yaml").write_text(CAR)
     assert resolve_vehicle("mushr", tmp_path) == "mushr"

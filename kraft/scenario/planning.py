@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from kraft.file_model import FileModel, NonNegative, Probability, refuse
+from kraft.validation import build
 
 DEFAULT_ITERATIONS: Final = 20_000
 
@@ -65,6 +66,15 @@ class Planning(FileModel):
         if self.iterations is not None and self.time is not None:
             raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",))
         return self
+
+    def with_budget(self, *, iterations: int | None = None, time: float | None = None) -> Planning:
+        """Return the same settings with another budget: iterations, or time in s.
+
+        Raises:
+            InputError: if the budget is not positive and finite, or both are given.
+        """
+        changes = {"iterations": iterations, "time": time}
+        return build(Planning, {**dict(self), **changes}, "planning budget")
 
     @property
     def iteration_budget(self) -> int | None:
