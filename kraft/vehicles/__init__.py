@@ -1,0 +1,1 @@
+"""Vehicle models, each a derivative over tuples; their parameters come from `configs/vehicles/`."""

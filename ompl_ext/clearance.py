@@ -1,0 +1,132 @@
+"""A distance field that never overestimates, and the footprint's clearance from it.
+
+Each cell stores a lower bound of the distance from *any* point of the cell to the nearest obstacle: the exact distance
+of its centre minus half a cell diagonal (the distance function is 1-Lipschitz).  The footprint is covered by discs, so
+field(centre of disc) - radius is a lower bound of the footprint's clearance and what the field accepts is free.
+`ompl_ext.exact` computes the exact clearance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Floats32
+from ompl_ext.jit import compiled, inlined
+from ompl_ext.kernel_types import Problem
+from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
+from ompl_ext.vehicle import Footprint
+
+MOST_CELLS = 4_000_000
+
+
+class ClearanceField(NamedTuple):
+    """`values[row, column]` in m; cell (0, 0) has its lower left corner at `origin`."""
+
+    values: Floats32
+    origin: tuple[float, float]
+    cell: float
+
+    def at(self, x: float, y: float) -> float:
+        """Lower bound of the distance from (x, y) to the nearest obstacle (m); IndexError outside the field."""
+        column, row = int((x - self.origin[0]) // self.cell), int((y - self.origin[1]) // self.cell)
+        if min(row, column) < 0:
+            raise IndexError(f"({x}, {y}) lies outside the clearance field")
+        return float(self.values[row, column])
+
+
+class DiscCover(NamedTuple):
+    """Discs of equal `radius` whose union contains the footprint, centred on the body axis at `centres` (m)."""
+
+    centres: Floats
+    radius: float
+
+
+def cover(footprint: Footprint, discs: int = 4) -> DiscCover:
+    """Cover the footprint with equal discs: each takes an equal slice of its length."""
+    slice_length = footprint.length / discs
+    centres = footprint.offset + (np.arange(discs) + 0.5) * slice_length - footprint.length / 2
+    return DiscCover(centres, math.hypot(slice_length / 2, footprint.width / 2))
+
+
+def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> ClearanceField:
+    """Field over the workspace's bounds widened by `margin` m, so that a footprint inside the bounds can be looked up.
+
+    The cell grows where `cell` m would need more than `MOST_CELLS` cells.
+    """
+    (x_low, x_high), (y_low, y_high) = workspace.bounds
+    width, height = x_high - x_low + 2 * margin, y_high - y_low + 2 * margin
+    cell = max(cell, math.sqrt(width * height / MOST_CELLS))
+    columns, rows = (math.ceil(extent / cell) + 1 for extent in (width, height))
+    origin = (x_low - margin, y_low - margin)
+    xs = origin[0] + (np.arange(columns) + 0.5) * cell
+    ys = origin[1] + (np.arange(rows) + 0.5) * cell
+    distance = np.full((rows, columns), math.inf)
+    for obstacle in workspace.obstacles:
+        if isinstance(obstacle, Polygon):
+            _lower_to_polygon(distance, xs, ys, np.ascontiguousarray(obstacle.vertices, dtype=float))
+        elif isinstance(obstacle, Circle):
+            gap = np.hypot(xs[None, :] - obstacle.center[0], ys[:, None] - obstacle.center[1]) - obstacle.radius
+            np.minimum(distance, np.maximum(gap, 0.0), out=distance)
+        else:
+            np.minimum(distance, _distance_to_map(obstacle, xs, ys), out=distance)
+    lower = np.minimum(distance, 1e6) - cell * math.sqrt(0.5)
+    return ClearanceField(np.nextafter(lower.astype(np.float32), np.float32(-np.inf)), origin, cell)
+
+
+def _distance_to_map(grid: OccupancyGrid, xs: Floats, ys: Floats) -> Floats:
+    """Lower bound of the distance to the occupied cells: to the nearest centre, less half a map cell's diagonal."""
+    centres = grid.cell_centres()
+    if not len(centres):
+        return np.full((len(ys), len(xs)), math.inf)
+    from scipy.spatial import cKDTree  # slow to import, and only maps need it
+
+    points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+    nearest, _ = cKDTree(centres).query(points)
+    gap: Floats = np.maximum(nearest - grid.resolution * math.sqrt(0.5), 0.0).reshape(len(ys), len(xs))
+    return gap
+
+
+@compiled
+def _lower_to_polygon(distance: Floats, xs: Floats, ys: Floats, vertices: Floats) -> None:
+    """Lower `distance[row, column]` to the distance between (xs[column], ys[row]) and the filled polygon."""
+    count = len(vertices)
+    for row in range(len(ys)):
+        y = ys[row]
+        for column in range(len(xs)):
+            x = xs[column]
+            nearest, inside = math.inf, False
+            ax, ay = vertices[count - 1, 0], vertices[count - 1, 1]
+            for k in range(count):
+                bx, by = vertices[k, 0], vertices[k, 1]
+                ex, ey = bx - ax, by - ay
+                t = min(max(((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey), 0.0), 1.0)
+                dx, dy = x - ax - t * ex, y - ay - t * ey
+                nearest = min(nearest, dx * dx + dy * dy)
+                if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * ex:
+                    inside = not inside
+                ax, ay = bx, by
+            distance[row, column] = 0.0 if inside else min(distance[row, column], math.sqrt(nearest))
+
+
+@inlined
+def pose_slack(problem: Problem, x: float, y: float, c: float, s: float, required: float) -> float:
+    """Lower bound of the footprint's clearance at a pose minus `required`; exact enough only where it is small.
+
+    One look-up decides for most poses: far from obstacles the disc around the whole body is free.
+    """
+    field, grid = problem.field, problem.grid
+    ox, oy, inverse = grid[0], grid[1], grid[2]
+    slack = field[int((y - oy) * inverse), int((x - ox) * inverse)] - problem.body[0] - required
+    if slack >= 0.0:
+        return slack
+    slack = math.inf
+    for k in range(len(problem.discs)):
+        d = problem.discs[k]
+        value = field[int((y + d * s - oy) * inverse), int((x + d * c - ox) * inverse)]
+        slack = min(slack, value - problem.body[1] - required)
+        if slack < 0.0:
+            return slack
+    return slack

@@ -1,0 +1,89 @@
+"""numba as this package uses it: strict IEEE arithmetic and a cache that cannot go stale.
+
+*Arithmetic.*  No `fastmath`: without reassociation or contraction every lane of a vectorised loop computes exactly
+what the scalar loop would, so results do not depend on the machine's vector width.  `error_model="numpy"` only
+removes the zero-division branch that would keep a loop from vectorising.
+
+*Cache.*  numba keys a cached kernel by its own source file and misses a change in a function it inlined.  Here the
+cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the vehicle's
+source), so an edit anywhere leads to a fresh folder and a stale kernel is impossible.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def cache_root() -> Path:
+    """Folder that holds all compiled kernels: `$KRAFT_CACHE_DIR`, else the user's cache folder.
+
+    Falls back to a per-user folder under the system's temporary directory where no home folder is writable (containers
+    with a read-only home), so that compilation is still paid only once per machine.
+    """
+    explicit = os.environ.get("KRAFT_CACHE_DIR")
+    if explicit:
+        return Path(explicit)
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    nearest = next(p for p in (base, *base.parents) if p.exists())
+    if os.access(nearest, os.W_OK):
+        return base / "kraft"
+    return Path(tempfile.gettempdir()) / f"kraft-{os.getuid()}"
+
+
+@cache
+def source_hash() -> str:
+    """Hash over every source file of this package and the versions that shape the machine code."""
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_folder(vehicle_hash: str = "") -> Path:
+    """Cache folder of the package's kernels, or of one vehicle's kernels when its hash is given."""
+    return cache_root() / "kernels" / source_hash() / (vehicle_hash or "core")
+
+
+def compiled(function: F, *, folder: Path | None = None, signature: object = None) -> F:
+    """Compile `function` with numba and keep the machine code in `folder` across processes.
+
+    With a `signature` it is compiled, or loaded from the cache, at once; otherwise on its first call.
+    """
+    target = folder or cache_folder()
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            f"cannot create the kernel cache {target}: {error.strerror}; "
+            "set KRAFT_CACHE_DIR to a folder that can be written"
+        ) from error
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(target)  # read once, when njit attaches the cache
+    try:
+        dispatcher: F = numba.njit(signature, cache=True, error_model="numpy", _nrt=False)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return dispatcher
+
+
+def inlined(function: F) -> F:
+    """Compile `function` as a part of the kernels that call it (always inlined, so that their loops vectorise)."""
+    dispatcher: F = numba.njit(error_model="numpy", _nrt=False, forceinline=True)(function)
+    return dispatcher
+
+
+def part(function: F) -> F:
+    """Compile `function` as a part of the kernels that call it, leaving it to LLVM whether to inline it."""
+    dispatcher: F = numba.njit(error_model="numpy", _nrt=False)(function)
+    return dispatcher

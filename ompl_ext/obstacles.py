@@ -1,0 +1,66 @@
+"""Static obstacles of a planar workspace."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ompl_ext.arrays import Bools, Floats
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """Simple polygon, convex or not; `vertices` has shape (n, 2), m, in either orientation."""
+
+    vertices: Floats
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Disc of `radius` m around `center`, shape (2,)."""
+
+    center: Floats
+    radius: float
+
+
+@dataclass(frozen=True)
+class OccupancyGrid:
+    """Occupied cells of a map: `occupied[row, column]`, row 0 at the bottom, `origin` = x, y, yaw of cell (0, 0)."""
+
+    occupied: Bools
+    resolution: float
+    origin: tuple[float, float, float]
+
+    def cell_centres(self) -> Floats:
+        """Centres of the occupied cells in the world, shape (n, 2)."""
+        rows, columns = np.nonzero(self.occupied)
+        local = (np.column_stack([columns, rows]) + 0.5) * self.resolution
+        x, y, yaw = self.origin
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        centres: Floats = local @ turn.T + np.array([x, y])
+        return centres
+
+
+Obstacle = Polygon | Circle | OccupancyGrid
+
+
+def box(center: tuple[float, float], size: tuple[float, float], yaw: float = 0.0) -> Polygon:
+    """Rectangle of full `size` around `center`, turned by `yaw` rad."""
+    half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    return Polygon(half @ turn.T + np.array(center))
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Bounds of the body frame's position, ((x_low, x_high), (y_low, y_high)), and the obstacles in it."""
+
+    bounds: tuple[tuple[float, float], tuple[float, float]]
+    obstacles: tuple[Obstacle, ...] = ()
+
+    def __post_init__(self) -> None:
+        for low, high in self.bounds:
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                raise ValueError(f"workspace bounds must be finite with low < high, got {self.bounds}")

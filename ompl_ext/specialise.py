@@ -1,0 +1,89 @@
+"""Make the compiled kernels of a vehicle: `ompl_ext.lanes` executed with the vehicle's functions as its globals."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+from ompl_ext.jit import cache_folder
+from ompl_ext.vehicle import Vehicle
+
+_target: list[Vehicle] = []
+_kernels: dict[str, VehicleKernels] = {}
+
+
+@dataclass(frozen=True)
+class VehicleKernels:
+    """First-class compiled functions of one vehicle; signatures in `ompl_ext.kernel_types`."""
+
+    grow: Callable[..., None]
+
+
+def take_target() -> Vehicle:
+    """The vehicle that `ompl_ext.lanes` is being executed for."""
+    if not _target:
+        raise ImportError("ompl_ext.lanes is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)")
+    return _target[-1]
+
+
+def is_cached(vehicle: Vehicle) -> bool:
+    """Whether `kernels(vehicle)` will load machine code instead of compiling it."""
+    return bool(vehicle.source) and _done_marker(vehicle).exists()
+
+
+def kernels(vehicle: Vehicle) -> VehicleKernels:
+    """Compiled kernels of `vehicle`: from this process, else from the on-disk cache, else compiled now (seconds).
+
+    Raises:
+        VehicleError: the derivative or another function of the vehicle does not compile or returns the wrong shape.
+    """
+    key = vehicle.hash if vehicle.source else f"{vehicle.hash}-{id(vehicle.derivative)}"
+    if key not in _kernels:
+        module = _execute(vehicle, key.replace("-", "_"))
+        _kernels[key] = VehicleKernels(module.grow)
+        if vehicle.source:
+            _done_marker(vehicle).touch()
+    return _kernels[key]
+
+
+def vehicle_cache_folder(vehicle: Vehicle) -> Path:
+    """Folder for the vehicle's machine code; one that goes with the process for a vehicle without a source file."""
+    if vehicle.source:
+        return cache_folder(vehicle.hash)
+    return _process_folder()
+
+
+def _done_marker(vehicle: Vehicle) -> Path:
+    return cache_folder(vehicle.hash) / "complete"
+
+
+_temporary: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def _process_folder() -> Path:
+    if not _temporary:
+        _temporary.append(tempfile.TemporaryDirectory(prefix="kraft-kernels-"))
+    return Path(_temporary[0].name)
+
+
+def _execute(vehicle: Vehicle, key: str) -> ModuleType:
+    """Execute lanes.py as a module of its own: numba's machine-code symbols carry the module's name."""
+    name = f"ompl_ext.lanes_{key}"
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name("lanes.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # numba imports the module by name when it loads cached code
+    _target.append(vehicle)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    finally:
+        _target.pop()
+    return module

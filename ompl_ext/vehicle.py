@@ -1,0 +1,163 @@
+"""A vehicle as the planner sees it: a derivative function, its bounds, its shape, and how it stops."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ompl_ext.arrays import Floats
+from ompl_ext.jit import inlined
+
+derivative = inlined  # the decorator that a vehicle's functions carry
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Rectangle that the vehicle occupies, centred `offset` m ahead of the body frame."""
+
+    length: float
+    width: float
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.length > 0 and self.width > 0 and math.isfinite(self.length * self.width * (1 + self.offset))):
+            raise ValueError(f"footprint sizes must be positive and finite, got {self}")
+
+    @property
+    def reach(self) -> float:
+        """Distance from the body frame's origin to the farthest corner (m)."""
+        return math.hypot(self.length / 2 + abs(self.offset), self.width / 2)
+
+    @property
+    def inscribed(self) -> float:
+        """Radius of the largest disc around the origin inside the rectangle (m), 0 if the origin is outside."""
+        return max(0.0, min(self.width / 2, self.length / 2 - abs(self.offset)))
+
+    def corners(self) -> Floats:
+        """Corners counter-clockwise in the body frame, shape (4, 2)."""
+        front, rear, side = self.offset + self.length / 2, self.offset - self.length / 2, self.width / 2
+        return np.array([[front, -side], [front, side], [rear, side], [rear, -side]])
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Everything the planner needs to know of a vehicle.
+
+    The functions are decorated with `@derivative` and written over plain tuples of floats, with `sin`, `cos`, `tan`,
+    `atan` from `ompl_ext.trigonometry`:
+
+    - `derivative(x, u, p)` returns dx/dt for state `x`, control `u`, parameters `p`.
+    - `actuation(u, p)`, optional, maps the control to what `derivative` then receives in its place.  Controls are
+      constant along an edge, so what depends on them alone is computed once per edge instead of at every stage.
+      `inputs` names what it returns.
+    - `stop(x, p, k)`, optional, is contingency manoeuvre number k as a control law, for k in range(len(manoeuvres)).
+      By default the one manoeuvre is the zero control.
+
+    Units are SI; angles in radians.
+    """
+
+    name: str
+    derivative: Callable[..., Any]
+    state: tuple[str, ...]
+    controls: Mapping[str, tuple[float, float]]
+    footprint: Footprint
+    top_speed: float
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    actuation: Callable[..., Any] | None = None
+    inputs: tuple[str, ...] = ()
+    stop: Callable[..., Any] | None = None
+    manoeuvres: tuple[str, ...] = ("coast",)
+    rest: tuple[str, ...] = ("v",)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    source: str = field(default="", repr=False)
+
+    def __post_init__(self) -> None:
+        problems = [*_shape_problems(self)]
+        if problems:
+            raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
+        if not self.source:
+            object.__setattr__(self, "source", _source_of(self))
+
+    def with_parameters(self, values: Mapping[str, float]) -> Vehicle:
+        """The same vehicle with some parameters replaced; unknown names are a `KeyError`."""
+        unknown = sorted(set(values) - set(self.parameters))
+        if unknown:
+            raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}; it has {', '.join(self.parameters)}")
+        return replace(self, parameters={**self.parameters, **values})
+
+    def index(self, component: str) -> int:
+        """Index of a state component by name, -1 if the vehicle has none of that name."""
+        return self.state.index(component) if component in self.state else -1
+
+    @property
+    def hash(self) -> str:
+        """Hash over what the compiled kernels depend on; parameter values and bounds are not among it."""
+        shape = (self.state, tuple(self.controls), tuple(self.parameters), self.inputs, self.manoeuvres, self.rest,
+                 tuple(self.limits))  # fmt: skip
+        names = [getattr(f, "__qualname__", None) for f in (self.derivative, self.actuation, self.stop)]
+        return hashlib.sha256(repr((self.source, shape, names)).encode()).hexdigest()[:16]
+
+    @property
+    def control_bounds(self) -> Floats:
+        """Lower and upper bounds of each control, shape (controls, 2)."""
+        return np.array(list(self.controls.values()), dtype=float).reshape(-1, 2)
+
+    @property
+    def state_limits(self) -> Floats:
+        """Lower and upper limits of each state component, infinite where there is none, shape (states, 2)."""
+        free = (-math.inf, math.inf)
+        return np.array([self.limits.get(name, free) for name in self.state])
+
+    @property
+    def parameter_array(self) -> Floats:
+        """Parameter values in their order, shape (max(1, parameters),)."""
+        return np.array(list(self.parameters.values()) or [0.0], dtype=float)
+
+    @property
+    def rest_indices(self) -> tuple[int, ...]:
+        """State components that vanish at standstill; the first one is the speed."""
+        return tuple(self.state.index(name) for name in self.rest)
+
+
+def _shape_problems(vehicle: Vehicle) -> list[str]:
+    problems = []
+    if not {"x", "y"} <= set(vehicle.state):
+        problems.append(f"state needs components named x and y (and theta if it turns), got {vehicle.state}")
+    if len(set(vehicle.state)) != len(vehicle.state):
+        problems.append(f"state names a component twice: {vehicle.state}")
+    for name, (low, high) in vehicle.controls.items():
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            problems.append(f"control {name} needs finite bounds with low < high, got ({low}, {high})")
+    for kind, names in (("rest", vehicle.rest), ("limits", vehicle.limits)):
+        for name in names:
+            if name not in vehicle.state:
+                problems.append(f"{kind} names {name!r}, which is not a state component")
+    if not (vehicle.top_speed > 0 and math.isfinite(vehicle.top_speed)):
+        problems.append(f"top_speed must be positive and finite, got {vehicle.top_speed}")
+    if not vehicle.controls:
+        problems.append("controls are empty")
+    if (vehicle.actuation is None) != (not vehicle.inputs):
+        problems.append("actuation and the names of its outputs, inputs, go together")
+    if not vehicle.manoeuvres:
+        problems.append("manoeuvres are empty: a vehicle needs a way to stop")
+    if vehicle.stop is None and len(vehicle.manoeuvres) > 1:
+        problems.append("several manoeuvres need a stop(x, p, k) function")
+    return problems
+
+
+def _source_of(vehicle: Vehicle) -> str:
+    """Source text of the files that define the vehicle's functions, empty if there is none (a notebook cell)."""
+    texts = []
+    for function in (vehicle.derivative, vehicle.actuation, vehicle.stop):
+        if function is not None:
+            try:
+                texts.append(inspect.getsource(inspect.getmodule(getattr(function, "py_func", function))))  # type: ignore[arg-type]
+            except (OSError, TypeError):  # defined at a prompt: compiled afresh, never cached
+                return ""
+    return "\n".join(dict.fromkeys(texts))
