@@ -15,7 +15,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32
 from ompl_ext.jit import compiled, inlined
-from ompl_ext.kernel_types import Problem
+from ompl_ext.kernel_types import DISC_RADIUS, GRID_INVERSE, GRID_X, GRID_Y, REACH, Problem
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.vehicle import Footprint
 
@@ -68,7 +68,9 @@ def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> 
         if isinstance(obstacle, Polygon):
             _lower_to_polygon(distance, xs, ys, np.ascontiguousarray(obstacle.vertices, dtype=float))
         elif isinstance(obstacle, Circle):
-            gap = np.hypot(xs[None, :] - obstacle.center[0], ys[:, None] - obstacle.center[1]) - obstacle.radius
+            gap = (
+                np.hypot(xs[None, :] - obstacle.center[0], ys[:, None] - obstacle.center[1]) - obstacle.radius
+            )
             np.minimum(distance, np.maximum(gap, 0.0), out=distance)
         else:
             np.minimum(distance, _distance_to_map(obstacle, xs, ys), out=distance)
@@ -117,16 +119,16 @@ def pose_slack(problem: Problem, x: float, y: float, c: float, s: float, require
 
     One look-up decides for most poses: far from obstacles the disc around the whole body is free.
     """
-    field, grid = problem.field, problem.grid
-    ox, oy, inverse = grid[0], grid[1], grid[2]
-    slack = field[int((y - oy) * inverse), int((x - ox) * inverse)] - problem.body[0] - required
+    field, scalar = problem.field, problem.scalar
+    ox, oy, inverse = scalar[GRID_X], scalar[GRID_Y], scalar[GRID_INVERSE]
+    slack = field[int((y - oy) * inverse), int((x - ox) * inverse)] - scalar[REACH] - required
     if slack >= 0.0:
         return slack
     slack = math.inf
     for k in range(len(problem.discs)):
         d = problem.discs[k]
         value = field[int((y + d * s - oy) * inverse), int((x + d * c - ox) * inverse)]
-        slack = min(slack, value - problem.body[1] - required)
+        slack = min(slack, value - scalar[DISC_RADIUS] - required)
         if slack < 0.0:
             return slack
     return slack

@@ -15,7 +15,7 @@ import numpy as np
 from ompl_ext.arrays import Bools, Floats, Floats32, Ints32
 from ompl_ext.clearance import ClearanceField
 from ompl_ext.jit import compiled, inlined
-from ompl_ext.kernel_types import Problem
+from ompl_ext.kernel_types import GRID_INVERSE, GRID_X, GRID_Y, Problem
 
 UNREACHABLE = 1e9  # seconds; finite, so that interpolation and sorting stay well defined
 
@@ -41,7 +41,10 @@ def cost_to_go(
     distance = np.full((rows, columns), math.inf)
     heap = np.empty(rows * columns * 4, dtype=np.int32)
     place = np.full(rows * columns, -1, dtype=np.int32)
-    goal_cell = ((goal[0] - field.origin[0]) / field.cell - 0.5, (goal[1] - field.origin[1]) / field.cell - 0.5)
+    goal_cell = (
+        (goal[0] - field.origin[0]) / field.cell - 0.5,
+        (goal[1] - field.origin[1]) / field.cell - 0.5,
+    )
     _march(distance, blocked, goal_cell[0], goal_cell[1], max(goal_radius / field.cell, 3.0), heap, place)
     _extend(distance, blocked)
     seconds = np.maximum(distance * field.cell - goal_radius, 0.0) / top_speed
@@ -87,7 +90,9 @@ def _pop(heap: Ints32, place: Ints32, values: Floats, size: int) -> int:
 
 
 @inlined
-def _upwind(values: Floats, done: Ints32, row: int, column: int, row_step: int, column_step: int) -> tuple[float, float]:
+def _upwind(
+    values: Floats, done: Ints32, row: int, column: int, row_step: int, column_step: int
+) -> tuple[float, float]:
     """Upwind value along one axis and the weight of its difference: (4 d1 - d2) / 3 and 9/4 if second order."""
     rows, columns = values.shape
     best, weight = math.inf, 1.0
@@ -96,7 +101,12 @@ def _upwind(values: Floats, done: Ints32, row: int, column: int, row_step: int, 
         if 0 <= r < rows and 0 <= c < columns and done[r * columns + c] == -2 and values[r, c] < best:
             best, weight = values[r, c], 1.0
             r2, c2 = r + sign * row_step, c + sign * column_step
-            if 0 <= r2 < rows and 0 <= c2 < columns and done[r2 * columns + c2] == -2 and values[r2, c2] <= best:
+            if (
+                0 <= r2 < rows
+                and 0 <= c2 < columns
+                and done[r2 * columns + c2] == -2
+                and values[r2, c2] <= best
+            ):
                 best, weight = (4.0 * values[r, c] - values[r2, c2]) / 3.0, 2.25
     return best, weight
 
@@ -118,7 +128,13 @@ def _eikonal(values: Floats, done: Ints32, row: int, column: int) -> float:
 
 @compiled
 def _march(
-    distance: Floats, blocked: Bools, goal_column: float, goal_row: float, exact: float, heap: Ints32, place: Ints32
+    distance: Floats,
+    blocked: Bools,
+    goal_column: float,
+    goal_row: float,
+    exact: float,
+    heap: Ints32,
+    place: Ints32,
 ) -> None:
     """Fill `distance` in cells; within `exact` cells of the goal it is set to the straight distance."""
     rows, columns = distance.shape
@@ -168,8 +184,9 @@ def _extend(distance: Floats, blocked: Bools) -> None:
 @inlined
 def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
     """Bilinear interpolation of the cost-to-go at (x, y) (s); callers keep (x, y) inside the workspace."""
-    togo, grid = problem.togo, problem.togo_grid
-    u, v = (x - grid[0]) * grid[2] - 0.5, (y - grid[1]) * grid[2] - 0.5
+    togo, scalar = problem.togo, problem.scalar
+    u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
+    v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5
     column, row = int(u), int(v)
     u, v = u - column, v - row
     low = togo[row, column] * (1.0 - u) + togo[row, column + 1] * u

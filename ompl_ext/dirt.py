@@ -1,112 +1,151 @@
 """DIRT, the tree planner of Algorithm 1, over the arrays of `ompl_ext.kernel_types`.
 
 Littlefield and Bekris, Efficient and asymptotically optimal kinodynamic motion planning via dominance-informed
-regions, IROS 2018.  The vehicle comes in as three functions (propagate, check, safe); given compiled ones this runs
-as a part of that vehicle's kernel, and `grow.py_func` is the same source given Python functions.
+regions, IROS 2018.  The vehicle comes in as three functions (propagate, check, safe); given compiled ones this is a
+part of that vehicle's kernel, and `retain.py_func`, `visit.py_func` are the same source given Python functions.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+
+import numpy as np
 
 from ompl_ext.arrays import Floats
 from ompl_ext.costtogo import UNREACHABLE
-from ompl_ext.jit import inlined
+from ompl_ext.jit import helper, inlined
 from ompl_ext.kernel_types import (
-    BEST, CLOSEST, COST, EDGES, FIRST_ITERATION, FULL, ITERATIONS, LANE_WIDTH, NEXT, Q_DIM, RADIUS, SIZE, TOGO, UNSAFE,
-    F, Lanes, Problem, Tree,
+    ASK_SAFETY, AT_GOAL, BEST, BEYOND, BLOSSOM, CHILD_EXTENSION, CLOSEST, COST, CYCLE, EDGES, FIRST_ITERATION, FULL,
+    GOAL_BIAS, GOAL_X, GOAL_Y, HEADING_WEIGHT, INSERTIONS, ITERATIONS, LANE_WIDTH, LONGEST, NEXT, PARENT, Q_DIM, QUANTUM,
+    RESOLUTION, RETAINED, SHORTEST, SIZE, STEPS, TOGO, UNSAFE, X_HIGH, X_LOW, Y_HIGH, Y_LOW,
+    F, Lanes, Problem, Retained, Tree,
 )  # fmt: skip
 from ompl_ext.rng import uniform
-from ompl_ext.tree import (
-    add_to_cells,
-    distance_squared,
-    is_full,
-    list_region,
-    nearest_better,
-    select,
-    shrink_worse,
-)
+from ompl_ext.tree import add_to_indices, closed_radius, distance_squared, select
 from ompl_ext.trigonometry import cos, sin
 
+Propagate = Callable[[Floats, int, Problem, Lanes], None]
+Check = Callable[[int, float, Problem, Lanes], float]
+Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
 
-@inlined
+
+@helper
 def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> None:
-    bounds, goal, weight = problem.bounds, problem.goal, problem.metric[0]
-    if uniform(tree.random) < problem.chance[0]:
-        q[0], q[1] = goal[0], goal[1]
+    """Sample the workspace uniformly, the goal with the probability of the goal bias, and any heading."""
+    scalar, weight = problem.scalar, problem.scalar[HEADING_WEIGHT]
+    if uniform(tree.random) < scalar[GOAL_BIAS]:
+        q[0], q[1] = scalar[GOAL_X], scalar[GOAL_Y]
     else:
-        q[0] = bounds[0] + uniform(tree.random) * (bounds[1] - bounds[0])
-        q[1] = bounds[2] + uniform(tree.random) * (bounds[3] - bounds[2])
+        q[0] = scalar[X_LOW] + uniform(tree.random) * (scalar[X_HIGH] - scalar[X_LOW])
+        q[1] = scalar[Y_LOW] + uniform(tree.random) * (scalar[Y_HIGH] - scalar[Y_LOW])
     heading = 2.0 * math.pi * uniform(tree.random)
     q[2], q[3] = weight * cos(heading), weight * sin(heading)
 
 
 @inlined
-def sample_controls(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
-    """Controls and durations of a blossom.  A share of the controls lies on their bounds, where optimal ones tend to be."""
-    beyond = problem.chance[1]
-    shortest, longest = problem.duration[0], problem.duration[1]
+def set_duration(problem: Problem, work: Lanes, lane: int, duration: float) -> None:
+    """Duration and integration steps of a lane; with a quantum, both become multiples of it."""
+    quantum = problem.scalar[QUANTUM]
+    work.duration[lane], work.steps[lane] = duration, problem.option[STEPS]
+    if quantum > 0.0:
+        work.steps[lane] = min(max(int(duration / quantum + 0.5), 1), problem.option[STEPS])
+        work.duration[lane] = work.steps[lane] * quantum
+
+
+@helper
+def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
+    """Controls and durations of a blossom.  A share of the controls lies on a bound, where time-optimal ones are."""
+    beyond = problem.scalar[BEYOND]
+    shortest, longest = problem.scalar[SHORTEST], problem.scalar[LONGEST]
     for i in range(lanes):
-        work.duration[i] = shortest + uniform(tree.random) * (longest - shortest)
+        set_duration(problem, work, i, shortest + uniform(tree.random) * (longest - shortest))
         for k in range(len(problem.controls)):
             low, high = problem.controls[k, 0], problem.controls[k, 1]
             r = min(max(uniform(tree.random) * (1.0 + 2.0 * beyond) - beyond, 0.0), 1.0)
             work.control[k * LANE_WIDTH + i] = low + r * (high - low)
 
 
-@inlined
-def best_lane(work: Lanes, lanes: int, by_f: bool, bound: float) -> int:
-    """The valid lane that has not been taken yet with the best heuristic and f below `bound`; -1 if none is left."""
-    best, lane = math.inf, -1
+@helper
+def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
+    """The free lane with the smallest cost + cost-to-go at its end, if that is below `bound`; -1 if there is none.
+
+    The bound is tested with the end point's own cost-to-go, which is what makes it a bound on plans through it.
+    """
+    best, lane = bound, -1
     for i in range(lanes):
-        key = work.togo[i] + (work.duration[i] if by_f else 0.0)
-        if work.slack[i] >= 0.0 and key < best and work.duration[i] + work.togo[i] < bound:
-            best, lane = key, i
+        f = start + work.duration[i] + work.togo[i]
+        if work.slack[i] >= 0.0 and f < best and work.togo[i] < UNREACHABLE:
+            best, lane = f, i
     return lane
 
 
-@inlined
-def insert(tree: Tree, parent: int, lane: int, work: Lanes) -> int:
-    """Add the end of an edge as a node and update regions, indices and the best solution."""
+@helper
+def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) -> int:
+    """Add the end of an edge as a node, give it its region, and keep the best solution; -1 if the tree is full."""
     node = tree.count[SIZE]
+    if node == len(tree.state):
+        tree.count[FULL] = 1
+        return -1
     tree.count[SIZE] += 1
-    for k in range(tree.state.shape[1]):
-        tree.state[node, k] = work.trajectory[work.last[0] + k * LANE_WIDTH + lane]
-    for k in range(tree.control.shape[1]):
-        tree.control[node, k] = work.control[k * LANE_WIDTH + lane]
+    nx, nu = tree.state.shape[1], tree.edge.shape[1] - 1
+    last = problem.option[STEPS] * nx * LANE_WIDTH
+    for k in range(nx):
+        tree.state[node, k] = work.trajectory[last + k * LANE_WIDTH + lane]
+    for k in range(nu):
+        tree.edge[node, k] = work.control[k * LANE_WIDTH + lane]
+    tree.edge[node, nu] = work.duration[lane]
     for k in range(Q_DIM):
         tree.hot[node, k] = work.end[k * LANE_WIDTH + lane]
-    tree.duration[node] = work.duration[lane]
-    tree.parent[node] = parent
     tree.hot[node, COST] = tree.hot[parent, COST] + work.duration[lane]
     tree.hot[node, TOGO] = work.togo[lane]
     tree.hot[node, F] = tree.hot[node, COST] + work.togo[lane]
-    tree.at_goal[node] = work.at_goal[lane]
+    tree.link[node, PARENT] = parent
+    tree.link[node, AT_GOAL] = work.at_goal[lane]
+    closed = closed_radius(problem.scalar[RESOLUTION], tree.count[SIZE])
+    add_to_indices(tree, node, math.sqrt(distance_squared(tree, parent, tree.hot[node])), closed)
+    if tree.link[node, AT_GOAL] == 1 and tree.hot[node, COST] < tree.best[0]:  # Alg. 1, l. 20-22
+        if tree.count[BEST] < 0:
+            tree.count[FIRST_ITERATION] = tree.count[ITERATIONS]
+        tree.best[0] = tree.hot[node, COST]
+        tree.count[BEST] = node
+    beyond_cycle = problem.option[ASK_SAFETY] == 0 or tree.hot[node, COST] >= problem.scalar[CYCLE]
+    if (
+        beyond_cycle and tree.hot[node, TOGO] < tree.best[1]
+    ):  # Alg. 1, l. 24, among what SAFETY has been asked of
+        tree.best[1] = tree.hot[node, TOGO]
+        tree.count[CLOSEST] = node
     return node
 
 
 @inlined
-def register(tree: Tree, problem: Problem, node: int, limit: float) -> None:
-    """Region of a new node: up to its parent or the nearest better node; worse nodes' regions shrink to it."""
-    floor2 = problem.metric[1] * problem.metric[1] * min(1.0, 20000.0 / tree.count[SIZE])
-    _, tree.hot[node, RADIUS] = nearest_better(tree, tree.hot[node], tree.hot[node, F], limit, floor2)
-    shrink_worse(tree, node, floor2)
-    if tree.hot[node, RADIUS] * tree.hot[node, RADIUS] >= floor2:
-        list_region(tree, node)
-        add_to_cells(tree, node)
-    if tree.at_goal[node] == 1 and tree.hot[node, COST] < tree.best[0]:  # Alg. 1, l. 20-22
-        tree.best[0] = tree.hot[node, COST]
-        if tree.count[BEST] < 0:
-            tree.count[FIRST_ITERATION] = tree.count[ITERATIONS]
-        tree.count[BEST] = node
-    if tree.hot[node, TOGO] < tree.best[1]:  # Alg. 1, l. 24
-        tree.best[1] = tree.hot[node, TOGO]
-        tree.count[CLOSEST] = node
+def is_safe(
+    tree: Tree, problem: Problem, start: float, lane: int, work: Lanes, brake: Lanes, safe: Safe
+) -> bool:
+    """SAFETY for an edge that crosses the end of the cycle (Alg. 1, l. 7, 18), or ends a plan before it; else true."""
+    cycle = problem.scalar[CYCLE]
+    inside = start + work.duration[lane] < cycle and work.at_goal[lane] == 0
+    if problem.option[ASK_SAFETY] == 0 or start >= cycle or inside:
+        return True
+    if safe(lane, start, problem, work, brake) >= 0:
+        return True
+    tree.count[UNSAFE] += 1
+    return False
 
 
 @inlined
-def visit(tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, propagate, check, safe) -> None:  # type: ignore[no-untyped-def]
-    """One iteration: select a node, propagate a blossom from it, add the best candidates that pass every check."""
+def visit(
+    tree: Tree,
+    problem: Problem,
+    work: Lanes,
+    brake: Lanes,
+    q: Floats,
+    propagate: Propagate,
+    check: Check,
+    safe: Safe,
+) -> None:
+    """One iteration: select a node, propagate a blossom from it, add the best candidate that passes every check."""
+    tree.count[ITERATIONS] += 1
     node = tree.count[NEXT]
     tree.count[NEXT] = -1
     if node < 0:
@@ -114,39 +153,60 @@ def visit(tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, pr
         node = select(tree, q)  # Alg. 1, l. 10
         if node < 0:
             return
-    lanes = problem.options[0]
-    sample_controls(tree, problem, work, lanes)  # l. 11
+    lanes, start = problem.option[BLOSSOM], tree.hot[node, COST]
+    sample_edges(tree, problem, work, lanes)  # l. 11
     propagate(tree.state[node], lanes, problem, work)  # l. 12
-    start = tree.hot[node, COST]
     for lane in range(lanes):
         work.slack[lane] = check(lane, start, problem, work)  # l. 14, 18
     tree.count[EDGES] += lanes
     added = 0
-    while added < problem.options[1]:
-        lane = best_lane(work, lanes, problem.options[3] == 1, min(tree.best[0], UNREACHABLE) - start)
+    while added < problem.option[INSERTIONS]:
+        lane = best_lane(work, lanes, start, tree.best[0])
         if lane < 0:
             return
-        work.slack[lane] = -1.0  # taken
-        crosses = start < problem.safety[0] <= start + work.duration[lane]
-        if crosses and problem.options[4] == 1 and safe(lane, start, problem, work, brake) < 0:  # l. 18
-            tree.count[UNSAFE] += 1
-            continue
-        if is_full(tree):
-            tree.count[FULL] = 1
-            return
-        child = insert(tree, node, lane, work)
-        register(tree, problem, child, math.sqrt(distance_squared(tree, node, tree.hot[child])))
-        added += 1
-        closer = tree.hot[child, TOGO] < tree.hot[node, TOGO]
-        if added == 1 and problem.options[2] == 1 and closer and tree.at_goal[child] == 0:
-            tree.count[NEXT] = child  # child extension
+        if is_safe(tree, problem, start, lane, work, brake, safe):
+            child = insert(tree, problem, node, lane, work)  # l. 15, 19
+            if child < 0:
+                return
+            closer = tree.hot[child, TOGO] < tree.hot[node, TOGO]
+            if (
+                added == 0
+                and problem.option[CHILD_EXTENSION] == 1
+                and closer
+                and tree.link[child, AT_GOAL] == 0
+            ):
+                tree.count[NEXT] = child
+            added += 1
+        work.slack[lane] = -1.0  # taken, or not safe
 
 
 @inlined
-def grow(tree: Tree, problem: Problem, work: Lanes, brake: Lanes, iterations: int, q: Floats, propagate, check, safe) -> None:  # type: ignore[no-untyped-def]
-    """Grow the tree by `iterations` visits, or until it is full (Alg. 1, l. 9-22)."""
-    for _ in range(iterations):
-        visit(tree, problem, work, brake, q, propagate, check, safe)
-        tree.count[ITERATIONS] += 1
-        if tree.count[FULL] == 1:
-            return
+def retain(
+    tree: Tree,
+    problem: Problem,
+    work: Lanes,
+    brake: Lanes,
+    kept: Retained,
+    propagate: Propagate,
+    check: Check,
+    safe: Safe,
+) -> None:
+    """Begin with the free and safe part of an earlier plan or tree, propagated anew from the root (Alg. 1, l. 2-8)."""
+    nu = tree.edge.shape[1] - 1
+    lane, lanes = np.int64(0), np.int64(1)  # not literals, which numba would compile the callees anew for
+    for k in range(len(kept.parent)):
+        parent = 0 if kept.parent[k] < 0 else kept.node[kept.parent[k]]
+        kept.node[k] = -1
+        if parent < 0:
+            continue
+        for c in range(nu):
+            work.control[c * LANE_WIDTH + lane] = kept.edge[k, c]
+        set_duration(problem, work, lane, kept.edge[k, nu])
+        propagate(tree.state[parent], lanes, problem, work)
+        tree.count[EDGES] += 1
+        start = tree.hot[parent, COST]
+        if check(lane, start, problem, work) < 0.0 or work.togo[lane] >= UNREACHABLE:
+            continue
+        if is_safe(tree, problem, start, lane, work, brake, safe):
+            kept.node[k] = insert(tree, problem, parent, lane, work)
+            tree.count[RETAINED] += 1

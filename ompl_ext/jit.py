@@ -4,6 +4,8 @@
 what the scalar loop would, so results do not depend on the machine's vector width.  `error_model="numpy"` only
 removes the zero-division branch that would keep a loop from vectorising.
 
+*Memory.*  `_nrt=False` compiles without numba's memory runtime: a kernel cannot allocate, and does no reference counting.
+
 *Cache.*  numba keys a cached kernel by its own source file and misses a change in a function it inlined.  Here the
 cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the vehicle's
 source), so an edit anywhere leads to a fresh folder and a stale kernel is impossible.
@@ -87,3 +89,8 @@ def part(function: F) -> F:
     """Compile `function` as a part of the kernels that call it, leaving it to LLVM whether to inline it."""
     dispatcher: F = numba.njit(error_model="numpy", _nrt=False)(function)
     return dispatcher
+
+
+def helper(function: F) -> F:
+    """Like `part`, and callable from Python without compiling again: what the callback path runs step by step."""
+    return compiled(function)

@@ -1,7 +1,7 @@
-"""The arrays that kernels share, and the signatures under which one kernel calls another.
+"""The arrays that kernels share.
 
-A kernel that takes another kernel as an argument keeps its place in the on-disk cache only if the argument is a
-first-class function of a signature written down beforehand; these are the three that a system provides.
+A kernel receives a few named tuples of arrays; numbers stand in arrays too, at places that have names here.  (A named
+tuple's fields are what numba compiles against, so few arrays with named places compile faster than many arrays.)
 """
 
 from __future__ import annotations
@@ -23,20 +23,36 @@ class Problem(NamedTuple):
     parameters: Floats  # of the vehicle
     controls: Matrix  # (nu, 2) bounds
     limits: Matrix  # (nx, 2) state limits, the workspace bounds of x and y among them
-    steps: Ints  # integration steps of an edge, largest number of steps of a manoeuvre
-    duration: Floats  # shortest, longest edge (s)
-    metric: Floats  # weight of the heading (m)
-    safety: Floats  # cycle (s), delta_0 (m), delta_1 (s), rest speed, step of a manoeuvre (s)
-    body: Floats  # reach, disc radius, length of the footprint (m)
     discs: Floats  # centres of the covering discs along the body axis (m)
     field: Matrix32  # (rows, columns) lower bound of the distance to obstacles (m)
-    grid: Floats  # origin x, y and 1 / cell of the field
-    togo: Matrix32  # (rows, columns) geodesic cost-to-go at cell centres (s)
-    togo_grid: Floats  # origin x, y and 1 / cell of the cost-to-go
-    bounds: Floats  # of sampling: x low, x high, y low, y high
-    chance: Floats  # goal bias, share of controls beyond each bound (clipped to it)
-    options: Ints  # blossom, insertions per visit, child extension, sort by f, ask for SAFETY
-    goal: Floats  # x, y, radius, cosine and sine of the heading, cosine of its tolerance
+    togo: Matrix32  # (rows, columns) geodesic cost-to-go at the same cells' centres (s)
+    scalar: Floats
+    option: Ints
+
+
+# Places in Problem.scalar
+SHORTEST, LONGEST, QUANTUM = 0, 1, 2  # edge durations; multiples of QUANTUM if it is positive (s)
+HEADING_WEIGHT, RESOLUTION = 3, 4  # of the tree's metric (m)
+CYCLE, DELTA, DELTA_PER_SPEED = 5, 6, 7  # planning cycle (s); clearance DELTA + DELTA_PER_SPEED |v| (m, s)
+REST_SPEED, BRAKE_STEP = 8, 9  # below which the vehicle stands (SI); integration step of a manoeuvre (s)
+REACH, DISC_RADIUS, LENGTH = 10, 11, 12  # of the footprint (m)
+GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
+X_LOW, X_HIGH, Y_LOW, Y_HIGH = 16, 17, 18, 19  # workspace bounds (m)
+GOAL_BIAS, BEYOND = 20, 21  # share of samples at the goal; share of controls beyond each bound, moved onto it
+GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
+    22,
+    23,
+    24,
+    25,
+    26,
+    27,
+)  # tolerance as its cosine
+SCALARS = 28
+
+# Places in Problem.option
+STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre
+BLOSSOM, INSERTIONS, CHILD_EXTENSION, ASK_SAFETY = 2, 3, 4, 5
+OPTIONS = 6
 
 
 class Lanes(NamedTuple):
@@ -44,62 +60,76 @@ class Lanes(NamedTuple):
 
     control: Floats
     duration: Floats
+    steps: Ints  # integration steps of each lane
     block: Floats
-    trajectory: Floats
-    cosine: Floats
-    sine: Floats
-    margin: Floats
+    trajectory: Floats  # states, step after step
+    pose: Floats  # cosine and sine of the heading and swept margin, step after step
     end: Floats  # (Q_DIM * width,) configuration at the end of each lane
-    togo: Floats
+    togo: Floats  # cost-to-go from there (s)
     at_goal: Ints
-    slack: Floats
-    source: Floats  # (nx,) a state of its own, for callers
-    last: Ints  # where the trajectory's last sample starts
+    slack: Floats  # spare clearance (m), negative if the edge may collide
+    source: Floats  # (nx,) a state to start from
 
 
 class Tree(NamedTuple):
     """The tree as a struct of arrays, with the indices that make selection and dominance sublinear."""
 
     state: Matrix  # (capacity, nx)
-    control: Matrix  # (capacity, nu)
-    duration: Floats
-    parent: Ints32
-    at_goal: Ints32
-    hot: Matrix  # (capacity, 8) what searches read, a cache line a node; columns below
-    region_level: Ints32
-    region_next: Ints32
-    region_previous: Ints32
+    edge: Matrix  # (capacity, nu + 1) control and duration of the edge from the parent
+    hot: Matrix  # (capacity, 8) what searches read, one cache line a node
+    link: IntMatrix  # (capacity, 6)
     region_head: Ints32  # first node of each cell, level after level
-    level_at: IntMatrix  # where each level starts in region_head, with its columns and rows: (levels, 3)
+    level: IntMatrix  # (levels, 4)
     level_cell: Floats  # cell size of each level (m)
-    level_count: Ints  # nodes on each level
-    cell_next: Ints32
     cell_head: Ints32
     cell_best: Floats  # smallest f in each cell
-    block_best: Floats  # smallest f in each block of 8 x 8 cells
-    block_shape: Ints  # columns, rows
-    frame: Floats  # origin x, y; cell of the position grid
+    block_best: Floats  # smallest f in each block of cells
+    block_shape: Ints  # columns, rows of blocks
+    frame: Floats  # lower left corner and cell size of the cells (m)
+    count: Ints
+    best: Floats  # cost of the best goal node, smallest cost-to-go of any node (s)
     random: Words  # generator state
-    count: Ints  # see the constants below
-    best: Floats  # cost of the best goal node, smallest cost-to-go of any node
 
 
 # Columns of Tree.hot; the first Q_DIM are the configuration in the tree's metric
-F, RADIUS, COST, TOGO = 4, 5, 6, 7  # f = cost-to-come + cost-to-go (s), radius of the dominance-informed region (m)
+F, RADIUS, COST, TOGO = (
+    4,
+    5,
+    6,
+    7,
+)  # f = cost-to-come + cost-to-go (s), radius of the dominance-informed region (m)
+
+# Columns of Tree.link
+PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT = range(6)
+
+# Columns of Tree.level: where the level starts in region_head, its columns and rows, the nodes on it
+LEVEL_START, LEVEL_COLUMNS, LEVEL_ROWS, LEVEL_COUNT = range(4)
 
 # Places in Tree.count
-SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL = range(9)
+SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL, RETAINED = range(10)
+COUNTS = 10
+
+
+class Retained(NamedTuple):
+    """Edges of an earlier plan or tree to begin a query with, parents before children."""
+
+    parent: Ints  # index of the edge that ends where this one starts, -1 for the root
+    edge: Matrix  # (edges, nu + 1) control and duration
+    node: Ints  # where each edge's end came to stand in the tree, -1 if it was left out
 
 
 def _numba_type(tuple_class: type) -> types.NamedTuple:
-    kinds = {Floats: "f8", Floats32: "f4", Ints: "i8", Ints32: "i4", Matrix: "f8", Matrix32: "f4", IntMatrix: "i8", Words: "u8"}
-    fields = []
-    for kind in get_type_hints(tuple_class).values():
-        shape = (1, 1) if kind in (Matrix, Matrix32, IntMatrix) else (1,)
-        fields.append(typeof(np.empty(shape, dtype=kinds[kind])))
-    return types.NamedTuple(fields, tuple_class)
+    kinds = {
+        Floats: (1, "f8"), Floats32: (1, "f4"), Ints: (1, "i8"), Ints32: (1, "i4"), Words: (1, "u8"),
+        Matrix: (2, "f8"), Matrix32: (2, "f4"), IntMatrix: (2, "i8"),
+    }  # fmt: skip
+    hints = [kinds[kind] for kind in get_type_hints(tuple_class).values()]
+    return types.NamedTuple(
+        [typeof(np.empty((1,) * ndim, dtype=dtype)) for ndim, dtype in hints], tuple_class
+    )
 
 
 PROBLEM = _numba_type(Problem)
 LANES = _numba_type(Lanes)
 TREE = _numba_type(Tree)
+RETAINED_EDGES = _numba_type(Retained)

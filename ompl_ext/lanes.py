@@ -9,28 +9,38 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import types
 
 from ompl_ext import dirt
+from ompl_ext.arrays import Floats
 from ompl_ext.clearance import pose_slack
 from ompl_ext.costtogo import UNREACHABLE, seconds_to_goal
 from ompl_ext.jit import compiled, inlined, part
-from ompl_ext.kernel_types import LANE_WIDTH, LANES, PROBLEM, TREE, Lanes, Problem, Tree
+from ompl_ext.kernel_types import (
+    BRAKE_STEP, BRAKE_STEPS, CYCLE, DELTA, DELTA_PER_SPEED, GOAL_COS, GOAL_RADIUS, GOAL_SIN, GOAL_TOLERANCE, GOAL_X,
+    GOAL_Y, HEADING_WEIGHT, LANE_WIDTH, LANES, LENGTH, PROBLEM, REACH, REST_SPEED, RETAINED_EDGES, STEPS, TREE,
+    Lanes, Problem, Retained, Tree,
+)  # fmt: skip
 from ompl_ext.specialise import take_target, vehicle_cache_folder
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.unroll import per_component, store_components, total_of_components
+
+Values = tuple[float, ...]
 
 VEHICLE = take_target()
 FOLDER = vehicle_cache_folder(VEHICLE)
 NX = len(VEHICLE.state)
 NU = len(VEHICLE.controls)
-NI = len(VEHICLE.inputs) if VEHICLE.actuation is not None else NU
+NI = len(VEHICLE.inputs) or NU
 X, Y, THETA = (VEHICLE.index(name) for name in ("x", "y", "theta"))
-SPEED = VEHICLE.rest_indices[0] if VEHICLE.rest else -1
 REST = VEHICLE.rest_indices
+SPEED = REST[0] if REST else -1
 MANOEUVRES = len(VEHICLE.manoeuvres)
 WIDTH = LANE_WIDTH
-AT_INPUT = NX * WIDTH  # the working block: state, input, step, cosine and sine of the heading, margin
+AT_INPUT = (
+    NX * WIDTH
+)  # the working block: state, input, step, cosine and sine of the heading, margin, outside
 AT_STEP = AT_INPUT + NI * WIDTH
 AT_COS = AT_STEP + WIDTH
 AT_SIN = AT_COS + WIDTH
@@ -38,38 +48,41 @@ AT_MARGIN = AT_SIN + WIDTH
 AT_OUTSIDE = AT_MARGIN + WIDTH
 
 derivative = VEHICLE.derivative
+actuation = VEHICLE.actuation or per_component("u, p", "u[{k}]", NU)
+stop = VEHICLE.stop or per_component("x, p, k", "0.0", NU)
 load_state = per_component("a, s, i", f"a[s + i + {{k}} * {WIDTH}]", NX)
 load_input = per_component("a, s, i", f"a[s + i + {{k}} * {WIDTH}]", NI)
 load_control = per_component("a, s, i", f"a[s + i + {{k}} * {WIDTH}]", NU)
 load_parameters = per_component("p", "p[{k}]", len(VEHICLE.parameter_array))
+load_low = per_component("limits", "limits[{k}, 0]", NX)
+load_high = per_component("limits", "limits[{k}, 1]", NX)
 axpy = per_component("a, k, x", "x[{k}] + a * k[{k}]", NX)
 combine = per_component(
     "a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", NX
 )
-LIMITED = [k for k, name in enumerate(VEHICLE.state) if name in ("x", "y", *VEHICLE.limits)]
-load_low = per_component("limits", "limits[{k}, 0]", NX)
-load_high = per_component("limits", "limits[{k}, 1]", NX)
 outside = total_of_components(
-    "x, low, high", "(0.0 if low[{k}] <= x[{k}] else 1.0) + (0.0 if x[{k}] <= high[{k}] else 1.0)", LIMITED
+    "x, low, high",
+    "(0.0 if low[{k}] <= x[{k}] else 1.0) + (0.0 if x[{k}] <= high[{k}] else 1.0)",
+    [k for k, name in enumerate(VEHICLE.state) if name in ("x", "y", *VEHICLE.limits)],
 )
 store_state = store_components(NX, WIDTH)
 store_input = store_components(NI, WIDTH)
-actuation = VEHICLE.actuation or inlined(lambda u, p: u)
-stop = VEHICLE.stop or per_component("x, p, k", "0.0", NU)
 
 
 @inlined
-def runge_kutta_4(x, u, p, h):  # type: ignore[no-untyped-def]
+def runge_kutta_4(x: Values, u: Values, p: Values, h: float) -> Values:
     """One classical RK4 step of h seconds."""
     k1 = derivative(x, u, p)
     k2 = derivative(axpy(0.5 * h, k1, x), u, p)
     k3 = derivative(axpy(0.5 * h, k2, x), u, p)
     k4 = derivative(axpy(h, k3, x), u, p)
-    return combine(h / 6.0, k1, k2, k3, k4, x)
+    return combine(h / 6.0, k1, k2, k3, k4, x)  # type: ignore[no-any-return]
 
 
 @inlined
-def swept_margin(dx, dy, turn, c0, s0, c1, s1, reach, length):  # type: ignore[no-untyped-def]
+def swept_margin(
+    dx: float, dy: float, turn: float, c0: float, s0: float, c1: float, s1: float, reach: float, length: float
+) -> float:
     """Clearance (m) needed at both ends of a step so that no point of the body hits anything in between.
 
     The body moves `along` its axis, sideways and turns.  Moving along its axis by no more than its length it stays
@@ -86,7 +99,9 @@ def swept_margin(dx, dy, turn, c0, s0, c1, s1, reach, length):  # type: ignore[n
 
 
 @inlined
-def integrate_lanes(block, lanes, p, low, high, reach, length):  # type: ignore[no-untyped-def]
+def integrate_lanes(
+    block: Floats, lanes: int, p: Values, low: Values, high: Values, reach: float, length: float
+) -> None:
     """Advance every lane of the working block by its own step; this loop vectorises."""
     for i in range(lanes):
         x = load_state(block, 0, i)
@@ -106,21 +121,18 @@ def integrate_lanes(block, lanes, p, low, high, reach, length):  # type: ignore[
 
 
 @inlined
-def record_lanes(work: Lanes, step, lanes):  # type: ignore[no-untyped-def]
+def record_lanes(work: Lanes, step: int, lanes: int) -> None:
     """Copy state, heading and margin of every lane from the working block into the trajectory."""
-    block, start = work.block, step * NX * WIDTH
     for k in range(NX):
         for i in range(lanes):
-            work.trajectory[start + k * WIDTH + i] = block[k * WIDTH + i]
-    start = step * WIDTH
-    for i in range(lanes):
-        work.cosine[start + i] = block[AT_COS + i]
-        work.sine[start + i] = block[AT_SIN + i]
-        work.margin[start + i] = block[AT_MARGIN + i]
+            work.trajectory[(step * NX + k) * WIDTH + i] = work.block[k * WIDTH + i]
+    for k in range(3):
+        for i in range(lanes):
+            work.pose[(step * 3 + k) * WIDTH + i] = work.block[AT_COS + k * WIDTH + i]
 
 
 @inlined
-def load_source(source, work: Lanes, lanes):  # type: ignore[no-untyped-def]
+def load_source(source: Floats, work: Lanes, lanes: int) -> None:
     """Start every lane from one state."""
     c, s = 1.0, 0.0
     if THETA >= 0:
@@ -132,76 +144,82 @@ def load_source(source, work: Lanes, lanes):  # type: ignore[no-untyped-def]
         work.block[AT_SIN + i] = s
         work.block[AT_MARGIN + i] = 0.0
         work.block[AT_OUTSIDE + i] = 0.0
-    record_lanes(work, 0, lanes)
+    record_lanes(work, np.int64(0), lanes)
+
+
+@inlined
+def in_goal(scalar: Floats, x: float, y: float, c: float, s: float) -> bool:
+    """Whether a pose is inside the goal region: position within the radius and heading within the tolerance."""
+    dx, dy = x - scalar[GOAL_X], y - scalar[GOAL_Y]
+    heading = c * scalar[GOAL_COS] + s * scalar[GOAL_SIN] >= scalar[GOAL_TOLERANCE]
+    return dx * dx + dy * dy < scalar[GOAL_RADIUS] * scalar[GOAL_RADIUS] and heading
 
 
 @part
-def propagate(source, lanes, problem: Problem, work: Lanes):  # type: ignore[no-untyped-def]
+def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None:
     """Integrate `lanes` candidate edges from `source` and describe their ends: configuration, cost-to-go, goal."""
-    p = load_parameters(problem.parameters)
-    low, high = load_low(problem.limits), load_high(problem.limits)
-    steps = problem.steps[0]
-    reach, length = problem.body[0], problem.body[2]
+    scalar, steps = problem.scalar, problem.option[STEPS]
+    p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
     load_source(source, work, lanes)
     for i in range(lanes):
         store_input(work.block, AT_INPUT, i, actuation(load_control(work.control, 0, i), p))
-        work.block[AT_STEP + i] = work.duration[i] / steps
     for step in range(1, steps + 1):
-        integrate_lanes(work.block, lanes, p, low, high, reach, length)
+        for i in range(lanes):  # a lane with fewer steps than the others waits at its end
+            work.block[AT_STEP + i] = work.duration[i] / work.steps[i] if step <= work.steps[i] else 0.0
+        integrate_lanes(work.block, lanes, p, low, high, scalar[REACH], scalar[LENGTH])
         record_lanes(work, step, lanes)
-    heading_weight = problem.metric[0]
     for i in range(lanes):
         x, y = work.block[X * WIDTH + i], work.block[Y * WIDTH + i]
         c, s = work.block[AT_COS + i], work.block[AT_SIN + i]
         work.end[i] = x
         work.end[WIDTH + i] = y
-        work.end[2 * WIDTH + i] = heading_weight * c  # a heading as a point on a circle needs no wrapping
-        work.end[3 * WIDTH + i] = heading_weight * s
+        work.end[2 * WIDTH + i] = (
+            scalar[HEADING_WEIGHT] * c
+        )  # a heading as a point on a circle needs no wrapping
+        work.end[3 * WIDTH + i] = scalar[HEADING_WEIGHT] * s
         inside = work.block[AT_OUTSIDE + i] == 0.0  # only there is (x, y) surely on the grids
         work.slack[i] = 0.0 if inside else -1.0
         work.togo[i] = seconds_to_goal(problem, x, y) if inside else UNREACHABLE
-        work.at_goal[i] = 1 if inside and in_goal(problem.goal, x, y, c, s) else 0
+        work.at_goal[i] = 1 if inside and in_goal(scalar, x, y, c, s) else 0
 
 
 @inlined
-def in_goal(goal, x, y, c, s):  # type: ignore[no-untyped-def]
-    """Whether a pose is inside the goal region: position within the radius and heading within the tolerance."""
-    dx, dy = x - goal[0], y - goal[1]
-    heading = c * goal[3] + s * goal[4] >= goal[5]
-    return dx * dx + dy * dy < goal[2] * goal[2] and heading
+def margin_at(work: Lanes, step: int, steps: int, lane: int) -> float:
+    """Clearance that the motion before and after a sample asks for (m)."""
+    before = work.pose[(step * 3 + 2) * WIDTH + lane]
+    after = work.pose[((step + 1) * 3 + 2) * WIDTH + lane] if step < steps else 0.0
+    return before if before > after else after
 
 
 @inlined
-def sample_slack(work: Lanes, step, lane, required, problem: Problem):  # type: ignore[no-untyped-def]
+def sample_slack(work: Lanes, step: int, lane: int, required: float, problem: Problem) -> float:
     at = step * NX * WIDTH + lane
+    c, s = work.pose[step * 3 * WIDTH + lane], work.pose[(step * 3 + 1) * WIDTH + lane]
     return pose_slack(
-        problem, work.trajectory[at + X * WIDTH], work.trajectory[at + Y * WIDTH],
-        work.cosine[step * WIDTH + lane], work.sine[step * WIDTH + lane], required,
-    )  # fmt: skip
+        problem, work.trajectory[at + X * WIDTH], work.trajectory[at + Y * WIDTH], c, s, required
+    )
 
 
 @inlined
-def delta(work: Lanes, step, lane, problem: Problem):  # type: ignore[no-untyped-def]
-    """Clearance delta(v) = delta_0 + delta_1 |v| that the model gap asks for at a sample (m)."""
+def delta(work: Lanes, step: int, lane: int, problem: Problem) -> float:
+    """Clearance delta(v) that the model gap asks for at a sample (m)."""
     speed = 0.0
     if SPEED >= 0:
-        speed = abs(work.trajectory[step * NX * WIDTH + SPEED * WIDTH + lane])
-    return problem.safety[1] + problem.safety[2] * speed
+        speed = abs(work.trajectory[(step * NX + SPEED) * WIDTH + lane])
+    return problem.scalar[DELTA] + problem.scalar[DELTA_PER_SPEED] * speed
 
 
 @part
-def check(lane, start_time, problem: Problem, work: Lanes):  # type: ignore[no-untyped-def]
-    """Smallest spare clearance (m) along an edge, negative if it may collide; delta(v) is asked for inside the cycle."""
+def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
+    """Smallest spare clearance (m) along an edge, negative if it may collide; inside the cycle delta(v) is asked for."""
     if work.slack[lane] < 0.0:
         return -1.0
-    steps, cycle = problem.steps[0], problem.safety[0]
+    steps = work.steps[lane]
     h = work.duration[lane] / steps
     smallest = math.inf
     for step in range(steps, -1, -1):  # the far end first: it collides most often
-        before = work.margin[step * WIDTH + lane]
-        after = work.margin[(step + 1) * WIDTH + lane] if step < steps else 0.0
-        required = before if before > after else after
-        if start_time + (step - 1) * h < cycle:
+        required = margin_at(work, step, steps, lane)
+        if start_time + (step - 1) * h < problem.scalar[CYCLE]:
             required += delta(work, step, lane, problem)
         slack = sample_slack(work, step, lane, required, problem)
         if slack < 0.0:
@@ -211,83 +229,110 @@ def check(lane, start_time, problem: Problem, work: Lanes):  # type: ignore[no-u
 
 
 @inlined
-def at_rest(work: Lanes, step, lane, problem: Problem):  # type: ignore[no-untyped-def]
+def at_rest(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
     resting = True
     for k in REST:
-        resting = resting and abs(work.trajectory[step * NX * WIDTH + k * WIDTH + lane]) <= problem.safety[3]
+        resting = (
+            resting and abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
+        )
     return resting
 
 
 @inlined
-def manoeuvre_slack(work: Lanes, lane, steps, problem: Problem):  # type: ignore[no-untyped-def]
-    """Smallest spare delta-clearance of one braking manoeuvre until standstill; negative if unsafe (Alg. 2, l. 4-6)."""
+def manoeuvre_slack(brake: Lanes, lane: int, steps: int, problem: Problem) -> float:
+    """Smallest spare delta-clearance of a manoeuvre until standstill, negative if it is not safe (Alg. 2, l. 4-6)."""
     smallest = math.inf
     for step in range(steps + 1):
-        before = work.margin[step * WIDTH + lane]
-        after = work.margin[(step + 1) * WIDTH + lane] if step < steps else 0.0
-        required = (before if before > after else after) + delta(work, step, lane, problem)
-        slack = sample_slack(work, step, lane, required, problem)
+        required = margin_at(brake, step, steps, lane) + delta(brake, step, lane, problem)
+        slack = sample_slack(brake, step, lane, required, problem)
         if slack < 0.0:
             return slack
         smallest = min(smallest, slack)
-        if at_rest(work, step, lane, problem):
+        if at_rest(brake, step, lane, problem):
+            brake.steps[lane] = step
             return smallest
     return -1.0  # did not stop within the horizon
 
 
 @inlined
-def state_at_cycle_end(lane, start_time, problem: Problem, work: Lanes, source):  # type: ignore[no-untyped-def]
-    """Write the state where an edge crosses the end of the cycle into `source`."""
+def state_at_cycle_end(lane: int, start_time: float, problem: Problem, work: Lanes, source: Floats) -> None:
+    """Write the state where an edge crosses the end of the cycle, or ends before it, into `source`."""
     p = load_parameters(problem.parameters)
-    h = work.duration[lane] / problem.steps[0]
-    into = (problem.safety[0] - start_time) / h
-    step = min(max(int(math.floor(into)), 0), problem.steps[0])
+    h = work.duration[lane] / work.steps[lane]
+    into = min((problem.scalar[CYCLE] - start_time) / h, float(work.steps[lane]))
+    step = min(max(int(into), 0), work.steps[lane])
     x = load_state(work.trajectory, step * NX * WIDTH, lane)
-    rest = (into - step) * h
-    if rest > 0.0:
-        x = runge_kutta_4(x, actuation(load_control(work.control, 0, lane), p), p, rest)
+    u = actuation(load_control(work.control, 0, lane), p)
+    x = runge_kutta_4(x, u, p, max(into - step, 0.0) * h)
     for k in range(NX):
         source[k] = x[k]
 
 
 @part
-def safe(lane, start_time, problem: Problem, work: Lanes, brake: Lanes):  # type: ignore[no-untyped-def]
-    """SAFETY (Alg. 2): number of the first contingency manoeuvre that is safe where edge `lane` leaves the cycle.
+def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
+    """SAFETY (Alg. 2): number of the first contingency manoeuvre that is safe from `source`, -1 if there is none.
 
-    -1 if there is none.  A negative `lane` asks the question of the state in `brake.source`.
+    The manoeuvres' trajectories stay in `brake`, with the spare clearance of the safe one in its lane's slack.
     """
-    if lane >= 0:
-        state_at_cycle_end(lane, start_time, problem, work, brake.source)
-    p = load_parameters(problem.parameters)
-    low, high = load_low(problem.limits), load_high(problem.limits)
-    reach, length = problem.body[0], problem.body[2]
-    load_source(brake.source, brake, MANOEUVRES)
-    for i in range(MANOEUVRES):
-        brake.block[AT_STEP + i] = problem.safety[4]
-    taken = 0
-    for step in range(1, problem.steps[1] + 1):
-        for i in range(MANOEUVRES):  # a manoeuvre is a control law, held over one step
+    manoeuvres = np.int64(MANOEUVRES)  # not a literal, which numba would compile the callees anew for
+    p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
+    load_source(source, brake, manoeuvres)
+    for i in range(manoeuvres):
+        brake.block[AT_STEP + i] = problem.scalar[BRAKE_STEP]
+    taken, moving = np.int64(0), True
+    while moving and taken < problem.option[BRAKE_STEPS]:
+        taken += 1
+        for i in range(manoeuvres):  # a manoeuvre is a control law, held over one step
             u = stop(load_state(brake.block, 0, i), p, i)
             store_input(brake.block, AT_INPUT, i, actuation(u, p))
-        integrate_lanes(brake.block, MANOEUVRES, p, low, high, reach, length)
-        record_lanes(brake, step, MANOEUVRES)
-        taken = step
-        everyone = True
-        for i in range(MANOEUVRES):
-            everyone = everyone and at_rest(brake, step, i, problem)
-        if everyone:
-            break
-    for i in range(MANOEUVRES):
+        integrate_lanes(brake.block, manoeuvres, p, low, high, problem.scalar[REACH], problem.scalar[LENGTH])
+        record_lanes(brake, taken, manoeuvres)
+        moving = False
+        for i in range(manoeuvres):
+            moving = moving or not at_rest(brake, taken, i, problem)
+    for i in range(manoeuvres):
+        brake.slack[i] = -1.0
         if brake.block[AT_OUTSIDE + i] == 0.0:
-            slack = manoeuvre_slack(brake, i, taken, problem)
-            if slack >= 0.0:
-                brake.slack[0] = slack
-                return i
+            brake.slack[i] = manoeuvre_slack(brake, i, taken, problem)
+        if brake.slack[i] >= 0.0:
+            return i
     return -1
 
 
-def _grow(tree: Tree, problem: Problem, work: Lanes, brake: Lanes, iterations, q):  # type: ignore[no-untyped-def]
-    dirt.grow(tree, problem, work, brake, iterations, q, propagate, check, safe)
+@part
+def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lanes) -> int:
+    """SAFETY where edge `lane` leaves the cycle."""
+    state_at_cycle_end(lane, start_time, problem, work, brake.source)
+    return brake_from(brake.source, problem, brake)
 
 
-grow = compiled(_grow, folder=FOLDER, signature=types.void(TREE, PROBLEM, LANES, LANES, types.int64, types.float64[::1]))
+def _grow(
+    tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, kept: Retained, iterations: int
+) -> None:
+    dirt.retain(tree, problem, work, brake, kept, propagate, check, safe)
+    for _ in range(iterations):
+        dirt.visit(tree, problem, work, brake, q, propagate, check, safe)
+        if tree.count[dirt.FULL] == 1:
+            return
+
+
+def _edge(problem: Problem, work: Lanes, start_time: float) -> None:
+    lane, lanes = np.int64(0), np.int64(1)
+    propagate(work.source, lanes, problem, work)
+    work.slack[lane] = check(lane, start_time, problem, work)
+
+
+def _brake(problem: Problem, work: Lanes, brake: Lanes, start_time: float) -> int:
+    if start_time < math.inf:
+        return safe(np.int64(0), start_time, problem, work, brake)
+    return brake_from(brake.source, problem, brake)
+
+
+_FLOATS = types.float64[::1]
+grow = compiled(
+    _grow,
+    folder=FOLDER,
+    signature=types.void(TREE, PROBLEM, LANES, LANES, _FLOATS, RETAINED_EDGES, types.int64),
+)
+edge = compiled(_edge, folder=FOLDER, signature=types.void(PROBLEM, LANES, types.float64))
+brake = compiled(_brake, folder=FOLDER, signature=types.int64(PROBLEM, LANES, LANES, types.float64))

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats
+from ompl_ext.arrays import Bools, Floats, Matrix
 
 
 @dataclass(frozen=True)
 class Polygon:
     """Simple polygon, convex or not; `vertices` has shape (n, 2), m, in either orientation."""
 
-    vertices: Floats
+    vertices: Matrix
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,36 @@ class OccupancyGrid:
     resolution: float
     origin: tuple[float, float, float]
 
-    def cell_centres(self) -> Floats:
+    def cell_centres(self) -> Matrix:
         """Centres of the occupied cells in the world, shape (n, 2)."""
         rows, columns = np.nonzero(self.occupied)
         local = (np.column_stack([columns, rows]) + 0.5) * self.resolution
         x, y, yaw = self.origin
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        centres: Floats = local @ turn.T + np.array([x, y])
+        centres: Matrix = local @ turn.T + np.array([x, y])
         return centres
+
+    def rectangles(self) -> list[tuple[int, int, int, int]]:
+        """Cover of exactly the occupied cells: (row, column, rows, columns) of rectangles that do not overlap.
+
+        Each is a run of cells in a row, grown upwards while the next row repeats it.
+        """
+        done: list[tuple[int, int, int, int]] = []
+        growing: dict[tuple[int, int], int] = {}  # (first column, past last column) -> first row
+        for row in range(self.occupied.shape[0] + 1):
+            runs = set(_runs(self.occupied[row])) if row < self.occupied.shape[0] else set()
+            for (first, last), start in list(growing.items()):
+                if (first, last) not in runs:
+                    done.append((start, first, row - start, last - first))
+                    del growing[first, last]
+            for run in sorted(runs):
+                growing.setdefault(run, row)
+        return done
+
+
+def _runs(cells: Bools) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], cells, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 Obstacle = Polygon | Circle | OccupancyGrid

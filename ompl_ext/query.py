@@ -1,4 +1,4 @@
-"""From a vehicle, a workspace and a goal to the arrays that the kernels read."""
+"""What the planner is asked, and the arrays that the kernels read it from."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ompl_ext.clearance import ClearanceField, clearance_field, cover
+from ompl_ext.arrays import Floats
+from ompl_ext.clearance import clearance_field, cover
 from ompl_ext.costtogo import cost_to_go
-from ompl_ext.kernel_types import LANE_WIDTH, Q_DIM, Lanes, Problem
+from ompl_ext.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
+from ompl_ext import kernel_types as at
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
@@ -26,9 +28,11 @@ class Goal:
 
 @dataclass(frozen=True)
 class Safety:
-    """Clearance delta(v) = `delta` + `delta_per_speed` |v| kept within the first cycle and until standstill.
+    """Clearance delta(v) = `delta` + `delta_per_speed` |v| (m) inside the first cycle and of contingencies.
 
-    `enabled` asks SAFETY (Alg. 2) of every edge that crosses the end of the cycle.
+    With `enabled`, SAFETY (Alg. 2) is asked of every edge that crosses the end of the cycle.  A vehicle stands when
+    every component it names as resting is below `rest_speed`; a manoeuvre that has not stopped it within `horizon` s
+    is not safe.
     """
 
     enabled: bool = True
@@ -42,24 +46,28 @@ class Safety:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of DIRT."""
+    """Settings of DIRT.  Lengths in m, times in s."""
 
-    blossom: int = 16
+    blossom: int = 32
     insertions: int = 1
     child_extension: bool = True
-    sort_by_f: bool = False
+    pruning: bool = False
     goal_bias: float = 0.05
-    beyond: float = 0.25
+    beyond: float = 1.0
     shortest: float = 0.5
     longest: float = 1.0
     steps: int = 10
-    heading_weight: float = 0.0
-    floor: float = 0.005
+    quantum: float = 0.0
+    heading_weight: float = 0.05
+    resolution: float = 0.01
     discs: int = 4
     cell: float = 0.02
 
 
-def make_problem(vehicle: Vehicle, workspace: Workspace, goal: Goal, safety: Safety, settings: Settings) -> Problem:
+def make_problem(
+    vehicle: Vehicle, workspace: Workspace, goal: Goal, safety: Safety, settings: Settings
+) -> Problem:
+    """Arrays of a query: the clearance field and the cost-to-go are computed here, once per goal and map."""
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
     field = clearance_field(workspace, reach + 2 * settings.cell, settings.cell)
@@ -68,45 +76,54 @@ def make_problem(vehicle: Vehicle, workspace: Workspace, goal: Goal, safety: Saf
     for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
         k = vehicle.index(name)
         limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
-    has_tolerance = goal.tolerance < math.pi
+    scalar = np.zeros(SCALARS)
+    scalar[[at.SHORTEST, at.LONGEST, at.QUANTUM]] = settings.shortest, settings.longest, settings.quantum
+    scalar[[at.HEADING_WEIGHT, at.RESOLUTION]] = settings.heading_weight, settings.resolution
+    scalar[[at.CYCLE, at.DELTA, at.DELTA_PER_SPEED]] = safety.cycle, safety.delta, safety.delta_per_speed
+    scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
+    scalar[[at.REACH, at.DISC_RADIUS, at.LENGTH]] = reach, discs.radius, vehicle.footprint.length
+    scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell
+    scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
+    scalar[[at.GOAL_BIAS, at.BEYOND]] = settings.goal_bias, settings.beyond
+    scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
+    scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
+    scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.tolerance < math.pi else -2.0
+    option = np.zeros(OPTIONS, np.int64)
+    option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
+    option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
+    option[[at.BLOSSOM, at.INSERTIONS]] = settings.blossom, settings.insertions
+    option[[at.CHILD_EXTENSION, at.ASK_SAFETY]] = settings.child_extension, safety.enabled
     return Problem(
         parameters=vehicle.parameter_array,
         controls=vehicle.control_bounds,
         limits=limits,
-        steps=np.array([settings.steps, math.ceil(safety.horizon / safety.step)]),
-        duration=np.array([settings.shortest, settings.longest]),
-        metric=np.array([settings.heading_weight, settings.floor]),
-        safety=np.array([safety.cycle, safety.delta, safety.delta_per_speed, safety.rest_speed, safety.step]),
-        body=np.array([reach, discs.radius, vehicle.footprint.length]),
         discs=discs.centres,
         field=field.values,
-        grid=np.array([*field.origin, 1 / field.cell]),
         togo=togo.seconds,
-        togo_grid=np.array([*togo.origin, 1 / togo.cell]),
-        bounds=np.array([*workspace.bounds[0], *workspace.bounds[1]]),
-        chance=np.array([settings.goal_bias, settings.beyond]),
-        options=np.array([settings.blossom, settings.insertions, settings.child_extension, settings.sort_by_f, safety.enabled]),
-        goal=np.array([*goal.center, goal.radius, math.cos(goal.heading), math.sin(goal.heading),
-                       math.cos(goal.tolerance) if has_tolerance else -2.0]),
-    )  # fmt: skip
+        scalar=scalar,
+        option=option,
+    )
 
 
-def make_lanes(vehicle: Vehicle, steps: int) -> Lanes:
-    nx, nu = len(vehicle.state), len(vehicle.controls)
-    inputs = len(vehicle.inputs) or nu
+def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
+    """Working memory for edges of up to `steps` integration steps."""
     width = LANE_WIDTH
     return Lanes(
         control=np.zeros(nu * width),
         duration=np.ones(width),
+        steps=np.full(width, steps),
         block=np.zeros((nx + inputs + 5) * width),
         trajectory=np.zeros((steps + 1) * nx * width),
-        cosine=np.zeros((steps + 1) * width),
-        sine=np.zeros((steps + 1) * width),
-        margin=np.zeros((steps + 1) * width),
+        pose=np.zeros((steps + 1) * 3 * width),
         end=np.zeros(Q_DIM * width),
         togo=np.zeros(width),
         at_goal=np.zeros(width, np.int64),
         slack=np.zeros(width),
         source=np.zeros(nx),
-        last=np.array([steps * nx * width]),
     )
+
+
+def edges_to_retain(parent: list[int], controls: Floats, durations: Floats) -> Retained:
+    """Edges for `grow` to begin with; `controls` has shape (edges, nu), `durations` (edges,)."""
+    edge = np.ascontiguousarray(np.column_stack([controls, durations]), dtype=float)
+    return Retained(np.array(parent, np.int64), edge, np.full(len(parent), -1))

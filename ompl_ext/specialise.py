@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+from ompl_ext.arrays import Floats
 from ompl_ext.jit import cache_folder
+from ompl_ext.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.vehicle import Vehicle
 
 _target: list[Vehicle] = []
@@ -19,15 +21,19 @@ _kernels: dict[str, VehicleKernels] = {}
 
 @dataclass(frozen=True)
 class VehicleKernels:
-    """First-class compiled functions of one vehicle; signatures in `ompl_ext.kernel_types`."""
+    """Compiled functions of one vehicle, see `ompl_ext.lanes`."""
 
-    grow: Callable[..., None]
+    grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int], None]
+    edge: Callable[[Problem, Lanes, float], None]
+    brake: Callable[[Problem, Lanes, Lanes, float], int]
 
 
 def take_target() -> Vehicle:
     """The vehicle that `ompl_ext.lanes` is being executed for."""
     if not _target:
-        raise ImportError("ompl_ext.lanes is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)")
+        raise ImportError(
+            "ompl_ext.lanes is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)"
+        )
     return _target[-1]
 
 
@@ -45,7 +51,7 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     key = vehicle.hash if vehicle.source else f"{vehicle.hash}-{id(vehicle.derivative)}"
     if key not in _kernels:
         module = _execute(vehicle, key.replace("-", "_"))
-        _kernels[key] = VehicleKernels(module.grow)
+        _kernels[key] = VehicleKernels(module.grow, module.edge, module.brake)
         if vehicle.source:
             _done_marker(vehicle).touch()
     return _kernels[key]

@@ -5,9 +5,13 @@ the regions that hold a point are found in 3 x 3 cells a level.  A better node i
 two nodes of one level are much closer than its cell size and a cell lists a bounded number: a query costs the number
 of levels, not of nodes.
 
-*Cells.*  A uniform grid of all nodes in blocks of 8 x 8 cells; blocks and cells keep the smallest f = cost-to-come +
-cost-to-go they hold.  A search for the nearest better node walks outward over rings of blocks and skips every block
-and cell that holds none.
+*Cells.*  A uniform grid in blocks of 8 x 8 cells; blocks and cells keep the smallest f = cost-to-come + cost-to-go
+they hold.  A search for the nearest better node walks outward over rings of blocks and skips every block and cell
+that holds none.
+
+*Closed nodes.*  A node whose region has shrunk below the tree's resolution has a better node right beside it.  It stays
+in the tree but leaves both indices, which keeps their lists short.  The resolution falls with the square root of the
+number of nodes, so no region of positive size stays closed off as the tree grows.
 """
 
 from __future__ import annotations
@@ -16,56 +20,56 @@ import math
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Words
-from ompl_ext.jit import inlined
-from ompl_ext.kernel_types import BEST, CLOSEST, NEXT, Q_DIM, RADIUS, SIZE, F, Tree
-from ompl_ext.rng import generator, uniform
+from ompl_ext.arrays import Bools, Floats, Ints, Words
+from ompl_ext.jit import helper, inlined
+from ompl_ext.kernel_types import (
+    AT_GOAL, BEST, CELL_NEXT, CLOSEST, COST, COUNTS, FULL, LANE_WIDTH, LEVEL_COLUMNS, LEVEL_COUNT, LEVEL_ROWS,
+    LEVEL_START, NEXT, PARENT, Q_DIM, RADIUS, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, SIZE, TOGO, F, Lanes, Tree,
+)  # fmt: skip
+from ompl_ext.rng import uniform
 
-REGION_CELL = 0.01
-POSITION_CELL = 0.02
-BLOCK = 8
+REGION_CELL = 0.01  # cell size of the finest level (m)
+POSITION_CELL = 0.02  # size of a cell (m)
+BLOCK = 8  # cells along a block's side
+NODES_AT_FULL_RESOLUTION = 20_000.0
+MOST_CELLS = 250_000  # in either index: larger workspaces get larger cells
 
 
-def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
-    """Empty tree for `capacity` nodes over a workspace with `bounds`; call `reset` before use."""
+def new_tree(
+    capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]
+) -> Tree:
+    """Empty tree for `capacity` nodes of `nx` states and `nu` controls over a workspace with `bounds`.
+
+    Call `reset` before use.
+    """
     (x_low, x_high), (y_low, y_high) = bounds
     width, height = x_high - x_low, y_high - y_low
-    levels, cell_sizes, start = [], [], 0
-    cell = max(REGION_CELL, math.sqrt(width * height / 250_000))
-    while True:
-        columns, rows = math.floor(width / cell) + 1, math.floor(height / cell) + 1
-        levels.append((start, columns, rows))
-        cell_sizes.append(cell)
-        start += columns * rows
-        if columns == rows == 1:
-            break
-        cell *= 2
-    position_cell = max(POSITION_CELL, math.sqrt(width * height / 250_000))
-    blocks = tuple(math.floor(extent / (BLOCK * position_cell)) + 1 for extent in (width, height))
+    smallest = math.sqrt(width * height / MOST_CELLS)
+    levels, sizes, start, size = [], [], 0, max(REGION_CELL, smallest)
+    while not levels or levels[-1][LEVEL_COLUMNS] * levels[-1][LEVEL_ROWS] > 1:
+        columns, rows = math.floor(width / size) + 1, math.floor(height / size) + 1
+        levels.append([start, columns, rows, 0])
+        sizes.append(size)
+        start, size = start + columns * rows, size * 2
+    cell = max(POSITION_CELL, smallest)
+    blocks = [math.floor(extent / (BLOCK * cell)) + 1 for extent in (width, height)]
     cells = blocks[0] * blocks[1] * BLOCK * BLOCK
     return Tree(
         state=np.zeros((capacity, nx)),
-        control=np.zeros((capacity, nu)),
-        duration=np.zeros(capacity),
-        parent=np.full(capacity, -1, np.int32),
-        at_goal=np.zeros(capacity, np.int32),
+        edge=np.zeros((capacity, nu + 1)),
         hot=np.zeros((capacity, 8)),
-        region_level=np.zeros(capacity, np.int32),
-        region_next=np.zeros(capacity, np.int32),
-        region_previous=np.zeros(capacity, np.int32),
+        link=np.zeros((capacity, 6), np.int64),
         region_head=np.full(start, -1, np.int32),
-        level_at=np.array(levels),
-        level_cell=np.array(cell_sizes),
-        level_count=np.zeros(len(levels), np.int64),
-        cell_next=np.zeros(capacity, np.int32),
+        level=np.array(levels),
+        level_cell=np.array(sizes),
         cell_head=np.full(cells, -1, np.int32),
         cell_best=np.full(cells, math.inf),
         block_best=np.full(blocks[0] * blocks[1], math.inf),
         block_shape=np.array(blocks),
-        frame=np.array([x_low, y_low, position_cell]),
-        random=generator(0),
-        count=np.zeros(9, np.int64),
+        frame=np.array([x_low, y_low, cell]),
+        count=np.zeros(COUNTS, np.int64),
         best=np.full(2, math.inf),
+        random=np.zeros(1, np.uint64),
     )
 
 
@@ -75,8 +79,13 @@ def reset(tree: Tree, random: Words) -> None:
     tree.count[[BEST, CLOSEST, NEXT]] = -1
     tree.best[:] = math.inf
     tree.random[:] = random
+    reset_indices(tree)
+
+
+def reset_indices(tree: Tree) -> None:
+    """Empty both indices."""
     tree.region_head[:] = -1
-    tree.level_count[:] = 0
+    tree.level[:, LEVEL_COUNT] = 0
     tree.cell_head[:] = -1
     tree.cell_best[:] = math.inf
     tree.block_best[:] = math.inf
@@ -87,9 +96,9 @@ def clamp(value: int, count: int) -> int:
     return min(max(value, 0), count - 1)
 
 
-@inlined
+@helper
 def distance_squared(tree: Tree, node: int, q: Floats) -> float:
-    """Squared distance between a node and a configuration, whose first Q_DIM entries are `q`."""
+    """Squared distance between a node and a configuration, the first Q_DIM entries of `q`."""
     total = 0.0
     for k in range(Q_DIM):
         difference = tree.hot[node, k] - q[k]
@@ -99,166 +108,265 @@ def distance_squared(tree: Tree, node: int, q: Floats) -> float:
 
 @inlined
 def region_cell(tree: Tree, level: int, node: int) -> int:
-    column = clamp(int((tree.hot[node, 0] - tree.frame[0]) / tree.level_cell[level]), tree.level_at[level, 1])
-    row = clamp(int((tree.hot[node, 1] - tree.frame[1]) / tree.level_cell[level]), tree.level_at[level, 2])
-    return tree.level_at[level, 0] + row * tree.level_at[level, 1] + column
+    size, columns, rows = (
+        tree.level_cell[level],
+        tree.level[level, LEVEL_COLUMNS],
+        tree.level[level, LEVEL_ROWS],
+    )
+    column = clamp(int((tree.hot[node, 0] - tree.frame[0]) / size), columns)
+    row = clamp(int((tree.hot[node, 1] - tree.frame[1]) / size), rows)
+    return tree.level[level, LEVEL_START] + row * columns + column
 
 
 @inlined
 def list_region(tree: Tree, node: int) -> None:
     """List a node on the level of its region's radius."""
-    level = 0
+    level = np.int64(0)
     while level < len(tree.level_cell) - 1 and tree.level_cell[level] < tree.hot[node, RADIUS]:
         level += 1
     cell = region_cell(tree, level, node)
-    head = tree.region_head[cell]
-    tree.region_level[node] = level
-    tree.region_next[node] = head
-    tree.region_previous[node] = -1
+    head = np.int64(tree.region_head[cell])
+    tree.link[node, REGION_LEVEL] = level
+    tree.link[node, REGION_NEXT] = head
+    tree.link[node, REGION_PREVIOUS] = -1
     if head >= 0:
-        tree.region_previous[head] = node
+        tree.link[head, REGION_PREVIOUS] = node
     tree.region_head[cell] = node
-    tree.level_count[level] += 1
+    tree.level[level, LEVEL_COUNT] += 1
 
 
 @inlined
 def unlist_region(tree: Tree, node: int) -> None:
-    level, before, after = tree.region_level[node], tree.region_previous[node], tree.region_next[node]
+    level, before, after = (
+        tree.link[node, REGION_LEVEL], tree.link[node, REGION_PREVIOUS], tree.link[node, REGION_NEXT],
+    )  # fmt: skip
     if before >= 0:
-        tree.region_next[before] = after
+        tree.link[before, REGION_NEXT] = after
     else:
         tree.region_head[region_cell(tree, level, node)] = after
     if after >= 0:
-        tree.region_previous[after] = before
-    tree.level_count[level] -= 1
+        tree.link[after, REGION_PREVIOUS] = before
+    tree.level[level, LEVEL_COUNT] -= 1
 
 
 @inlined
-def shrink_worse(tree: Tree, node: int, floor2: float) -> None:
-    """Shrink the region of every node that the new `node` lies in and is better than."""
-    f = tree.hot[node, F]
-    q = tree.hot[node]
+def level_window(tree: Tree, level: int, q: Floats) -> tuple[int, int, int, int]:
+    """The 3 x 3 cells of a level around a point: first and end row, first and end column."""
+    size, columns, rows = (
+        tree.level_cell[level],
+        tree.level[level, LEVEL_COLUMNS],
+        tree.level[level, LEVEL_ROWS],
+    )
+    column = clamp(int((q[0] - tree.frame[0]) / size), columns)
+    row = clamp(int((q[1] - tree.frame[1]) / size), rows)
+    return max(row - 1, 0), min(row + 2, rows), max(column - 1, 0), min(column + 2, columns)
+
+
+@inlined
+def shrink_worse(tree: Tree, node: int, closed: float) -> None:
+    """Shrink the region of every worse node that `node` lies in; below radius `closed` the region is given up."""
     for level in range(len(tree.level_cell)):
-        if tree.level_count[level] == 0:
+        if tree.level[level, LEVEL_COUNT] == 0:
             continue
-        size, columns, rows = tree.level_cell[level], tree.level_at[level, 1], tree.level_at[level, 2]
-        column = clamp(int((q[0] - tree.frame[0]) / size), columns)
-        row = clamp(int((q[1] - tree.frame[1]) / size), rows)
-        for r in range(max(row - 1, 0), min(row + 2, rows)):
-            for c in range(max(column - 1, 0), min(column + 2, columns)):
-                other = tree.region_head[tree.level_at[level, 0] + r * columns + c]
+        first_row, end_row, first_column, end_column = level_window(tree, level, tree.hot[node])
+        for row in range(first_row, end_row):
+            for column in range(first_column, end_column):
+                cell = tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_COLUMNS] + column
+                other = np.int64(tree.region_head[cell])
                 while other >= 0:
-                    following = tree.region_next[other]
-                    if tree.hot[other, F] > f:
-                        d2 = distance_squared(tree, other, q)
-                        if d2 < tree.hot[other, RADIUS] * tree.hot[other, RADIUS]:
+                    following = tree.link[other, REGION_NEXT]
+                    if tree.hot[other, F] > tree.hot[node, F]:
+                        distance = math.sqrt(distance_squared(tree, other, tree.hot[node]))
+                        if distance < tree.hot[other, RADIUS]:
                             unlist_region(tree, other)
-                            tree.hot[other, RADIUS] = math.sqrt(d2)
-                            if d2 >= floor2:
+                            tree.hot[other, RADIUS] = distance
+                            if distance >= closed:
                                 list_region(tree, other)
                     other = following
 
 
-@inlined
+@helper
 def select(tree: Tree, q: Floats) -> int:
-    """A node whose region holds `q`, each of them equally likely; the nearest node if there is none."""
+    """A node whose region holds `q`, each of them equally likely; the nearest node if there is none.
+
+    Nodes that cannot lead to a better plan any more are taken off the index on the way; -1 if no others are left.
+    """
     chosen, seen = -1, 0
-    bound = tree.best[0]
     for level in range(len(tree.level_cell)):
-        if tree.level_count[level] == 0:
+        if tree.level[level, LEVEL_COUNT] == 0:
             continue
-        size, columns, rows = tree.level_cell[level], tree.level_at[level, 1], tree.level_at[level, 2]
-        column = clamp(int((q[0] - tree.frame[0]) / size), columns)
-        row = clamp(int((q[1] - tree.frame[1]) / size), rows)
-        for r in range(max(row - 1, 0), min(row + 2, rows)):
-            for c in range(max(column - 1, 0), min(column + 2, columns)):
-                node = tree.region_head[tree.level_at[level, 0] + r * columns + c]
+        first_row, end_row, first_column, end_column = level_window(tree, level, q)
+        for row in range(first_row, end_row):
+            for column in range(first_column, end_column):
+                cell = tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_COLUMNS] + column
+                node = np.int64(tree.region_head[cell])
                 while node >= 0:
-                    following = tree.region_next[node]
-                    if tree.hot[node, F] >= bound:
-                        unlist_region(tree, node)  # cannot lead to a better plan any more
+                    following = tree.link[node, REGION_NEXT]
+                    if tree.hot[node, F] >= tree.best[0]:
+                        unlist_region(tree, node)
                     elif distance_squared(tree, node, q) <= tree.hot[node, RADIUS] * tree.hot[node, RADIUS]:
                         seen += 1
                         if uniform(tree.random) * seen < 1.0:  # reservoir sampling
                             chosen = node
                     node = following
     if chosen < 0:
-        chosen = nearest_better(tree, q, bound, math.inf, 0.0)[0]
+        chosen, _ = nearest_better(tree, q, tree.best[0], math.inf, 0.0)
     return chosen
 
 
 @inlined
-def gap_squared(value_x: float, value_y: float, left: float, bottom: float, size: float) -> float:
-    """Squared distance from a point to a square cell, 0 inside."""
-    dx = max(max(left - value_x, value_x - left - size), 0.0)
-    dy = max(max(bottom - value_y, value_y - bottom - size), 0.0)
+def gap_squared(x: float, y: float, left: float, bottom: float, size: float) -> float:
+    """Squared distance from a point to a square, 0 inside."""
+    dx = max(max(left - x, x - left - size), 0.0)
+    dy = max(max(bottom - y, y - bottom - size), 0.0)
     return dx * dx + dy * dy
 
 
 @inlined
-def nearest_better_in_block(tree: Tree, block: int, q: Floats, f: float, node: int, best2: float, floor2: float) -> tuple[int, float]:
-    """Improve (node, best2) by the nodes of one block with f below `f`."""
-    size = tree.frame[2]
-    left = tree.frame[0] + (block % tree.block_shape[0]) * BLOCK * size
-    bottom = tree.frame[1] + (block // tree.block_shape[0]) * BLOCK * size
-    for inner in range(BLOCK * BLOCK):
-        cell = block * BLOCK * BLOCK + inner
-        if tree.cell_best[cell] < f:
-            if gap_squared(q[0], q[1], left + (inner % BLOCK) * size, bottom + (inner // BLOCK) * size, size) < best2:
-                before, other = -1, tree.cell_head[cell]
-                while other >= 0:
-                    following = tree.cell_next[other]
-                    if tree.hot[other, RADIUS] * tree.hot[other, RADIUS] < floor2:  # closed since it was listed
-                        if before >= 0:
-                            tree.cell_next[before] = following
-                        else:
-                            tree.cell_head[cell] = following
-                    else:
-                        before = other
-                        if tree.hot[other, F] < f:
-                            d2 = distance_squared(tree, other, q)
-                            if d2 < best2:
-                                best2, node = d2, other
-                                if best2 < floor2:
-                                    return node, best2
-                    other = following
+def nearest_better_in_cell(
+    tree: Tree, cell: int, q: Floats, f: float, node: int, best2: float, closed: float
+) -> tuple[int, float]:
+    """Improve (node, squared distance) by the nodes of one cell; nodes closed since they were listed are taken off."""
+    before, other = np.int64(-1), np.int64(tree.cell_head[cell])
+    while other >= 0 and best2 >= closed * closed:
+        following = tree.link[other, CELL_NEXT]
+        if tree.hot[other, RADIUS] < closed:
+            if before >= 0:
+                tree.link[before, CELL_NEXT] = following
+            else:
+                tree.cell_head[cell] = following
+        else:
+            before = other
+            if tree.hot[other, F] < f:
+                d2 = distance_squared(tree, other, q)
+                if d2 < best2:
+                    best2, node = d2, other
+        other = following
     return node, best2
 
 
 @inlined
-def nearest_better(tree: Tree, q: Floats, f: float, limit: float, floor2: float) -> tuple[int, float]:
-    """The nearest node with f below `f` within `limit` m, and its distance; -1 and `limit` if there is none."""
+def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float) -> tuple[int, float]:
+    """The nearest listed node with f below `f` within `limit` m, and its distance; -1 and `limit` if there is none.
+
+    A distance below `closed` need not be the smallest: it decides that the node is closed, whatever it is.
+    """
     columns, rows = tree.block_shape[0], tree.block_shape[1]
-    size = BLOCK * tree.frame[2]
-    column = clamp(int((q[0] - tree.frame[0]) / size), columns)
-    row = clamp(int((q[1] - tree.frame[1]) / size), rows)
-    best2, node = limit * limit, -1
+    cell_size, size = tree.frame[2], BLOCK * tree.frame[2]
+    center_column = clamp(int((q[0] - tree.frame[0]) / size), columns)
+    center_row = clamp(int((q[1] - tree.frame[1]) / size), rows)
+    best2, node = limit * limit, np.int64(-1)
     for ring in range(max(columns, rows)):
         nearest = max((ring - 1) * size, 0.0)
-        if nearest * nearest > best2 or best2 < floor2:
+        if nearest * nearest > best2 or best2 < closed * closed:
             break
-        for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
-            step = 1 if abs(r - row) == ring or ring == 0 else 2 * ring
-            for c in range(column - ring, column + ring + 1, step):
-                if 0 <= c < columns and tree.block_best[r * columns + c] < f:
-                    if gap_squared(q[0], q[1], tree.frame[0] + c * size, tree.frame[1] + r * size, size) < best2:
-                        node, best2 = nearest_better_in_block(tree, r * columns + c, q, f, node, best2, floor2)
+        for row in range(max(center_row - ring, 0), min(center_row + ring, rows - 1) + 1):
+            step = 1 if abs(row - center_row) == ring or ring == 0 else 2 * ring
+            for column in range(center_column - ring, center_column + ring + 1, step):
+                if column < 0 or column >= columns:
+                    continue
+                block = row * columns + column
+                left, bottom = tree.frame[0] + column * size, tree.frame[1] + row * size
+                if tree.block_best[block] >= f or gap_squared(q[0], q[1], left, bottom, size) >= best2:
+                    continue
+                for k in range(BLOCK * BLOCK):
+                    cell = block * BLOCK * BLOCK + k
+                    if tree.cell_best[cell] < f:
+                        x, y = left + (k % BLOCK) * cell_size, bottom + (k // BLOCK) * cell_size
+                        if gap_squared(q[0], q[1], x, y, cell_size) < best2:
+                            node, best2 = nearest_better_in_cell(tree, cell, q, f, node, best2, closed)
     return node, math.sqrt(best2)
 
 
 @inlined
-def add_to_cells(tree: Tree, node: int) -> None:
+def list_position(tree: Tree, node: int) -> None:
     columns, rows = tree.block_shape[0], tree.block_shape[1]
     column = clamp(int((tree.hot[node, 0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
     row = clamp(int((tree.hot[node, 1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)
     block = (row // BLOCK) * columns + column // BLOCK
     cell = block * BLOCK * BLOCK + (row % BLOCK) * BLOCK + column % BLOCK
-    tree.cell_next[node] = tree.cell_head[cell]
+    tree.link[node, CELL_NEXT] = tree.cell_head[cell]
     tree.cell_head[cell] = node
     tree.cell_best[cell] = min(tree.cell_best[cell], tree.hot[node, F])
     tree.block_best[block] = min(tree.block_best[block], tree.hot[node, F])
 
 
 @inlined
-def is_full(tree: Tree) -> bool:
-    return tree.count[SIZE] >= len(tree.parent)
+def add_to_indices(tree: Tree, node: int, limit: float, closed: float) -> None:
+    """Give a node its region: up to `limit` or the nearest better node; worse nodes' regions shrink to it."""
+    _, tree.hot[node, RADIUS] = nearest_better(tree, tree.hot[node], tree.hot[node, F], limit, closed)
+    shrink_worse(tree, node, closed)
+    if tree.hot[node, RADIUS] >= closed:
+        list_region(tree, node)
+        list_position(tree, node)
+
+
+@inlined
+def closed_radius(resolution: float, size: int) -> float:
+    """Radius (m) below which a node is closed in a tree of `size` nodes."""
+    return resolution * min(1.0, math.sqrt(NODES_AT_FULL_RESOLUTION / size))
+
+
+@helper
+def relist(tree: Tree, closed: float) -> None:
+    """List every node anew, after nodes have moved in memory; regions keep their radii."""
+    for node in range(tree.count[SIZE]):
+        if tree.hot[node, RADIUS] >= closed:
+            list_region(tree, node)
+            list_position(tree, node)
+
+
+def add_root(tree: Tree, work: Lanes) -> None:
+    """Make the end of lane 0 the root; its region is the whole workspace."""
+    tree.state[0] = work.source
+    tree.edge[0] = 0.0
+    tree.hot[0, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]
+    tree.hot[0, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
+    tree.link[0] = -1
+    tree.link[0, AT_GOAL] = work.at_goal[0]
+    tree.count[SIZE] = 1
+    relist(tree, 0.0)
+
+
+def prune(tree: Tree, closed: float) -> int:
+    """Forget the nodes that can neither be selected again nor lead to a better plan, and return how many.
+
+    These are the closed ones and those with f at or above the best cost, unless they lead to a node that is kept.
+    """
+    size = int(tree.count[SIZE])
+    f, radius, parent = tree.hot[:size, F], tree.hot[:size, RADIUS], tree.link[:size, PARENT]
+    keep = (f < tree.best[0]) & (radius >= closed)
+    keep[0] = True
+    for special in (BEST, CLOSEST, NEXT):
+        if tree.count[special] >= 0:
+            keep[tree.count[special]] = True
+    _keep_ancestors(keep, parent)
+    place = np.cumsum(keep) - 1
+    kept = int(place[-1]) + 1
+    for array in (tree.state, tree.edge, tree.hot, tree.link):
+        array[:kept] = array[:size][keep]
+    tree.link[1:kept, PARENT] = place[tree.link[1:kept, PARENT]]
+    for special in (BEST, CLOSEST, NEXT):
+        if tree.count[special] >= 0:
+            tree.count[special] = place[tree.count[special]]
+    tree.count[SIZE] = kept
+    tree.count[FULL] = 0
+    reset_indices(tree)
+    relist(tree, closed)
+    return size - kept
+
+
+@helper
+def _keep_ancestors(keep: Bools, parent: Ints) -> None:
+    for node in range(len(keep) - 1, 0, -1):  # children stand behind their parents
+        if keep[node]:
+            keep[parent[node]] = True
+
+
+def path_to(tree: Tree, node: int) -> list[int]:
+    """Nodes from the root to `node`."""
+    path = []
+    while node >= 0:
+        path.append(node)
+        node = int(tree.link[node, PARENT])
+    return path[::-1]

@@ -12,6 +12,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ompl_ext.obstacles import OccupancyGrid
+
 Vec2: TypeAlias = tuple[float, float]
 
 
@@ -83,9 +85,14 @@ class OccupancyMap:
     def __hash__(self) -> int:
         return hash((self.occupied.tobytes(), self.occupied.shape, self.resolution, self.origin))
 
+    @property
+    def grid(self) -> OccupancyGrid:
+        """The map as the planner takes it."""
+        return OccupancyGrid(self.occupied, self.resolution, self.origin)
+
     def boxes(self) -> tuple[Box, ...]:
         """Cover exactly the occupied cells with few rectangles that do not overlap."""
-        return tuple(self._box(*cells) for cells in _rectangles(self.occupied))
+        return tuple(self._box(*cells) for cells in self.grid.rectangles())
 
     def _box(self, row: int, column: int, rows: int, columns: int) -> Box:
         x0, y0, yaw = self.origin
@@ -96,26 +103,6 @@ class OccupancyMap:
 
 
 Obstacle: TypeAlias = Box | Circle | Polygon | OccupancyMap
-
-
-def _rectangles(occupied: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Split the set cells into (row, column, rows, columns): runs, grown while the next row repeats them."""
-    done: list[tuple[int, int, int, int]] = []
-    growing: dict[tuple[int, int], int] = {}  # (first column, past last column) -> first row
-    for row in range(occupied.shape[0] + 1):
-        runs = set(_runs(occupied[row])) if row < occupied.shape[0] else set()
-        for (first, last), start in list(growing.items()):
-            if (first, last) not in runs:
-                done.append((start, first, row - start, last - first))
-                del growing[first, last]
-        for run in sorted(runs):
-            growing.setdefault(run, row)
-    return done
-
-
-def _runs(cells: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], cells, [False])).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def signed_area(vertices: NDArray[np.float64]) -> float:

@@ -1,0 +1,77 @@
+"""Exact clearance with FCL: the judge of every plan, and the reference that the clearance field is tested against."""
+
+from __future__ import annotations
+
+import math
+
+import fcl
+import numpy as np
+
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
+from ompl_ext.triangulate import triangles
+from ompl_ext.vehicle import Footprint
+
+HEIGHT = 1.0  # bodies are prisms of one height, so that distances in space are distances in the plane
+
+
+class ExactClearance:
+    """Distance between a footprint and the obstacles of a workspace."""
+
+    def __init__(self, workspace: Workspace, footprint: Footprint) -> None:
+        self._obstacles = [part for obstacle in workspace.obstacles for part in _prisms(obstacle)]
+        self._manager = fcl.DynamicAABBTreeCollisionManager()
+        self._manager.registerObjects(self._obstacles)
+        self._manager.setup()
+        self._offset = footprint.offset
+        self._body = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT), fcl.Transform())
+
+    def distance(self, x: float, y: float, theta: float = 0.0) -> float:
+        """Distance (m) from the footprint at a pose to the nearest obstacle; 0 or less in contact, inf without obstacles."""
+        if not self._obstacles:
+            return math.inf
+        c, s = math.cos(theta), math.sin(theta)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        position = np.array([x + c * self._offset, y + s * self._offset, 0.0])
+        self._body.setTransform(fcl.Transform(rotation, position))
+        contact = fcl.CollisionData()
+        self._manager.collide(self._body, contact, fcl.defaultCollisionCallback)
+        if contact.result.is_collision:
+            return 0.0
+        data = fcl.DistanceData()
+        self._manager.distance(self._body, data, fcl.defaultDistanceCallback)
+        return float(data.result.min_distance)
+
+    def distances(self, poses: Matrix) -> Floats:
+        """`distance` for each row x, y, theta of `poses`."""
+        return np.array([self.distance(*pose) for pose in poses])
+
+
+def _prisms(obstacle: Polygon | Circle | OccupancyGrid) -> list[fcl.CollisionObject]:
+    """Convex prisms that make up an obstacle."""
+    if isinstance(obstacle, Circle):
+        place = fcl.Transform(np.array([*obstacle.center, 0.0]))
+        return [fcl.CollisionObject(fcl.Cylinder(obstacle.radius, HEIGHT), place)]
+    if isinstance(obstacle, Polygon):
+        return [_prism(corners) for corners in triangles(obstacle.vertices)]
+    x, y, yaw = obstacle.origin
+    c, s = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    boxes = []
+    for row, column, rows, columns in obstacle.rectangles():
+        middle = np.array([column + columns / 2, row + rows / 2, 0.0]) * obstacle.resolution
+        shape = fcl.Box(columns * obstacle.resolution, rows * obstacle.resolution, HEIGHT)
+        boxes.append(fcl.CollisionObject(shape, fcl.Transform(turn, turn @ middle + np.array([x, y, 0.0]))))
+    return boxes
+
+
+def _prism(corners: Matrix) -> fcl.CollisionObject:
+    """Prism over a convex polygon with counter-clockwise corners."""
+    n = len(corners)
+    low = np.column_stack([corners, np.full(n, -HEIGHT / 2)])
+    high = np.column_stack([corners, np.full(n, HEIGHT / 2)])
+    faces = [n, *range(n - 1, -1, -1), n, *range(n, 2 * n)]
+    for k in range(n):
+        after = (k + 1) % n
+        faces += [4, k, after, n + after, n + k]
+    return fcl.CollisionObject(fcl.Convex(np.vstack([low, high]), n + 2, np.array(faces)), fcl.Transform())

@@ -1,0 +1,56 @@
+"""What the planner returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ompl_ext.arrays import Floats, Ints, Matrix
+
+
+@dataclass(frozen=True)
+class Contingency:
+    """A braking manoeuvre that is safe where the plan's first cycle ends.
+
+    `times` (m,) count from the plan's start; `states` (m, nx) end at standstill.  `spare` is the smallest spare
+    clearance beyond delta(v) along it (m), a lower bound.
+    """
+
+    manoeuvre: str
+    times: Floats
+    states: Matrix
+    spare: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Piecewise constant controls and the trajectory they are predicted to cause.
+
+    `controls` (n, nu) are held for `durations` (n,) s; `states` (n + 1, nx) stand where they change.  `trajectory`
+    (m, nx) at `times` (m,) has every integration step.  `cost` is the duration; `cost_to_go` is the heuristic at the end,
+    0 inside the goal region.
+    """
+
+    states: Matrix
+    controls: Matrix
+    durations: Floats
+    times: Floats
+    trajectory: Matrix
+    cost: float
+    cost_to_go: float
+    reaches_goal: bool
+    contingency: Contingency | None
+
+
+@dataclass(frozen=True)
+class TreeView:
+    """A copy of the tree: `states` (n, nx), `parents` (n,) with -1 for the root, and the edges that lead to each node.
+
+    `controls` (n, nu) and `durations` (n,) of the root are zero; `costs` and `costs_to_go` (n,) in s.
+    """
+
+    states: Matrix
+    parents: Ints
+    controls: Matrix
+    durations: Floats
+    costs: Floats
+    costs_to_go: Floats

@@ -1,0 +1,256 @@
+"""DIRT for a compiled vehicle: one object that holds the memory, asked query after query."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ompl_ext import kernel_types as at
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernel_types import LANE_WIDTH, Problem
+from ompl_ext.obstacles import Workspace
+from ompl_ext.plan import Contingency, Plan, TreeView
+from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem
+from ompl_ext.rng import generator
+from ompl_ext.specialise import kernels
+from ompl_ext.tree import add_root, new_tree, path_to, prune, reset
+from ompl_ext.vehicle import Vehicle
+
+FIRST_CHUNK = 16  # iterations between looks at the clock until a solution is found
+LONGEST_CHUNK = 0.002  # seconds between looks at the clock afterwards
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a query went.  `history` holds (seconds, cost) of each better solution, as seen at looks at the clock."""
+
+    seconds: float = 0.0
+    iterations: int = 0
+    edges: int = 0
+    nodes: int = 0
+    unsafe: int = 0
+    retained: int = 0
+    first_iteration: int | None = None
+    history: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def first_solution(self) -> tuple[float, float] | None:
+        """Seconds until, and cost of, the first solution."""
+        return self.history[0] if self.history else None
+
+
+class Dirt:
+    """Algorithm 1 for one vehicle in one workspace towards one goal.
+
+    Use: `start`, then `retain` if there is an earlier plan, then `grow` as often as wanted, and `plan` at any time.
+    The clearance field, the cost-to-go and the tree's memory are made once, here.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        workspace: Workspace,
+        goal: Goal,
+        safety: Safety | None = None,
+        settings: Settings | None = None,
+        capacity: int = 200_000,
+    ) -> None:
+        self.vehicle, self.workspace, self.goal = vehicle, workspace, goal
+        self.safety, self.settings = safety or Safety(), settings or Settings()
+        self._kernels = kernels(vehicle)
+        self._problem = make_problem(vehicle, workspace, goal, self.safety, self.settings)
+        nx, nu, inputs = (
+            len(vehicle.state),
+            len(vehicle.controls),
+            len(vehicle.inputs) or len(vehicle.controls),
+        )
+        self._tree = new_tree(capacity, nx, nu, workspace.bounds)
+        self._work = make_lanes(nx, nu, inputs, int(self._problem.option[at.STEPS]))
+        self._brake = make_lanes(nx, nu, inputs, int(self._problem.option[at.BRAKE_STEPS]))
+        self._q = np.zeros(at.Q_DIM)
+        self._nothing = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
+        self._progress = Progress()
+
+    @property
+    def problem(self) -> Problem:
+        """The arrays that the kernels read."""
+        return self._problem
+
+    @property
+    def progress(self) -> Progress:
+        """How the query has gone since `start`."""
+        return self._progress
+
+    def start(self, state: Floats, seed: int = 0) -> float:
+        """Begin a query at `state` (nx,), m, rad, m/s.  Returns its spare clearance, negative if it may collide.
+
+        A state without clearance becomes the root all the same; no edge leaves it.
+        """
+        reset(self._tree, generator(seed))
+        self._progress = Progress()
+        slack = self._fly(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
+        add_root(self._tree, self._work)
+        return slack
+
+    def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
+        """Add what is left of an earlier plan after `elapsed` s, propagated from the new root; returns edges added.
+
+        The edge in progress is kept in part.  What collides or is not safe is left out, with all that follows it.
+        """
+        ends = np.cumsum(plan.durations)
+        left = ends > elapsed + 1e-9
+        durations = np.minimum(plan.durations, ends - elapsed)[left]
+        return self.retain_edges(list(range(-1, len(durations) - 1)), plan.controls[left], durations)
+
+    def retain_edges(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
+        """Add edges of an earlier tree, parents before children, -1 for the root; returns how many were added."""
+        before = int(self._tree.count[at.RETAINED])
+        began = time.perf_counter()
+        self._call(edges_to_retain(parents, controls, durations), 0)
+        self._note(self._progress.seconds + time.perf_counter() - began)
+        return int(self._tree.count[at.RETAINED]) - before
+
+    def grow(
+        self,
+        iterations: int | None = None,
+        seconds: float | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> Progress:
+        """Grow the tree until a budget is used up or `stop()` is true, and return the progress since `start`.
+
+        With `iterations` the result depends on the seed alone; looks at the clock do not change it.
+        """
+        if iterations is None and seconds is None and stop is None:
+            raise ValueError("grow needs a budget: iterations, seconds, or stop")
+        left = iterations if iterations is not None else 2**62
+        base, began = self._progress.seconds, time.perf_counter()
+        chunk, elapsed = FIRST_CHUNK, 0.0
+        while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
+            count = min(chunk, left)
+            looked = elapsed
+            self._call(self._nothing, count)
+            left -= count
+            elapsed = time.perf_counter() - began
+            self._note(base + elapsed)
+            if self._tree.count[at.FULL]:
+                if prune(self._tree, self.settings.resolution) < len(self._tree.state) // 10:
+                    break  # what is left is needed: this is as good as it gets in this memory
+            elif self._progress.history:
+                chunk = _next_chunk(count, elapsed - looked, None if seconds is None else seconds - elapsed)
+        return self._progress
+
+    def plan(self) -> Plan | None:
+        """The best plan so far; without one that reaches the goal, the one that ends closest to it; None if neither.
+
+        Every plan that is returned has a contingency if SAFETY is enabled.
+        """
+        tree = self._tree
+        node = int(tree.count[at.BEST]) if tree.count[at.BEST] >= 0 else int(tree.count[at.CLOSEST])
+        if node <= 0:
+            return None
+        path = path_to(tree, node)
+        nu = len(self.vehicle.controls)
+        controls, durations = tree.edge[path[1:], :nu].copy(), tree.edge[path[1:], nu].copy()
+        times, trajectory = self._trajectory(tree.state[0], controls, durations)
+        return Plan(
+            states=tree.state[path].copy(),
+            controls=controls,
+            durations=durations,
+            times=times,
+            trajectory=trajectory,
+            cost=float(tree.hot[node, at.COST]),
+            cost_to_go=0.0 if tree.link[node, at.AT_GOAL] else float(tree.hot[node, at.TOGO]),
+            reaches_goal=bool(tree.link[node, at.AT_GOAL]),
+            contingency=self._contingency_of(tree.state[path], controls, durations)
+            if self.safety.enabled
+            else None,
+        )
+
+    def contingency(self, state: Floats, after: float = 0.0) -> Contingency | None:
+        """SAFETY (Alg. 2) of a state: a manoeuvre that is safe until standstill, or None.  Times begin at `after` s."""
+        self._brake.source[:] = state
+        return self._braking(math.inf, after)
+
+    def tree(self) -> TreeView:
+        """A copy of the tree."""
+        tree, size, nu = self._tree, int(self._tree.count[at.SIZE]), len(self.vehicle.controls)
+        return TreeView(
+            states=tree.state[:size].copy(),
+            parents=tree.link[:size, at.PARENT].copy(),
+            controls=tree.edge[:size, :nu].copy(),
+            durations=tree.edge[:size, nu].copy(),
+            costs=tree.hot[:size, at.COST].copy(),
+            costs_to_go=tree.hot[:size, at.TOGO].copy(),
+        )
+
+    def edge(
+        self, state: Floats, control: Floats, duration: float, start_time: float = math.inf
+    ) -> tuple[Matrix, float]:
+        """Trajectory (steps + 1, nx) of one edge and its spare clearance (m), negative if it may collide.
+
+        Before the end of the cycle, by `start_time` s, delta(v) is asked for too.
+        """
+        slack = self._fly(np.asarray(state, dtype=float), control, duration, start_time)
+        steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
+        return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
+
+    def _fly(self, state: Floats, control: Floats, duration: float, start_time: float = math.inf) -> float:
+        work, problem = self._work, self._problem
+        work.source[:] = state
+        for k, value in enumerate(control):
+            work.control[k * LANE_WIDTH] = value
+        work.duration[0], work.steps[0] = duration, problem.option[at.STEPS]
+        if self.settings.quantum > 0.0 and duration > 0.0:
+            work.steps[0] = max(1, round(duration / self.settings.quantum))
+        self._kernels.edge(problem, work, start_time)
+        return float(work.slack[0])
+
+    def _trajectory(self, root: Floats, controls: Matrix, durations: Floats) -> tuple[Floats, Matrix]:
+        times, states, state, clock = [np.zeros(1)], [root[None, :].copy()], root, 0.0
+        for control, duration in zip(controls, durations, strict=True):
+            samples, _ = self.edge(state, control, duration)
+            times.append(clock + duration * np.arange(1, len(samples)) / (len(samples) - 1))
+            states.append(samples[1:])
+            state, clock = samples[-1], clock + duration
+        return np.concatenate(times), np.vstack(states)
+
+    def _contingency_of(self, states: Matrix, controls: Matrix, durations: Floats) -> Contingency | None:
+        """The contingency where the plan leaves the cycle, or where it ends if that is earlier."""
+        ends = np.cumsum(durations)
+        leaves = min(self.safety.cycle, float(ends[-1]))
+        k = int(np.searchsorted(ends, leaves - 1e-12))
+        begins = float(ends[k] - durations[k])
+        self._fly(states[k], controls[k], float(durations[k]))
+        return self._braking(begins, leaves)
+
+    def _braking(self, edge_begins: float, brakes_at: float) -> Contingency | None:
+        """SAFETY where the edge in lane 0 leaves the cycle, or of the braking lanes' source if no edge begins."""
+        number = self._kernels.brake(self._problem, self._work, self._brake, edge_begins)
+        if number < 0:
+            return None
+        samples, nx = int(self._brake.steps[number]) + 1, len(self.vehicle.state)
+        states = self._brake.trajectory.reshape(-1, nx, LANE_WIDTH)[:samples, :, number].copy()
+        times = brakes_at + self.safety.step * np.arange(samples)
+        return Contingency(self.vehicle.manoeuvres[number], times, states, float(self._brake.slack[number]))
+
+    def _call(self, kept: at.Retained, iterations: int) -> None:
+        self._kernels.grow(self._tree, self._problem, self._work, self._brake, self._q, kept, iterations)
+
+    def _note(self, seconds: float) -> None:
+        """Bring the progress up to date after a call of the kernel."""
+        count, cost, history = self._tree.count, float(self._tree.best[0]), self._progress.history
+        if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
+            history = (*history, (seconds, cost))
+        first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None
+        numbers = [int(count[k]) for k in (at.ITERATIONS, at.EDGES, at.SIZE, at.UNSAFE, at.RETAINED)]
+        self._progress = Progress(seconds, *numbers, first, history)
+
+
+def _next_chunk(count: int, took: float, left: float | None) -> int:
+    """Iterations until the next look at the clock: about LONGEST_CHUNK seconds, less when the budget nears its end."""
+    aim = LONGEST_CHUNK if left is None else min(LONGEST_CHUNK, max(left, 0.0))
+    return max(1, min(2 * count, int(count * aim / max(took, 1e-9))))

@@ -1,0 +1,47 @@
+"""Cut a simple polygon into convex pieces: itself if it is convex, else the triangles of ear clipping."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ompl_ext.arrays import Matrix
+
+
+def triangles(vertices: Matrix) -> list[Matrix]:
+    """Convex pieces, each with counter-clockwise corners, that make up the simple polygon `vertices` (n, 2).
+
+    Raises:
+        ValueError: the polygon has no area or is not simple, so that no ear can be found.
+    """
+    points = np.asarray(vertices, dtype=float)
+    x, y = points[:, 0], points[:, 1]
+    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    if area == 0.0:
+        raise ValueError("a polygon needs an area")
+    if area < 0.0:
+        points = points[::-1]
+    count = len(points)
+    if all(_turn(points[k - 1], points[k], points[(k + 1) % count]) >= 0.0 for k in range(count)):
+        return [points]
+    rest, pieces = list(range(count)), []
+    while len(rest) > 3:
+        ear = next((k for k in range(len(rest)) if _is_ear(points, rest, k)), None)
+        if ear is None:
+            raise ValueError("a polygon may not cross itself")
+        pieces.append(points[[rest[ear - 1], rest[ear], rest[(ear + 1) % len(rest)]]])
+        del rest[ear]
+    return [*pieces, points[rest]]
+
+
+def _turn(a: Matrix, b: Matrix, c: Matrix) -> float:
+    """Twice the signed area of a triangle, positive if it turns left."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _is_ear(points: Matrix, rest: list[int], k: int) -> bool:
+    """Whether corner k can be cut off: it is convex and no other corner lies in its triangle."""
+    a, b, c = points[rest[k - 1]], points[rest[k]], points[rest[(k + 1) % len(rest)]]
+    if _turn(a, b, c) <= 0.0:
+        return False
+    others = [points[i] for i in rest if not any(np.array_equal(points[i], corner) for corner in (a, b, c))]
+    return not any(_turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in others)
