@@ -118,19 +118,11 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
     return node
 
 
-@inlined
-def is_safe(
-    tree: Tree, problem: Problem, start: float, lane: int, work: Lanes, brake: Lanes, safe: Safe
-) -> bool:
-    """SAFETY for an edge that crosses the end of the cycle (Alg. 1, l. 7, 18), or ends a plan before it; else true."""
-    cycle = problem.scalar[CYCLE]
-    inside = start + work.duration[lane] < cycle and work.at_goal[lane] == 0
-    if problem.option[ASK_SAFETY] == 0 or start >= cycle or inside:
-        return True
-    if safe(lane, start, problem, work, brake) >= 0:
-        return True
-    tree.count[UNSAFE] += 1
-    return False
+@helper
+def asks_safety(problem: Problem, start: float, lane: int, work: Lanes) -> bool:
+    """Whether SAFETY is asked of an edge: it crosses the end of the cycle (Alg. 1, l. 7, 18) or ends a plan before it."""
+    inside = start + work.duration[lane] < problem.scalar[CYCLE] and work.at_goal[lane] == 0
+    return problem.option[ASK_SAFETY] == 1 and start < problem.scalar[CYCLE] and not inside
 
 
 @inlined
@@ -164,7 +156,9 @@ def visit(
         lane = best_lane(work, lanes, start, tree.best[0])
         if lane < 0:
             return
-        if is_safe(tree, problem, start, lane, work, brake, safe):
+        if asks_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
+            tree.count[UNSAFE] += 1
+        else:
             child = insert(tree, problem, node, lane, work)  # l. 15, 19
             if child < 0:
                 return
@@ -207,6 +201,8 @@ def retain(
         start = tree.hot[parent, COST]
         if check(lane, start, problem, work) < 0.0 or work.togo[lane] >= UNREACHABLE:
             continue
-        if is_safe(tree, problem, start, lane, work, brake, safe):
-            kept.node[k] = insert(tree, problem, parent, lane, work)
-            tree.count[RETAINED] += 1
+        if asks_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
+            tree.count[UNSAFE] += 1
+            continue
+        kept.node[k] = insert(tree, problem, parent, lane, work)
+        tree.count[RETAINED] += 1

@@ -53,6 +53,8 @@ stop = VEHICLE.stop or per_component("x, p, k", "0.0", NU)
 load_state = per_component("a, s, i", f"a[s + i + {{k}} * {WIDTH}]", NX)
 load_input = per_component("a, s, i", f"a[s + i + {{k}} * {WIDTH}]", NI)
 load_control = per_component("a, s, i", f"a[s + i + {{k}} * {WIDTH}]", NU)
+first_state = per_component("a", "a[{k}]", NX)
+first_control = per_component("a", "a[{k}]", NU)
 load_parameters = per_component("p", "p[{k}]", len(VEHICLE.parameter_array))
 load_low = per_component("limits", "limits[{k}, 0]", NX)
 load_high = per_component("limits", "limits[{k}, 1]", NX)
@@ -328,6 +330,17 @@ def _brake(problem: Problem, work: Lanes, brake: Lanes, start_time: float) -> in
     return brake_from(brake.source, problem, brake)
 
 
+def _advance(state: Floats, control: Floats, parameters: Floats, h: float, result: Floats) -> None:
+    p = load_parameters(parameters)
+    y = runge_kutta_4(first_state(state), actuation(first_control(control), p), p, h)
+    for k in range(NX):
+        result[k] = y[k]
+
+
+def _pose(problem: Problem, x: float, y: float, theta: float) -> float:
+    return pose_slack(problem, x, y, cos(theta), sin(theta), 0.0)
+
+
 _FLOATS = types.float64[::1]
 grow = compiled(
     _grow,
@@ -336,3 +349,9 @@ grow = compiled(
 )
 edge = compiled(_edge, folder=FOLDER, signature=types.void(PROBLEM, LANES, types.float64))
 brake = compiled(_brake, folder=FOLDER, signature=types.int64(PROBLEM, LANES, LANES, types.float64))
+advance = compiled(
+    _advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS)
+)
+pose = compiled(
+    _pose, folder=FOLDER, signature=types.float64(PROBLEM, types.float64, types.float64, types.float64)
+)

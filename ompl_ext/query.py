@@ -71,7 +71,10 @@ def make_problem(
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
     field = clearance_field(workspace, reach + 2 * settings.cell, settings.cell)
-    togo = cost_to_go(field, vehicle.footprint.inscribed, goal.center, goal.radius, vehicle.top_speed)
+    seconds = np.zeros((1, 1), np.float32)
+    if goal is not None:
+        inscribed = vehicle.footprint.inscribed
+        seconds = cost_to_go(field, inscribed, goal.center, goal.radius, vehicle.top_speed).seconds
     limits = vehicle.state_limits.copy()
     for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
         k = vehicle.index(name)
@@ -85,9 +88,10 @@ def make_problem(
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell
     scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
     scalar[[at.GOAL_BIAS, at.BEYOND]] = settings.goal_bias, settings.beyond
-    scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
-    scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
-    scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.tolerance < math.pi else -2.0
+    if goal is not None:
+        scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
+        scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
+        scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.tolerance < math.pi else -2.0
     option = np.zeros(OPTIONS, np.int64)
     option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
     option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
@@ -99,7 +103,7 @@ def make_problem(
         limits=limits,
         discs=discs.centres,
         field=field.values,
-        togo=togo.seconds,
+        togo=seconds,
         scalar=scalar,
         option=option,
     )

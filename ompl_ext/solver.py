@@ -6,11 +6,13 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.exact import ExactClearance
 from ompl_ext.kernel_types import LANE_WIDTH, Problem
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView
@@ -21,6 +23,7 @@ from ompl_ext.tree import add_root, new_tree, path_to, prune, reset
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between looks at the clock until a solution is found
+PRUNE_EVERY = 4096  # iterations
 LONGEST_CHUNK = 0.002  # seconds between looks at the clock afterwards
 
 
@@ -92,6 +95,10 @@ class Dirt:
         """
         reset(self._tree, generator(seed))
         self._progress = Progress()
+        return self.add_root(state)
+
+    def add_root(self, state: Floats) -> float:
+        """Another state from which the query may begin; returns its spare clearance like `start`."""
         slack = self._fly(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
         add_root(self._tree, self._work)
         return slack
@@ -130,18 +137,23 @@ class Dirt:
         base, began = self._progress.seconds, time.perf_counter()
         chunk, elapsed = FIRST_CHUNK, 0.0
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
-            count = min(chunk, left)
+            count = min(chunk, left, PRUNE_EVERY - int(self._tree.count[at.ITERATIONS]) % PRUNE_EVERY)
             looked = elapsed
             self._call(self._nothing, count)
             left -= count
             elapsed = time.perf_counter() - began
             self._note(base + elapsed)
-            if self._tree.count[at.FULL]:
-                if prune(self._tree, self.settings.resolution) < len(self._tree.state) // 10:
+            if self._tree.count[at.FULL] or self._prunes_now():
+                prune(self._tree, self.settings.resolution)
+                if len(self._tree.state) - self._tree.count[at.SIZE] < len(self._tree.state) // 10:
                     break  # what is left is needed: this is as good as it gets in this memory
-            elif self._progress.history:
+            if self._progress.history:
                 chunk = _next_chunk(count, elapsed - looked, None if seconds is None else seconds - elapsed)
         return self._progress
+
+    def _prunes_now(self) -> bool:
+        """At fixed iterations, so that looks at the clock change nothing."""
+        return self.settings.pruning and self._tree.count[at.ITERATIONS] % PRUNE_EVERY == 0
 
     def plan(self) -> Plan | None:
         """The best plan so far; without one that reaches the goal, the one that ends closest to it; None if neither.
@@ -198,13 +210,33 @@ class Dirt:
         steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
         return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
 
-    def _fly(self, state: Floats, control: Floats, duration: float, start_time: float = math.inf) -> float:
+    def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
+        """States (samples + 1, nx) at equal times along a control held for `duration` s, without any check."""
+        states, state = [np.asarray(state, dtype=float)], np.asarray(state, dtype=float)
+        for _ in range(samples):
+            self._fly(state, control, duration / samples, steps=1)
+            state = self._end()
+            states.append(state)
+        return np.array(states)
+
+    @cached_property
+    def exact(self) -> ExactClearance:
+        """Exact clearance of the vehicle in the workspace."""
+        return ExactClearance(self.workspace, self.vehicle.footprint)
+
+    def _end(self) -> Floats:
+        last = int(self._work.steps[0])
+        return self._work.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)[last, :, 0].copy()
+
+    def _fly(
+        self, state: Floats, control: Floats, duration: float, start_time: float = math.inf, steps: int = 0
+    ) -> float:
         work, problem = self._work, self._problem
         work.source[:] = state
         for k, value in enumerate(control):
             work.control[k * LANE_WIDTH] = value
-        work.duration[0], work.steps[0] = duration, problem.option[at.STEPS]
-        if self.settings.quantum > 0.0 and duration > 0.0:
+        work.duration[0], work.steps[0] = duration, steps or problem.option[at.STEPS]
+        if not steps and self.settings.quantum > 0.0 and duration > 0.0:
             work.steps[0] = max(1, round(duration / self.settings.quantum))
         self._kernels.edge(problem, work, start_time)
         return float(work.slack[0])

@@ -26,6 +26,8 @@ class VehicleKernels:
     grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int], None]
     edge: Callable[[Problem, Lanes, float], None]
     brake: Callable[[Problem, Lanes, Lanes, float], int]
+    advance: Callable[[Floats, Floats, Floats, float, Floats], None]
+    pose: Callable[[Problem, float, float, float], float]
 
 
 def take_target() -> Vehicle:
@@ -51,7 +53,7 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     key = vehicle.hash if vehicle.source else f"{vehicle.hash}-{id(vehicle.derivative)}"
     if key not in _kernels:
         module = _execute(vehicle, key.replace("-", "_"))
-        _kernels[key] = VehicleKernels(module.grow, module.edge, module.brake)
+        _kernels[key] = VehicleKernels(module.grow, module.edge, module.brake, module.advance, module.pose)
         if vehicle.source:
             _done_marker(vehicle).touch()
     return _kernels[key]

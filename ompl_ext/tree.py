@@ -291,14 +291,20 @@ def list_position(tree: Tree, node: int) -> None:
     tree.block_best[block] = min(tree.block_best[block], tree.hot[node, F])
 
 
+@helper
+def list_node(tree: Tree, node: int) -> None:
+    """Put a node into both indices."""
+    list_region(tree, node)
+    list_position(tree, node)
+
+
 @inlined
 def add_to_indices(tree: Tree, node: int, limit: float, closed: float) -> None:
     """Give a node its region: up to `limit` or the nearest better node; worse nodes' regions shrink to it."""
     _, tree.hot[node, RADIUS] = nearest_better(tree, tree.hot[node], tree.hot[node, F], limit, closed)
     shrink_worse(tree, node, closed)
     if tree.hot[node, RADIUS] >= closed:
-        list_region(tree, node)
-        list_position(tree, node)
+        list_node(tree, node)
 
 
 @inlined
@@ -312,20 +318,22 @@ def relist(tree: Tree, closed: float) -> None:
     """List every node anew, after nodes have moved in memory; regions keep their radii."""
     for node in range(tree.count[SIZE]):
         if tree.hot[node, RADIUS] >= closed:
-            list_region(tree, node)
-            list_position(tree, node)
+            list_node(tree, node)
 
 
 def add_root(tree: Tree, work: Lanes) -> None:
-    """Make the end of lane 0 the root; its region is the whole workspace."""
-    tree.state[0] = work.source
-    tree.edge[0] = 0.0
-    tree.hot[0, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]
-    tree.hot[0, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
-    tree.link[0] = -1
-    tree.link[0, AT_GOAL] = work.at_goal[0]
-    tree.count[SIZE] = 1
-    relist(tree, 0.0)
+    """Make the end of lane 0, which starts and ends in `work.source`, a root; its region is the whole workspace."""
+    node = int(tree.count[SIZE])
+    tree.state[node] = work.source
+    tree.edge[node] = 0.0
+    tree.hot[node, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]
+    tree.hot[node, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
+    tree.link[node] = -1
+    tree.link[node, AT_GOAL] = work.at_goal[0]
+    if work.at_goal[0]:
+        tree.best[0], tree.count[BEST] = 0.0, node
+    tree.count[SIZE] += 1
+    list_node(tree, node)
 
 
 def prune(tree: Tree, closed: float) -> int:
@@ -336,7 +344,7 @@ def prune(tree: Tree, closed: float) -> int:
     size = int(tree.count[SIZE])
     f, radius, parent = tree.hot[:size, F], tree.hot[:size, RADIUS], tree.link[:size, PARENT]
     keep = (f < tree.best[0]) & (radius >= closed)
-    keep[0] = True
+    keep[parent < 0] = True
     for special in (BEST, CLOSEST, NEXT):
         if tree.count[special] >= 0:
             keep[tree.count[special]] = True
@@ -345,7 +353,8 @@ def prune(tree: Tree, closed: float) -> int:
     kept = int(place[-1]) + 1
     for array in (tree.state, tree.edge, tree.hot, tree.link):
         array[:kept] = array[:size][keep]
-    tree.link[1:kept, PARENT] = place[tree.link[1:kept, PARENT]]
+    parents = tree.link[:kept, PARENT]
+    tree.link[:kept, PARENT] = np.where(parents >= 0, place[parents], -1)
     for special in (BEST, CLOSEST, NEXT):
         if tree.count[special] >= 0:
             tree.count[special] = place[tree.count[special]]
@@ -359,7 +368,7 @@ def prune(tree: Tree, closed: float) -> int:
 @helper
 def _keep_ancestors(keep: Bools, parent: Ints) -> None:
     for node in range(len(keep) - 1, 0, -1):  # children stand behind their parents
-        if keep[node]:
+        if keep[node] and parent[node] >= 0:
             keep[parent[node]] = True
 
 

@@ -1,0 +1,94 @@
+"""The judgement on a finished plan: exact, continuous in time, and independent of the field the planner searched with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.plan import Plan
+from ompl_ext.solver import Dirt
+
+TOLERANCE = 1e-6  # of FCL's distances (m)
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Smallest exact clearance (m) along the plan and along its contingency, and what is wrong, nothing if all is well.
+
+    Clearances are infinite without obstacles; `contingency_clearance` is None without a contingency.
+    """
+
+    min_clearance: float
+    contingency_clearance: float | None
+    problems: tuple[str, ...]
+
+
+def verify(dirt: Dirt, plan: Plan) -> Verification:
+    """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency."""
+    problems: list[str] = []
+    clearance = dirt.exact.distances(_poses(dirt, plan.trajectory))
+    problems += _too_close(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
+    if not np.all(clearance > 0.0):
+        problems.append(f"plan: collides at t = {plan.times[np.argmin(clearance)]:.3f} s")
+    problems += _between_samples(dirt, plan, clearance)
+    if np.any(np.abs(plan.states[-1] - plan.trajectory[-1]) > 1e-6):
+        problems.append("plan: the trajectory does not end in the last state")
+    if not dirt.safety.enabled:
+        return Verification(float(clearance.min()), None, tuple(problems))
+    if plan.contingency is None:
+        return Verification(float(clearance.min()), None, (*problems, "contingency: missing"))
+    stop = plan.contingency
+    distances = dirt.exact.distances(_poses(dirt, stop.states))
+    problems += _too_close(dirt, "contingency", stop.times, stop.states, distances, np.ones(len(distances), bool))
+    resting = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
+    if np.any(resting > dirt.safety.rest_speed):
+        problems.append("contingency: does not end at standstill")
+    return Verification(float(clearance.min()), float(distances.min()), tuple(problems))
+
+
+def _poses(dirt: Dirt, states: Matrix) -> Matrix:
+    """Columns x, y, theta of states."""
+    x, y, theta = (dirt.vehicle.index(name) for name in ("x", "y", "theta"))
+    heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
+    return np.column_stack([states[:, x], states[:, y], heading])
+
+
+def _within_cycle(dirt: Dirt, plan: Plan) -> Floats:
+    return plan.times <= dirt.safety.cycle + 1e-9
+
+
+def _too_close(
+    dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Floats
+) -> list[str]:
+    """Samples nearer to an obstacle than delta(v)."""
+    speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
+    delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
+    worst = np.where(asked, clearance - delta, math.inf)
+    k = int(np.argmin(worst))
+    if worst[k] >= -TOLERANCE:
+        return []
+    return [f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta asks for {delta[k]:.4f} m"]
+
+
+def _between_samples(dirt: Dirt, plan: Plan, clearance: Floats) -> list[str]:
+    """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is halved."""
+    poses = _poses(dirt, plan.trajectory)
+    motion = _motion(poses[:-1], poses[1:], dirt.vehicle.footprint.reach)
+    problems = []
+    ends = np.cumsum(plan.durations)
+    for k in np.flatnonzero(clearance[:-1] + clearance[1:] <= motion):
+        edge = min(int(np.searchsorted(ends, plan.times[k] + 1e-9, side="right")), len(ends) - 1)
+        fine = dirt.fine(plan.trajectory[k], plan.controls[edge], float(plan.times[k + 1] - plan.times[k]))
+        if not dirt.exact.distances(_poses(dirt, fine)).min() > 0.0:
+            problems.append(f"plan: collides between t = {plan.times[k]:.3f} and {plan.times[k + 1]:.3f} s")
+    return problems
+
+
+def _motion(before: Matrix, after: Matrix, reach: float) -> Floats:
+    """Upper bound of how far any point of the body moves between poses (m)."""
+    shift = np.hypot(after[:, 0] - before[:, 0], after[:, 1] - before[:, 1])
+    bound: Floats = shift + np.abs(after[:, 2] - before[:, 2]) * reach
+    return bound
