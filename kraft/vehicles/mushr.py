@@ -1,0 +1,80 @@
+"""The MuSHR car as a kinematic bicycle about its centre, with and without a lag of the throttle.
+
+State [x, y, theta, v] of the point midway between the axles (m, rad, m/s); controls [throttle, steering] with the
+throttle in [0, 1] and the steering angle in rad.  Parameters are those of the paper: wheelbase L (m), steering angle
+when commanded straight phi_diff (rad), speed at full throttle v_delta (m/s).
+"""
+
+from __future__ import annotations
+
+from ompl_ext.trigonometry import atan, cos, sin, tan
+from ompl_ext.vehicle import Footprint, Vehicle, derivative
+
+STEERING_MAX = 0.38
+"""Limit of the steering joint, rad."""
+PROMPT_LAG = 0.1
+"""Time constant of a speed that follows the throttle almost at once, s: short beside a planning cycle, long enough
+for the integrator's steps of 0.1 s."""
+TURNS = ("straight", "left", "right", "hard-left", "hard-right")
+
+
+@derivative
+def actuation(u, p):  # type: ignore[no-untyped-def]
+    """Throttle and steering to target speed, cosine and sine of the side-slip angle, curvature over speed."""
+    beta = atan(0.5 * tan(u[1] + p[1]))
+    return p[2] * u[0], cos(beta), sin(beta), 2.0 * sin(beta) / p[0]
+
+
+@derivative
+def bicycle(x, u, tau):  # type: ignore[no-untyped-def]
+    """Bicycle about its centre whose speed approaches the target with time constant `tau`."""
+    target, c, s, curvature = u
+    ct, st = cos(x[2]), sin(x[2])
+    return x[3] * (ct * c - st * s), x[3] * (st * c + ct * s), x[3] * curvature, (target - x[3]) / tau
+
+
+@derivative
+def prompt(x, u, p):  # type: ignore[no-untyped-def]
+    """Derivative of the car that follows the throttle almost at once."""
+    return bicycle(x, u, PROMPT_LAG)
+
+
+@derivative
+def lagging(x, u, p):  # type: ignore[no-untyped-def]
+    """Derivative of the car with time constant tau, its fourth parameter."""
+    return bicycle(x, u, p[3])
+
+
+@derivative
+def stop(x, p, k):  # type: ignore[no-untyped-def]
+    """Throttle off, wheels straight, half or fully turned."""
+    return 0.0, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
+
+
+MUSHR = Vehicle(
+    name="mushr",
+    derivative=prompt,
+    actuation=actuation,
+    inputs=("target_speed", "cos_beta", "sin_beta", "curvature"),
+    stop=stop,
+    manoeuvres=TURNS,
+    state=("x", "y", "theta", "v"),
+    controls={"throttle": (0.0, 1.0), "steering": (-STEERING_MAX, STEERING_MAX)},
+    parameters={"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228},
+    footprint=Footprint(0.40, 0.28),
+    top_speed=0.6228,
+)
+
+MUSHR_LAG = Vehicle(
+    name="mushr-lag",
+    derivative=lagging,
+    actuation=actuation,
+    inputs=("target_speed", "cos_beta", "sin_beta", "curvature"),
+    stop=stop,
+    manoeuvres=TURNS,
+    state=("x", "y", "theta", "v"),
+    controls={"throttle": (0.0, 1.0), "steering": (-STEERING_MAX, STEERING_MAX)},
+    parameters={"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228, "tau": 1.0103},
+    footprint=Footprint(0.40, 0.28),
+    top_speed=0.6228,
+)
