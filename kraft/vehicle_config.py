@@ -6,15 +6,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import AfterValidator, Field, PrivateAttr, StringConstraints, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainValidator,
+    PrivateAttr,
+    StringConstraints,
+    model_validator,
+)
 
 from kraft import resources
 from kraft.errors import Diagnostic, InputError
 from kraft.file_model import FileModel, Length, Positive, refuse
 from kraft.source import Source
 from kraft.suggest import choose
-from kraft.validation import build, read_model
-from kraft.vehicle_reference import is_attribute
+from kraft.validation import build, describe, read_model
+from kraft.vehicle_reference import is_attribute, split_file
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
@@ -22,9 +29,23 @@ Quantity = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
 def _model_reference(text: str) -> str:
-    if not is_attribute(text):
+    if not is_attribute(text) and split_file(text) is None:
         raise refuse(f"is {text!r}", "expected module:attribute, as in kraft.vehicles.mushr:MUSHR")
     return text
+
+
+_SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
+
+
+def _speed(value: object) -> float | str:
+    if isinstance(value, str):  # which parameters there are is checked on the whole file
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 100:
+        raise refuse(f"is {describe(value)}", _SPEED_EXPECTED)
+    return float(value)
+
+
+_SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
 
 
 class Parameter(FileModel):
@@ -73,20 +94,31 @@ class VehicleConfig(FileModel):
     description: str = ""
     """one sentence for `kraft list vehicles`"""
     model: Annotated[str, AfterValidator(_model_reference)]
-    """the model's code, module:attribute"""
+    """the model's code, module:attribute or file.py:attribute (relative to this file)"""
     parameters: Mapping[Symbol, Parameter] = Field(default_factory=dict)
     """{symbol: {value, unit, min, max, std}}"""
     footprint: Footprint
     """{length, width, offset}"""
-    top_speed: Annotated[float, Field(gt=0, le=100)]
-    """speed that the vehicle never exceeds, m/s"""
+    top_speed: Annotated[float | str, PlainValidator(_speed, json_schema_input_type=_SpeedSchema)]
+    """speed that the vehicle never exceeds, m/s, or the parameter that is that speed"""
 
     _source: Source = PrivateAttr(default_factory=Source)
+
+    @model_validator(mode="after")
+    def _top_speed_is_known(self) -> Self:
+        if isinstance(self.top_speed, str) and self.top_speed not in self.parameters:
+            raise refuse(f"is the text {self.top_speed!r}", _SPEED_EXPECTED, ("top_speed",))
+        return self
 
     @property
     def source(self) -> Source:
         """Where each value was written."""
         return self._source
+
+    @property
+    def speed_limit(self) -> float:
+        """Speed that the vehicle never exceeds with the present parameters, m/s."""
+        return self.values[self.top_speed] if isinstance(self.top_speed, str) else self.top_speed
 
     @property
     def values(self) -> dict[str, float]:

@@ -1,4 +1,7 @@
-"""The three ways to say which vehicle: a bundled name, the path of a YAML file, or ``module:attribute``."""
+"""The ways to say which vehicle: a bundled name, the path of a YAML file, or code.
+
+Code is ``module:attribute``, ``path/to/file.py:attribute``, or ``path/to/file.py`` if it defines one vehicle.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from kraft import resources
 from kraft.suggest import choose
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
+_FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTALL)
 
 
 class VehicleProblem(ValueError):  # noqa: N818 - it becomes an InputError where the place is known
@@ -26,14 +30,23 @@ def is_attribute(text: str) -> bool:
     return _ATTRIBUTE.match(text) is not None
 
 
+def split_file(text: str) -> tuple[str, str] | None:
+    """File and attribute of ``path/to/file.py:attribute`` (the attribute may be left out), else None."""
+    found = _FILE.match(text)
+    return (found["file"], found["attribute"] or "") if found else None
+
+
 def resolve_vehicle(reference: str, folder: Path) -> str:
     """Check a reference; paths are relative to ``folder`` and come back absolute.
 
     Modules are not imported and files are not read.
 
     Raises:
-        VehicleProblem: if there is no such name or file, or it is none of the three.
+        VehicleProblem: if there is no such name or file, or it is none of these.
     """
+    if code := split_file(reference):
+        file, attribute = code
+        return _existing(folder / file, "a Python file") + (f":{attribute}" if attribute else "")
     if is_attribute(reference):
         return reference
     if ":" in reference and resources.is_name(reference):
@@ -44,7 +57,10 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
                 f"there is no vehicle {reference!r}", choose(reference, resources.names("vehicle"))
             )
         return reference
-    path = folder / reference
+    return _existing(folder / reference, "a vehicle's YAML file")
+
+
+def _existing(path: Path, what: str) -> str:
     if not os.path.isfile(path):
-        raise VehicleProblem(f"there is no file {path}", "expected the path of a vehicle's YAML file")
+        raise VehicleProblem(f"there is no file {path}", f"expected the path of {what}")
     return str(path.resolve())

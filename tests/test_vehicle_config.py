@@ -82,7 +82,7 @@ def test_a_bundled_vehicle_is_described_and_names_its_schema(name: str) -> None:
         ("max: 0.4", "maxx: 0.4", "4:38: parameters.L.maxx: unknown key; did you mean 'max'?"),
         ("length: 0.4", "length: 0", "5:21: footprint.length: is the number 0; expected a number greater than 0 (extent along x, m)"),
         ("length: 0.4", "lenght: 0.4, length: 0.4", "5:13: footprint.lenght: unknown key; did you mean 'length'?"),
-        ("top_speed: 1.0", "top_speed: fast", "6:12: top_speed: is the text 'fast'; expected a number (speed that the vehicle never exceeds, m/s)"),
+        ("top_speed: 1.0", "top_speed: fast", "6:12: top_speed: is the text 'fast'; expected a number in m/s, of at most 100, or the name of a parameter"),
     ],
 )  # fmt: skip
 def test_a_wrong_vehicle_file_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:

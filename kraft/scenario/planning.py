@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -41,10 +42,10 @@ class Planning(FileModel):
     """planning budget in wall-clock time, not repeatable, s"""
     edge_duration: tuple[Duration, Duration] = (0.5, 1.0)
     """shortest and longest duration of one tree edge, s"""
-    integration_step: Duration = 0.05
-    """longest step of the integrator, s"""
-    blossom: Annotated[int, Field(ge=1, le=1024)] = 10
-    """candidate edges that a node proposes when it is first expanded"""
+    integration_step: Duration = 0.1
+    """longest step of the integrator, s; the longest edge takes ten steps or more"""
+    blossom: Annotated[int, Field(ge=1, le=32)] = 32
+    """candidate edges that are propagated together when a node is expanded; the best of them is added"""
     goal_bias: Probability = 0.05
     """fraction of the random samples that are drawn from the goal"""
     child_extension: bool = True
@@ -75,6 +76,11 @@ class Planning(FileModel):
         """
         changes = {"iterations": iterations, "time": time}
         return build(Planning, {**dict(self), **changes}, "planning budget")
+
+    @property
+    def steps(self) -> int:
+        """Integration steps of an edge."""
+        return max(10, math.ceil(self.edge_duration[1] / self.integration_step - 1e-9))
 
     @property
     def iteration_budget(self) -> int | None:

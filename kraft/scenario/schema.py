@@ -175,7 +175,7 @@ class ScenarioFile(FileModel):
     goal: GoalFile
     """{center: [x, y], radius}"""
     vehicle: str = "mushr"
-    """a vehicle's name, the path of its YAML file, or module:attribute"""
+    """a vehicle's name, the path of its YAML file, module:attribute or file.py:attribute"""
     planning: Planning = Planning()
     """how to plan"""
     truth: Truth = Truth()
