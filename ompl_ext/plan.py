@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.kernel_types import Tree
 
 
 @dataclass(frozen=True)
@@ -54,3 +56,16 @@ class TreeView:
     durations: Floats
     costs: Floats
     costs_to_go: Floats
+
+
+def tree_view(tree: Tree, states: Matrix) -> TreeView:
+    """Copy the tree's arrays, with `states` (n, nx) for the nodes."""
+    size = int(tree.count[at.SIZE])
+    return TreeView(
+        states=states,
+        parents=tree.link[:size, at.PARENT].copy(),
+        controls=tree.edge[:size, :-1].copy(),
+        durations=tree.edge[:size, -1].copy(),
+        costs=tree.hot[:size, at.COST].copy(),
+        costs_to_go=tree.hot[:size, at.TOGO].copy(),
+    )

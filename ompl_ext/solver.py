@@ -12,10 +12,11 @@ import numpy as np
 
 from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.costtogo import UNREACHABLE
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernel_types import LANE_WIDTH, Problem
 from ompl_ext.obstacles import Workspace
-from ompl_ext.plan import Contingency, Plan, TreeView
+from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem
 from ompl_ext.rng import generator
 from ompl_ext.specialise import kernels
@@ -50,14 +51,15 @@ class Dirt:
     """Algorithm 1 for one vehicle in one workspace towards one goal.
 
     Use: `start`, then `retain` if there is an earlier plan, then `grow` as often as wanted, and `plan` at any time.
-    The clearance field, the cost-to-go and the tree's memory are made once, here.
+    The clearance field, the cost-to-go and the tree's memory are made once, here.  Without a goal it can only check:
+    `edge`, `contingency`, `exact`.
     """
 
     def __init__(
         self,
         vehicle: Vehicle,
         workspace: Workspace,
-        goal: Goal,
+        goal: Goal | None,
         safety: Safety | None = None,
         settings: Settings | None = None,
         capacity: int = 200_000,
@@ -82,6 +84,18 @@ class Dirt:
     def problem(self) -> Problem:
         """The arrays that the kernels read."""
         return self._problem
+
+    @property
+    def tree_arrays(self) -> at.Tree:
+        """The tree's own arrays."""
+        return self._tree
+
+    @property
+    def unreachable(self) -> bool:
+        """Whether no path of the inscribed disc leads from any root to the goal: then there is no plan either."""
+        roots = self._tree.link[: self._tree.count[at.SIZE], at.PARENT] < 0
+        togo: Floats = self._tree.hot[: self._tree.count[at.SIZE], at.TOGO][roots]
+        return bool(np.all(togo >= UNREACHABLE))
 
     @property
     def progress(self) -> Progress:
@@ -133,6 +147,8 @@ class Dirt:
         """
         if iterations is None and seconds is None and stop is None:
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
+        if self.goal is None:
+            raise ValueError("a tree grows towards a goal, and there is none")
         left = iterations if iterations is not None else 2**62
         base, began = self._progress.seconds, time.perf_counter()
         chunk, elapsed = FIRST_CHUNK, 0.0
@@ -155,19 +171,24 @@ class Dirt:
         """At fixed iterations, so that looks at the clock change nothing."""
         return self.settings.pruning and self._tree.count[at.ITERATIONS] % PRUNE_EVERY == 0
 
+    def best_node(self) -> tuple[int, bool]:
+        """The node to end the plan at, -1 if there is none, and whether it is in the goal."""
+        if self._tree.count[at.BEST] >= 0:
+            return int(self._tree.count[at.BEST]), True
+        return int(self._tree.count[at.CLOSEST]), False
+
     def plan(self) -> Plan | None:
         """The best plan so far; without one that reaches the goal, the one that ends closest to it; None if neither.
 
         Every plan that is returned has a contingency if SAFETY is enabled.
         """
-        tree = self._tree
-        node = int(tree.count[at.BEST]) if tree.count[at.BEST] >= 0 else int(tree.count[at.CLOSEST])
-        if node <= 0:
+        tree, (node, reaches_goal) = self._tree, self.best_node()
+        if node < 0 or tree.link[node, at.PARENT] < 0:
             return None
         path = path_to(tree, node)
         nu = len(self.vehicle.controls)
         controls, durations = tree.edge[path[1:], :nu].copy(), tree.edge[path[1:], nu].copy()
-        times, trajectory = self._trajectory(tree.state[0], controls, durations)
+        times, trajectory = self._trajectory(tree.state[path[0]], controls, durations)
         return Plan(
             states=tree.state[path].copy(),
             controls=controls,
@@ -175,8 +196,8 @@ class Dirt:
             times=times,
             trajectory=trajectory,
             cost=float(tree.hot[node, at.COST]),
-            cost_to_go=0.0 if tree.link[node, at.AT_GOAL] else float(tree.hot[node, at.TOGO]),
-            reaches_goal=bool(tree.link[node, at.AT_GOAL]),
+            cost_to_go=0.0 if reaches_goal else float(tree.hot[node, at.TOGO]),
+            reaches_goal=reaches_goal,
             contingency=self._contingency_of(tree.state[path], controls, durations)
             if self.safety.enabled
             else None,
@@ -189,15 +210,7 @@ class Dirt:
 
     def tree(self) -> TreeView:
         """A copy of the tree."""
-        tree, size, nu = self._tree, int(self._tree.count[at.SIZE]), len(self.vehicle.controls)
-        return TreeView(
-            states=tree.state[:size].copy(),
-            parents=tree.link[:size, at.PARENT].copy(),
-            controls=tree.edge[:size, :nu].copy(),
-            durations=tree.edge[:size, nu].copy(),
-            costs=tree.hot[:size, at.COST].copy(),
-            costs_to_go=tree.hot[:size, at.TOGO].copy(),
-        )
+        return tree_view(self._tree, self._tree.state[: self._tree.count[at.SIZE]].copy())
 
     def edge(
         self, state: Floats, control: Floats, duration: float, start_time: float = math.inf
@@ -209,6 +222,10 @@ class Dirt:
         slack = self._fly(np.asarray(state, dtype=float), control, duration, start_time)
         steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
         return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
+
+    def pose_slack(self, x: float, y: float, theta: float) -> float:
+        """Lower bound of the footprint's clearance at a pose within the workspace (m)."""
+        return self._kernels.pose(self._problem, x, y, theta)
 
     def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
         """States (samples + 1, nx) at equal times along a control held for `duration` s, without any check."""

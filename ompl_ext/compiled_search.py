@@ -1,0 +1,104 @@
+"""DIRT's compiled search behind the interface that the OMPL planner needs; `CallbackSearch` is the other one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from ompl import base as ob
+from ompl import control as oc
+
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.parameters import ParamSet
+from ompl_ext.plan import TreeView
+from ompl_ext.query import Safety, Settings
+from ompl_ext.solver import Dirt
+from ompl_ext.system import PlanarGoal
+from ompl_ext.validity import SafetyValidityChecker
+
+BLOSSOM = 32
+
+
+class CompiledSearch:
+    """A `Dirt` behind the interface that `DIRT` needs."""
+
+    def __init__(
+        self, si: oc.SpaceInformation, checker: SafetyValidityChecker, goal: PlanarGoal, params: ParamSet, seed: int
+    ) -> None:
+        self._si, self._seed, self._roots = si, seed, 0
+        step, cycle = si.getPropagationStepSize(), float(params["cycle"])
+        given = checker.safety_settings
+        safety = Safety(
+            cycle > 0, cycle, given.delta, given.delta_per_speed, given.rest_speed, given.step, given.horizon
+        )
+        settings = Settings(
+            blossom=int(params["blossom"]) or BLOSSOM,
+            child_extension=bool(params["child_extension"]),
+            pruning=bool(params["pruning"]),
+            goal_bias=float(params["goal_bias"]),
+            beyond=float(params["control_bound_bias"]),
+            resolution=float(params["resolution"]),
+            shortest=si.getMinControlDuration() * step,
+            longest=si.getMaxControlDuration() * step,
+            quantum=step,
+        )
+        capacity = int(params["max_nodes"])
+        self.dirt = Dirt(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
+
+    def add_root(self, state: ob.State) -> None:
+        """A state to begin at."""
+        values = np.array([state[k] for k in range(len(self.dirt.vehicle.state))])
+        if self._roots == 0:
+            self.dirt.start(values, self._seed)
+        else:
+            self.dirt.add_root(values)
+        self._roots += 1
+
+    def infeasible(self) -> bool:
+        """Whether there is no way to the goal."""
+        return self.dirt.unreachable
+
+    def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
+        """Add edges of an earlier plan or tree that are free and safe; returns how many."""
+        return self.dirt.retain_edges(parents, controls, durations)
+
+    def grow(self, stop: Callable[[], bool]) -> None:
+        """Grow the tree until `stop()` is true."""
+        self.dirt.grow(stop=stop)
+
+    def count(self, which: int) -> int:
+        """A number of `ompl_ext.kernel_types.Tree.count`."""
+        return int(self.dirt.tree_arrays.count[which])
+
+    def best(self) -> tuple[int, bool]:
+        """The node to end the plan at, -1 if there is none, and whether it is in the goal."""
+        return self.dirt.best_node()
+
+    def state_of(self, node: int) -> ob.State:
+        """A node's state in the OMPL space."""
+        state = self._si.allocState()
+        _write(self.dirt.tree_arrays.state[node], state)
+        return state
+
+    def view(self) -> TreeView:
+        """A copy of the tree."""
+        return self.dirt.tree()
+
+    def best_path(self) -> tuple[oc.PathControl | None, bool]:
+        """The path of the best plan, None if there is none, and whether it reaches the goal."""
+        plan = self.dirt.plan()
+        if plan is None:
+            return None, False
+        path, state, control = oc.PathControl(self._si), self._si.allocState(), self._si.allocControl()
+        for row, values, duration in zip(plan.states, plan.controls, plan.durations, strict=False):
+            _write(row, state)
+            _write(values, control)
+            path.append(state, control, float(duration))
+        _write(plan.states[-1], state)
+        path.append(state)
+        return path, plan.reaches_goal
+
+
+def _write(values: Floats, target: ob.State | oc.Control) -> None:
+    for k, value in enumerate(values):
+        target[k] = float(value)

@@ -1,0 +1,110 @@
+"""OMPL's states and controls as numbers: the plane of DIRT's regions, and rows of floats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from ompl import base as ob
+from ompl import control as oc
+
+from ompl_ext.arrays import Floats
+
+Configuration = Callable[[ob.State], tuple[float, float]]
+Bounds = tuple[tuple[float, float], tuple[float, float]]
+
+
+def default_configuration(space: ob.StateSpace) -> tuple[Configuration, Bounds]:
+    """First two components of a real-vector space, x and y of SE(2), or those of a compound's first such part.
+
+    Raises:
+        TypeError: there is no such part; give the planner a configuration of your own.
+    """
+    if isinstance(space, ob.RealVectorStateSpace):
+        box = space.getBounds()
+        if space.getDimension() == 1:
+            return (lambda state: (state[0], 0.0)), ((box.low[0], box.high[0]), (-1.0, 1.0))
+        return (lambda state: (state[0], state[1])), ((box.low[0], box.high[0]), (box.low[1], box.high[1]))
+    if isinstance(space, ob.SE2StateSpace):
+        box = space.getBounds()
+        return (lambda state: (state.getX(), state.getY())), ((box.low[0], box.high[0]), (box.low[1], box.high[1]))
+    if isinstance(space, ob.CompoundStateSpace):
+        for k in range(space.getSubspaceCount()):
+            try:
+                inner, bounds = default_configuration(space.getSubspace(k))
+            except TypeError:
+                continue
+            return (lambda state, k=k, inner=inner: inner(state[k])), bounds  # type: ignore[misc]
+    raise TypeError(
+        f"{type(space).__name__} has no plane that DIRT knows of; pass DIRT(si, configuration=..., bounds=...)"
+    )
+
+
+def goal_configuration(goal: ob.Goal, configuration: Configuration) -> tuple[float, float] | None:
+    """Where the goal is, if it says so: a state's configuration, or the centre of a `PlanarGoal`."""
+    if isinstance(goal, ob.GoalState):
+        return configuration(goal.getState())
+    center = getattr(getattr(goal, "goal", None), "center", None)
+    return (float(center[0]), float(center[1])) if center is not None else None
+
+
+def state_reader(space: ob.StateSpace) -> Callable[[ob.State], list[float]]:
+    """A function from a state to its components, for real vectors, SE(2), SO(2) and compounds of them.
+
+    Raises:
+        TypeError: a space of another kind.
+    """
+    if isinstance(space, ob.RealVectorStateSpace):
+        count = space.getDimension()
+        return lambda state: [state[k] for k in range(count)]
+    if isinstance(space, ob.SE2StateSpace):
+        return lambda state: [state.getX(), state.getY(), state.getYaw()]
+    if isinstance(space, ob.SO2StateSpace):
+        return lambda state: [state.value]
+    if isinstance(space, ob.CompoundStateSpace):
+        readers = [state_reader(space.getSubspace(k)) for k in range(space.getSubspaceCount())]
+        return lambda state: [value for k, read in enumerate(readers) for value in read(state[k])]
+    raise TypeError(f"the components of a {type(space).__name__} cannot be read from Python")
+
+
+class ControlLayout:
+    """Controls of a real-vector space, or of a compound of such spaces, as rows of floats."""
+
+    def __init__(self, space: oc.ControlSpace) -> None:
+        self._leaves: list[tuple[tuple[int, ...], int]] = []
+        bounds: list[tuple[float, float]] = []
+        self._collect(space, (), bounds)
+        self.bounds = np.array(bounds)
+        self.dimension = len(bounds)
+
+    def _collect(self, space: oc.ControlSpace, place: tuple[int, ...], bounds: list[tuple[float, float]]) -> None:
+        if isinstance(space, oc.CompoundControlSpace):
+            for k in range(space.getSubspaceCount()):
+                self._collect(space.getSubspace(k), (*place, k), bounds)
+        elif isinstance(space, oc.RealVectorControlSpace):
+            box = space.getBounds()
+            self._leaves.append((place, space.getDimension()))
+            bounds += list(zip(box.low, box.high, strict=True))
+        else:
+            raise TypeError(f"DIRT samples real-vector control spaces and compounds of them, not {type(space).__name__}")
+
+    def write(self, values: Floats, control: oc.Control) -> None:
+        """Write a row, shape (dimension,), into OMPL's control."""
+        k = 0
+        for place, count in self._leaves:
+            leaf = control
+            for index in place:
+                leaf = leaf[index]
+            for component in range(count):
+                leaf[component] = float(values[k])
+                k += 1
+
+    def read(self, control: oc.Control) -> list[float]:
+        """The row of OMPL's control."""
+        row = []
+        for place, count in self._leaves:
+            leaf = control
+            for index in place:
+                leaf = leaf[index]
+            row += [leaf[component] for component in range(count)]
+        return row

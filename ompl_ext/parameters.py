@@ -1,0 +1,114 @@
+"""Planner parameters by OMPL's conventions: snake_case names, string values, suggested ranges.
+
+OMPL's own ParamSet cannot be used from Python; this has the same methods.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+Value = bool | int | float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter with its bounds and the range, first:step:last, that OMPL's tools suggest to a user."""
+
+    name: str
+    default: Value
+    low: float
+    high: float
+    suggestion: str
+    doc: str
+
+    def parse(self, text: str) -> Value:
+        """Value of `text`, which may also be a value already.
+
+        Raises:
+            ValueError: not of the parameter's kind, or outside its bounds.
+        """
+        kind = type(self.default)
+        words = {"true": 1.0, "false": 0.0}
+        try:
+            number = words[str(text).lower()] if str(text).lower() in words else float(text)
+        except (TypeError, ValueError):
+            raise ValueError(f"{self.name} is {text!r}; expected a {kind.__name__} ({self.doc})") from None
+        if not self.low <= number <= self.high or (kind is not float and number != int(number)):
+            raise ValueError(
+                f"{self.name} is {text}; expected a {kind.__name__} from {self.low:g} to {self.high:g} ({self.doc})"
+            )
+        return kind(number)
+
+
+class ParamSet:
+    """The parameters of one planner."""
+
+    def __init__(self, parameters: tuple[Parameter, ...]) -> None:
+        self._parameters = {parameter.name: parameter for parameter in parameters}
+        self._values = {parameter.name: parameter.default for parameter in parameters}
+
+    def __getitem__(self, name: str) -> Value:
+        """Current value."""
+        self._known(name)
+        return self._values[name]
+
+    def __setitem__(self, name: str, value: Value | str) -> None:
+        self._values[name] = self._known(name).parse(str(value))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
+    def setParam(self, name: str, value: str) -> bool:  # noqa: N802 (OMPL's name)
+        """Set a parameter from text; false, as in OMPL, if there is none of that name or the value is refused."""
+        try:
+            self[name] = value
+        except (KeyError, ValueError):
+            return False
+        return True
+
+    def getParam(self, name: str) -> str:  # noqa: N802
+        """Current value as text."""
+        return str(self[name])
+
+    def getParamNames(self) -> list[str]:  # noqa: N802
+        """All names."""
+        return list(self._values)
+
+    def getParams(self) -> dict[str, str]:  # noqa: N802
+        """All values as text."""
+        return {name: str(value) for name, value in self._values.items()}
+
+    def getRangeSuggestion(self, name: str) -> str:  # noqa: N802
+        """Range first:step:last that is worth trying."""
+        return self._known(name).suggestion
+
+    def describe(self, name: str) -> Parameter:
+        """Default, bounds and meaning."""
+        return self._known(name)
+
+    def _known(self, name: str) -> Parameter:
+        if name not in self._parameters:
+            near = difflib.get_close_matches(name, self._parameters, 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(self._parameters)}"
+            raise KeyError(f"no parameter {name!r}; {hint}")
+        return self._parameters[name]
+
+
+DIRT_PARAMETERS = (
+    Parameter("blossom", 0, 0, 32, "4:4:32", "candidate edges per visit; 0 takes 32 compiled and 4 with callbacks"),
+    Parameter("child_extension", True, 0, 1, "0,1", "visit a child next if it is nearer to the goal than its parent"),
+    Parameter("cycle", 0.0, 0, 1e3, "0.:.1:2.", "planning cycle (s): SAFETY is asked where edges leave it; 0 is off"),
+    Parameter("goal_bias", 0.05, 0, 1, "0.:.05:1.", "share of the samples at the goal"),
+    Parameter("control_bound_bias", 1.0, 0, 100, "0.:.25:2.", "share of sampled controls moved onto a bound, per bound"),
+    Parameter("max_nodes", 200_000, 100, 100_000_000, "10000:10000:1000000", "nodes that memory is reserved for"),
+    Parameter("pruning", False, 0, 1, "0,1", "forget nodes that cannot lead to a better plan"),
+    Parameter("resolution", 0.01, 0, 10, "0.:.005:.1", "radius (m) below which a dominated region is closed"),
+    Parameter("seed", 1, 0, 2**53, "1:1:100", "of the planner's generator; clear() moves on to the next"),
+    Parameter("top_speed", 0.0, 0, 1e6, "0.:.1:10.", "goal distance per second at most; 0 learns it (callbacks only)"),
+    Parameter("use_callbacks", False, 0, 1, "0,1", "go through OMPL's callbacks even for a compiled vehicle"),
+)

@@ -1,0 +1,239 @@
+"""DIRT as an OMPL planner.
+
+Z. Littlefield and K. E. Bekris, Efficient and asymptotically optimal kinodynamic motion planning via
+dominance-informed regions, IROS 2018; retainment, SAFETY and the best-heuristic fallback as in Algorithm 1 of KRAFT.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from ompl import base as ob
+from ompl import control as oc
+from ompl import util as ou
+
+from ompl_ext import kernel_types as at
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.callback import CallbackSearch, CallbackSettings
+from ompl_ext.compiled_search import CompiledSearch
+from ompl_ext.configuration import Bounds, Configuration, ControlLayout, default_configuration
+from ompl_ext.parameters import DIRT_PARAMETERS, ParamSet, Value
+from ompl_ext.plan import Plan, TreeView
+from ompl_ext.system import PlanarGoal
+from ompl_ext.validity import SafetyValidityChecker
+
+Termination = ob.PlannerTerminationCondition | float | Callable[[], bool] | None
+CALLBACK_BLOSSOM = 4
+
+
+@dataclass(frozen=True)
+class _Retained:
+    parents: list[int]
+    controls: Matrix
+    durations: Floats
+
+
+class DIRT(ob.Planner):
+    """Dominance-Informed Region Trees for any control `SpaceInformation`.
+
+    With a `SafetyValidityChecker` and a `PlanarGoal` (see `ompl_ext.system`) the whole search runs compiled; with any
+    other checker, propagator and goal it runs over their callbacks.  `params()` lists the parameters.
+
+    Args:
+        si: the space information.
+        configuration: maps a state to the plane of the regions (callbacks only; default by the kind of space).
+        bounds: of that plane, ((low, high), (low, high)).
+        parameters: initial values, as by `params()[name] = value`.
+    """
+
+    def __init__(
+        self,
+        si: oc.SpaceInformation,
+        configuration: Configuration | None = None,
+        bounds: Bounds | None = None,
+        **parameters: Value,
+    ) -> None:
+        super().__init__(si, "DIRT")
+        self._params = ParamSet(DIRT_PARAMETERS)
+        for name, value in parameters.items():
+            self._params[name] = value
+        self._configuration, self._bounds = configuration, bounds
+        self._search: CompiledSearch | CallbackSearch | None = None
+        self._kept: _Retained | None = None
+        self._clears = 0
+        # OMPL's wrapper hands PlannerData over by copy, which it forbids: a class-level override would abort the
+        # process.  Calling the base once pins "not overridden" for this instance; the attribute serves Python callers.
+        ob.Planner.getPlannerData(self, ob.PlannerData(si))
+        me = weakref.ref(self)
+        self.getPlannerData = lambda data: _fill_planner_data(me(), data)
+
+    def params(self) -> ParamSet:
+        """Parameters in OMPL's style; a change takes effect at the next `clear()` or before the first `solve`."""
+        return self._params
+
+    def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
+        """Begin the next query with what is left of `path` after `elapsed` s, propagated from the new start."""
+        layout = ControlLayout(self.getSpaceInformation().getControlSpace())
+        controls = [layout.read(path.getControl(k)) for k in range(path.getControlCount())]
+        durations = np.array(path.getControlDurations())
+        ends = np.cumsum(durations)
+        left = ends > elapsed + 1e-9
+        lengths = np.minimum(durations, ends - elapsed)[left]
+        self._kept = _Retained(list(range(-1, len(lengths) - 1)), np.array(controls)[left], lengths)
+
+    def retain_tree(self, tree: TreeView) -> None:
+        """Begin the next query with the edges of an earlier tree, propagated from the new start."""
+        self._kept = _Retained((tree.parents[1:] - 1).tolist(), tree.controls[1:], tree.durations[1:])
+
+    def solve(
+        self,
+        ptc: Termination = None,
+        checkInterval: float = 0.0,  # noqa: N803 (OMPL's name)
+        *,
+        solveTime: float | None = None,  # noqa: N803
+        terminationConditionFn: Callable[[], bool] | None = None,  # noqa: N803
+    ) -> ob.PlannerStatus:
+        """Grow the tree until the condition holds; called again, it continues.
+
+        Takes what OMPL's `solve` takes: seconds, a function with an optional interval, or a termination condition.
+        """
+        given = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
+        condition = _condition(given, checkInterval)
+        status = ob.PlannerStatus
+        definition, goal = self.getProblemDefinition(), None
+        if definition is None:
+            raise RuntimeError("DIRT: the problem definition is not set")
+        goal = definition.getGoal()
+        if definition.getStartStateCount() == 0:
+            ou.OMPL_ERROR("DIRT: there are no start states")
+            return status(status.INVALID_START)
+        if goal is None:
+            ou.OMPL_ERROR("DIRT: there is no goal")
+            return status(status.INVALID_GOAL)
+        if self._search is None:
+            self._search = self._make_search(goal)
+        if not self._take_starts(self._search):
+            ou.OMPL_ERROR("DIRT: none of the start states is valid")
+            return status(status.INVALID_START)
+        if self._search.infeasible():
+            ou.OMPL_ERROR("DIRT: no path for the footprint leads from the start to the goal")
+            return status(status.INFEASIBLE)
+        if self._kept is not None:
+            self._search.retain(self._kept.parents, self._kept.controls, self._kept.durations)
+            self._kept = None
+        self._search.grow(condition)
+        return self._report(definition, goal)
+
+    def clear(self) -> None:
+        """Forget the tree; the next query draws from the next seed."""
+        ob.Planner.clear(self)
+        if self._search is not None:
+            self._clears += 1
+        self._search = None
+
+    def setup(self) -> None:
+        """Take up the space information's settings."""
+        ob.Planner.setup(self)
+
+    def tree(self) -> TreeView:
+        """A copy of the tree with controls and durations, which OMPL's `PlannerData` cannot carry from Python."""
+        if self._search is None:
+            raise RuntimeError("DIRT: there is no tree before solve()")
+        return self._search.view()
+
+    def plan(self) -> Plan | None:
+        """The best plan with its contingency (compiled search only)."""
+        if not isinstance(self._search, CompiledSearch):
+            raise RuntimeError("DIRT: plan() belongs to the compiled search; use the problem definition's path")
+        return self._search.dirt.plan()
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the search runs compiled rather than over callbacks; known after `solve`."""
+        return isinstance(self._search, CompiledSearch)
+
+    @property
+    def edges(self) -> int:
+        """Edges propagated and checked since the last `clear`."""
+        return self._search.count(at.EDGES) if self._search is not None else 0
+
+    @property
+    def iterations(self) -> int:
+        """Visits since the last `clear`."""
+        return self._search.count(at.ITERATIONS) if self._search is not None else 0
+
+    def _take_starts(self, search: CompiledSearch | CallbackSearch) -> bool:
+        inputs = self.getPlannerInputStates()
+        while (state := inputs.nextStart()) is not None:
+            search.add_root(state)
+        return search.count(at.SIZE) > 0
+
+    def _make_search(self, goal: ob.Goal) -> CompiledSearch | CallbackSearch:
+        si, checker = self.getSpaceInformation(), self.getSpaceInformation().getStateValidityChecker()
+        seed = int(self._params["seed"]) + self._clears
+        compiled = isinstance(checker, SafetyValidityChecker) and isinstance(goal, PlanarGoal)
+        if compiled and not self._params["use_callbacks"]:
+            return CompiledSearch(si, checker, goal, self._params, seed)
+        if isinstance(checker, SafetyValidityChecker) and not self._params["use_callbacks"]:
+            ou.OMPL_WARN(f"DIRT: the goal is a {type(goal).__name__}, not a PlanarGoal: running over callbacks")
+        if self._configuration is None or self._bounds is None:
+            configuration, bounds = default_configuration(si.getStateSpace())
+        else:
+            configuration, bounds = self._configuration, self._bounds
+        return CallbackSearch(
+            si, goal, configuration, bounds, _callback_settings(self._params), getattr(checker, "safety", None), seed
+        )
+
+    def _report(self, definition: ob.ProblemDefinition, goal: ob.Goal) -> ob.PlannerStatus:
+        assert self._search is not None
+        path, exact = self._search.best_path()
+        if path is None:
+            return ob.PlannerStatus(ob.PlannerStatus.TIMEOUT)
+        end = path.getState(path.getStateCount() - 1)
+        difference = 0.0 if exact else float(goal.distanceGoal(end)) if hasattr(goal, "distanceGoal") else -1.0
+        definition.addSolutionPath(path, not exact, difference, self.getName())
+        return ob.PlannerStatus(True, not exact)
+
+
+def _callback_settings(params: ParamSet) -> CallbackSettings:
+    return CallbackSettings(
+        blossom=int(params["blossom"]) or CALLBACK_BLOSSOM,
+        child_extension=bool(params["child_extension"]),
+        goal_bias=float(params["goal_bias"]),
+        beyond=float(params["control_bound_bias"]),
+        resolution=float(params["resolution"]),
+        capacity=int(params["max_nodes"]),
+        pruning=bool(params["pruning"]),
+        cycle=float(params["cycle"]),
+        top_speed=float(params["top_speed"]),
+    )
+
+
+def _condition(given: Termination, interval: float) -> ob.PlannerTerminationCondition:
+    if isinstance(given, ob.PlannerTerminationCondition):
+        return given
+    if isinstance(given, int | float):
+        return ob.timedPlannerTerminationCondition(float(given))
+    return ob.PlannerTerminationCondition(given, interval) if interval > 0 else ob.PlannerTerminationCondition(given)
+
+
+def _fill_planner_data(planner: DIRT | None, data: ob.PlannerData) -> None:
+    """The tree as OMPL's planner data: a vertex's tag is the node's place in `tree()`, an edge's weight its duration."""
+    if planner is None or planner._search is None:
+        return
+    view, search = planner._search.view(), planner._search
+    states = [search.state_of(node) for node in range(len(view.parents))]
+    for node, parent in enumerate(view.parents.tolist()):
+        vertex = ob.PlannerDataVertex(states[node], node)
+        if parent < 0:
+            data.addStartVertex(vertex)
+        else:
+            data.addVertex(vertex)
+            data.addEdge(parent, node, ob.PlannerDataEdge(), ob.Cost(float(view.durations[node])))
+    best, exact = search.best()
+    if exact:
+        data.addGoalVertex(ob.PlannerDataVertex(states[best], best))
+    data.decoupleFromPlanner()

@@ -1,0 +1,118 @@
+"""A compiled vehicle as an OMPL control space, for any OMPL planner.
+
+Planners that only know OMPL's contract use the propagator and the validity checker as callbacks; `DIRT` recognises the
+checker and runs compiled.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from ompl import base as ob
+from ompl import control as oc
+
+from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Workspace
+from ompl_ext.query import Goal, Safety
+from ompl_ext.specialise import kernels
+from ompl_ext.validity import SafetyValidityChecker
+from ompl_ext.vehicle import Vehicle
+
+UNBOUNDED = 1e3  # bounds of state components without limits: OMPL's samplers need finite ones
+
+
+class SimpleSetup(oc.SimpleSetup):
+    """OMPL's, whose `getPlannerData` also reaches planners written in Python."""
+
+    def getPlannerData(self, data: ob.PlannerData) -> None:  # noqa: N802 (OMPL's name)
+        """Fill `data` with the planner's tree."""
+        data.clear()
+        self.getPlanner().getPlannerData(data)
+
+
+class PlanarGoal(ob.GoalRegion):
+    """Goal region of `ompl_ext.query.Goal`: a disc and, optionally, a heading."""
+
+    def __init__(self, si: oc.SpaceInformation, vehicle: Vehicle, goal: Goal) -> None:
+        super().__init__(si)
+        self.goal = goal
+        self._places = tuple(vehicle.index(name) for name in ("x", "y", "theta"))
+        self.setThreshold(goal.radius)
+
+    def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
+        """Distance to the centre (m); with a wrong heading at least the radius, so that it is no goal."""
+        x, y, theta = self._places
+        distance = math.hypot(state[x] - self.goal.center[0], state[y] - self.goal.center[1])
+        if theta >= 0 and math.cos(state[theta] - self.goal.heading) < math.cos(min(self.goal.tolerance, math.pi)):
+            return max(distance, 1.001 * self.goal.radius)
+        return distance
+
+
+def space_information(
+    vehicle: Vehicle,
+    workspace: Workspace,
+    safety: Safety | None = None,
+    step: float = 0.05,
+    duration: tuple[float, float] = (0.5, 1.0),
+) -> oc.SpaceInformation:
+    """Space information for `vehicle` in `workspace`: bounds, propagator (RK4), validity with clearance and SAFETY.
+
+    `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of it.
+    """
+    limits = vehicle.state_limits.copy()
+    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
+        limits[vehicle.index(name)] = bounds
+    space = ob.RealVectorStateSpace(len(vehicle.state))
+    space.setBounds(_bounds(np.clip(limits, -UNBOUNDED, UNBOUNDED)))
+    plane = [vehicle.index("x"), vehicle.index("y")]
+    cells = [(high - low) / 20 for low, high in workspace.bounds]
+    space.registerDefaultProjection(ob.RealVectorOrthogonalProjectionEvaluator(space, cells, plane))
+    controls = oc.RealVectorControlSpace(space, len(vehicle.controls))
+    controls.setBounds(_bounds(vehicle.control_bounds))
+    si = oc.SpaceInformation(space, controls)
+    si.setPropagationStepSize(step)
+    si.setMinMaxControlDuration(round(duration[0] / step), round(duration[1] / step))
+    si.setStatePropagator(_propagator(vehicle))
+    si.setStateValidityChecker(SafetyValidityChecker(si, vehicle, workspace, safety))
+    return si
+
+
+def simple_setup(
+    vehicle: Vehicle, workspace: Workspace, start: Floats, goal: Goal, safety: Safety | None = None, step: float = 0.05
+) -> SimpleSetup:
+    """`SimpleSetup` for a query: `setup.setPlanner(DIRT(setup.getSpaceInformation()))`, then `setup.solve(seconds)`."""
+    si = space_information(vehicle, workspace, safety, step)
+    setup = SimpleSetup(si)
+    state = si.allocState()
+    for k, value in enumerate(start):
+        state[k] = float(value)
+    setup.setStartState(state)
+    setup.setGoal(PlanarGoal(si, vehicle, goal))
+    return setup
+
+
+def _bounds(pairs: Floats) -> ob.RealVectorBounds:
+    bounds = ob.RealVectorBounds(len(pairs))
+    for k, (low, high) in enumerate(pairs):
+        bounds.setLow(k, float(low))
+        bounds.setHigh(k, float(high))
+    return bounds
+
+
+def _propagator(vehicle: Vehicle):  # type: ignore[no-untyped-def]
+    """OMPL's callback: one RK4 step of the vehicle's compiled derivative."""
+    advance, parameters = kernels(vehicle).advance, vehicle.parameter_array
+    nx, nu = len(vehicle.state), len(vehicle.controls)
+    x, u, y = np.zeros(nx), np.zeros(nu), np.zeros(nx)
+
+    def propagate(state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
+        for k in range(nx):
+            x[k] = state[k]
+        for k in range(nu):
+            u[k] = control[k]
+        advance(x, u, parameters, duration, y)
+        for k in range(nx):
+            result[k] = y[k]
+
+    return propagate

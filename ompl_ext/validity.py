@@ -1,0 +1,62 @@
+"""State validity, exact clearance and SAFETY (Algorithm 2) for OMPL planners."""
+
+from __future__ import annotations
+
+import numpy as np
+from ompl import base as ob
+from ompl import control as oc
+
+from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Workspace
+from ompl_ext.plan import Contingency
+from ompl_ext.query import Safety, Settings
+from ompl_ext.solver import Dirt
+from ompl_ext.vehicle import Vehicle
+
+
+class SafetyValidityChecker(ob.StateValidityChecker):
+    """Checker for a compiled vehicle on a real-vector state space with the vehicle's components in their order.
+
+    `isValid` and `clearance` are exact (FCL decides wherever the distance field cannot), so any OMPL planner can use
+    them; `safety` answers Algorithm 2.
+    """
+
+    def __init__(
+        self, si: oc.SpaceInformation, vehicle: Vehicle, workspace: Workspace, safety: Safety | None = None
+    ) -> None:
+        super().__init__(si)
+        self.vehicle, self.workspace, self.safety_settings = vehicle, workspace, safety or Safety()
+        self._dirt = Dirt(vehicle, workspace, None, self.safety_settings, Settings(), capacity=1)
+        self._places = tuple(vehicle.index(name) for name in ("x", "y", "theta"))
+        self._limits = [tuple(pair) for pair in self._dirt.problem.limits.tolist()]
+
+    def isValid(self, state: ob.State) -> bool:  # noqa: N802 (OMPL's name)
+        """Whether the state is within the vehicle's and the workspace's limits and its footprint is free."""
+        for k, (low, high) in enumerate(self._limits):
+            if not low <= state[k] <= high:
+                return False
+        return self._dirt.pose_slack(*self._pose(state)) > 0.0 or self._dirt.exact.distance(*self._pose(state)) > 0.0
+
+    def clearance(self, state: ob.State) -> float:
+        """Exact distance between the footprint and the nearest obstacle (m); 0 in contact."""
+        return self._dirt.exact.distance(*self._pose(state))
+
+    def delta(self, state: ob.State) -> float:
+        """Clearance delta(v) (m) that SAFETY asks for at the state's speed."""
+        rest = self.vehicle.rest_indices
+        speed = abs(state[rest[0]]) if rest else 0.0
+        return self.safety_settings.delta + self.safety_settings.delta_per_speed * speed
+
+    def safety(self, state: ob.State) -> Contingency | None:
+        """SAFETY (Alg. 2): the first contingency manoeuvre that keeps delta(v) until standstill, or None.
+
+        The result names the manoeuvre, holds its trajectory, and its smallest spare clearance beyond delta(v).
+        """
+        return self._dirt.contingency(self._floats(state))
+
+    def _floats(self, state: ob.State) -> Floats:
+        return np.array([state[k] for k in range(len(self._limits))])
+
+    def _pose(self, state: ob.State) -> tuple[float, float, float]:
+        x, y, theta = self._places
+        return state[x], state[y], state[theta] if theta >= 0 else 0.0
