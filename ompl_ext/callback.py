@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from ompl import base as ob
@@ -73,9 +74,17 @@ class CallbackSearch:
         reset(self._tree, generator(seed))
 
     def _make_problem(self, bounds: Bounds) -> Problem:
-        settings, shortest, longest = self._settings, self._si.getMinControlDuration(), self._si.getMaxControlDuration()
+        settings, shortest, longest = (
+            self._settings,
+            self._si.getMinControlDuration(),
+            self._si.getMaxControlDuration(),
+        )
         scalar, option = np.zeros(at.SCALARS), np.zeros(at.OPTIONS, np.int64)
-        scalar[[at.SHORTEST, at.LONGEST, at.QUANTUM]] = shortest * self._step, longest * self._step, self._step
+        scalar[[at.SHORTEST, at.LONGEST, at.QUANTUM]] = (
+            shortest * self._step,
+            longest * self._step,
+            self._step,
+        )
         scalar[[at.RESOLUTION, at.CYCLE]] = settings.resolution, settings.cycle
         scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *bounds[0], *bounds[1]
         scalar[at.BEYOND] = settings.beyond
@@ -130,7 +139,14 @@ class CallbackSearch:
         """Visit nodes until `stop()` is true or memory is used up."""
         while not stop():
             dirt.visit.py_func(  # type: ignore[attr-defined]
-                self._tree, self._problem, self._work, self._brake, self._q, self._propagate, self._check, self._safe
+                self._tree,
+                self._problem,
+                self._work,
+                self._brake,
+                self._q,
+                self._propagate,
+                self._check,
+                self._safe,
             )
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % 1024 == 0):
                 prune(self._tree, self._settings.resolution)
@@ -151,7 +167,7 @@ class CallbackSearch:
             return None, False
         path, control = oc.PathControl(self._si), self._si.allocControl()
         nodes = path_to(self._tree, node)
-        for before, after in zip(nodes, nodes[1:], strict=False):
+        for before, after in pairwise(nodes):
             self._control.write(self._tree.edge[after, :-1], control)
             path.append(self.state_of(before), control, float(self._tree.edge[after, -1]))
         path.append(self.state_of(node))

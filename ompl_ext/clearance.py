@@ -47,7 +47,7 @@ class DiscCover(NamedTuple):
 def cover(footprint: Footprint, discs: int = 4) -> DiscCover:
     """Cover the footprint with equal discs: each takes an equal slice of its length."""
     slice_length = footprint.length / discs
-    centres = footprint.offset + (np.arange(discs) + 0.5) * slice_length - footprint.length / 2
+    centres: Floats = footprint.offset + (np.arange(discs, dtype=float) + 0.5) * slice_length - footprint.length / 2
     return DiscCover(centres, math.hypot(slice_length / 2, footprint.width / 2))
 
 
@@ -61,16 +61,14 @@ def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> 
     cell = max(cell, math.sqrt(width * height / MOST_CELLS))
     columns, rows = (math.ceil(extent / cell) + 1 for extent in (width, height))
     origin = (x_low - margin, y_low - margin)
-    xs = origin[0] + (np.arange(columns) + 0.5) * cell
-    ys = origin[1] + (np.arange(rows) + 0.5) * cell
+    xs: Floats = origin[0] + (np.arange(columns, dtype=float) + 0.5) * cell
+    ys: Floats = origin[1] + (np.arange(rows, dtype=float) + 0.5) * cell
     distance = np.full((rows, columns), math.inf)
     for obstacle in workspace.obstacles:
         if isinstance(obstacle, Polygon):
             _lower_to_polygon(distance, xs, ys, np.ascontiguousarray(obstacle.vertices, dtype=float))
         elif isinstance(obstacle, Circle):
-            gap = (
-                np.hypot(xs[None, :] - obstacle.center[0], ys[:, None] - obstacle.center[1]) - obstacle.radius
-            )
+            gap = np.hypot(xs[None, :] - obstacle.center[0], ys[:, None] - obstacle.center[1]) - obstacle.radius
             np.minimum(distance, np.maximum(gap, 0.0), out=distance)
         else:
             np.minimum(distance, _distance_to_map(obstacle, xs, ys), out=distance)

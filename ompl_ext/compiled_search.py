@@ -23,7 +23,12 @@ class CompiledSearch:
     """A `Dirt` behind the interface that `DIRT` needs."""
 
     def __init__(
-        self, si: oc.SpaceInformation, checker: SafetyValidityChecker, goal: PlanarGoal, params: ParamSet, seed: int
+        self,
+        si: oc.SpaceInformation,
+        checker: SafetyValidityChecker,
+        goal: PlanarGoal,
+        params: ParamSet,
+        seed: int,
     ) -> None:
         self._si, self._seed, self._roots = si, seed, 0
         step, cycle = si.getPropagationStepSize(), float(params["cycle"])
@@ -44,6 +49,11 @@ class CompiledSearch:
         )
         capacity = int(params["max_nodes"])
         self.dirt = Dirt(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
+
+    def restart(self, seed: int) -> None:
+        """Empty the tree; maps and memory stay."""
+        self._seed, self._roots = seed, 0
+        self.dirt.clear()
 
     def add_root(self, state: ob.State) -> None:
         """A state to begin at."""

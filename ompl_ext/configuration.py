@@ -27,14 +27,17 @@ def default_configuration(space: ob.StateSpace) -> tuple[Configuration, Bounds]:
         return (lambda state: (state[0], state[1])), ((box.low[0], box.high[0]), (box.low[1], box.high[1]))
     if isinstance(space, ob.SE2StateSpace):
         box = space.getBounds()
-        return (lambda state: (state.getX(), state.getY())), ((box.low[0], box.high[0]), (box.low[1], box.high[1]))
+        return (lambda state: (state.getX(), state.getY())), (
+            (box.low[0], box.high[0]),
+            (box.low[1], box.high[1]),
+        )
     if isinstance(space, ob.CompoundStateSpace):
         for k in range(space.getSubspaceCount()):
             try:
                 inner, bounds = default_configuration(space.getSubspace(k))
             except TypeError:
                 continue
-            return (lambda state, k=k, inner=inner: inner(state[k])), bounds  # type: ignore[misc]
+            return (lambda state, k=k, inner=inner: inner(state[k])), bounds
     raise TypeError(
         f"{type(space).__name__} has no plane that DIRT knows of; pass DIRT(si, configuration=..., bounds=...)"
     )
@@ -86,7 +89,9 @@ class ControlLayout:
             self._leaves.append((place, space.getDimension()))
             bounds += list(zip(box.low, box.high, strict=True))
         else:
-            raise TypeError(f"DIRT samples real-vector control spaces and compounds of them, not {type(space).__name__}")
+            raise TypeError(
+                f"DIRT samples real-vector control spaces and compounds of them, not {type(space).__name__}"
+            )
 
     def write(self, values: Floats, control: oc.Control) -> None:
         """Write a row, shape (dimension,), into OMPL's control."""

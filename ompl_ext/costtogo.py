@@ -101,12 +101,7 @@ def _upwind(
         if 0 <= r < rows and 0 <= c < columns and done[r * columns + c] == -2 and values[r, c] < best:
             best, weight = values[r, c], 1.0
             r2, c2 = r + sign * row_step, c + sign * column_step
-            if (
-                0 <= r2 < rows
-                and 0 <= c2 < columns
-                and done[r2 * columns + c2] == -2
-                and values[r2, c2] <= best
-            ):
+            if 0 <= r2 < rows and 0 <= c2 < columns and done[r2 * columns + c2] == -2 and values[r2, c2] <= best:
                 best, weight = (4.0 * values[r, c] - values[r2, c2]) / 3.0, 2.25
     return best, weight
 
@@ -168,7 +163,7 @@ def _march(
 
 @compiled
 def _extend(distance: Floats, blocked: Bools) -> None:
-    """Give blocked cells beside free ones the value of their best free neighbour, so that interpolation stays finite."""
+    """Give blocked cells beside free ones their best free neighbour's value, so that interpolation stays finite."""
     rows, columns = distance.shape
     for row in range(rows):
         for column in range(columns):

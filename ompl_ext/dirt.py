@@ -10,16 +10,50 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
-
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, int64
 from ompl_ext.costtogo import UNREACHABLE
 from ompl_ext.jit import helper, inlined
 from ompl_ext.kernel_types import (
-    ASK_SAFETY, AT_GOAL, BEST, BEYOND, BLOSSOM, CHILD_EXTENSION, CLOSEST, COST, CYCLE, EDGES, FIRST_ITERATION, FULL,
-    GOAL_BIAS, GOAL_X, GOAL_Y, HEADING_WEIGHT, INSERTIONS, ITERATIONS, LANE_WIDTH, LONGEST, NEXT, PARENT, Q_DIM, QUANTUM,
-    RESOLUTION, RETAINED, SHORTEST, SIZE, STEPS, TOGO, UNSAFE, X_HIGH, X_LOW, Y_HIGH, Y_LOW,
-    F, Lanes, Problem, Retained, Tree,
+    ASK_SAFETY,
+    AT_GOAL,
+    BEST,
+    BEYOND,
+    BLOSSOM,
+    CHILD_EXTENSION,
+    CLOSEST,
+    COST,
+    CYCLE,
+    EDGES,
+    FIRST_ITERATION,
+    FULL,
+    GOAL_BIAS,
+    GOAL_X,
+    GOAL_Y,
+    HEADING_WEIGHT,
+    INSERTIONS,
+    ITERATIONS,
+    LANE_WIDTH,
+    LONGEST,
+    NEXT,
+    PARENT,
+    Q_DIM,
+    QUANTUM,
+    RESOLUTION,
+    RETAINED,
+    SHORTEST,
+    SIZE,
+    STEPS,
+    TOGO,
+    UNSAFE,
+    X_HIGH,
+    X_LOW,
+    Y_HIGH,
+    Y_LOW,
+    F,
+    Lanes,
+    Problem,
+    Retained,
+    Tree,
 )  # fmt: skip
 from ompl_ext.rng import uniform
 from ompl_ext.tree import add_to_indices, closed_radius, distance_squared, select
@@ -110,9 +144,7 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
         tree.best[0] = tree.hot[node, COST]
         tree.count[BEST] = node
     beyond_cycle = problem.option[ASK_SAFETY] == 0 or tree.hot[node, COST] >= problem.scalar[CYCLE]
-    if (
-        beyond_cycle and tree.hot[node, TOGO] < tree.best[1]
-    ):  # Alg. 1, l. 24, among what SAFETY has been asked of
+    if beyond_cycle and tree.hot[node, TOGO] < tree.best[1]:  # Alg. 1, l. 24, among what SAFETY has been asked of
         tree.best[1] = tree.hot[node, TOGO]
         tree.count[CLOSEST] = node
     return node
@@ -120,7 +152,7 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
 
 @helper
 def asks_safety(problem: Problem, start: float, lane: int, work: Lanes) -> bool:
-    """Whether SAFETY is asked of an edge: it crosses the end of the cycle (Alg. 1, l. 7, 18) or ends a plan before it."""
+    """Whether SAFETY is asked of an edge: it leaves the cycle (Alg. 1, l. 7, 18) or ends a plan before its end."""
     inside = start + work.duration[lane] < problem.scalar[CYCLE] and work.at_goal[lane] == 0
     return problem.option[ASK_SAFETY] == 1 and start < problem.scalar[CYCLE] and not inside
 
@@ -163,12 +195,7 @@ def visit(
             if child < 0:
                 return
             closer = tree.hot[child, TOGO] < tree.hot[node, TOGO]
-            if (
-                added == 0
-                and problem.option[CHILD_EXTENSION] == 1
-                and closer
-                and tree.link[child, AT_GOAL] == 0
-            ):
+            if added == 0 and problem.option[CHILD_EXTENSION] == 1 and closer and tree.link[child, AT_GOAL] == 0:
                 tree.count[NEXT] = child
             added += 1
         work.slack[lane] = -1.0  # taken, or not safe
@@ -187,7 +214,7 @@ def retain(
 ) -> None:
     """Begin with the free and safe part of an earlier plan or tree, propagated anew from the root (Alg. 1, l. 2-8)."""
     nu = tree.edge.shape[1] - 1
-    lane, lanes = np.int64(0), np.int64(1)  # not literals, which numba would compile the callees anew for
+    lane, lanes = int64(0), int64(1)  # not literals, which numba would compile the callees anew for
     for k in range(len(kept.parent)):
         parent = 0 if kept.parent[k] < 0 else kept.node[kept.parent[k]]
         kept.node[k] = -1

@@ -27,7 +27,7 @@ class ExactClearance:
         self._body = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT), fcl.Transform())
 
     def distance(self, x: float, y: float, theta: float = 0.0) -> float:
-        """Distance (m) from the footprint at a pose to the nearest obstacle; 0 or less in contact, inf without obstacles."""
+        """Distance (m) from the footprint at a pose to the nearest obstacle: 0 in contact, inf without obstacles."""
         if not self._obstacles:
             return math.inf
         c, s = math.cos(theta), math.sin(theta)

@@ -4,7 +4,7 @@
 what the scalar loop would, so results do not depend on the machine's vector width.  `error_model="numpy"` only
 removes the zero-division branch that would keep a loop from vectorising.
 
-*Memory.*  `_nrt=False` compiles without numba's memory runtime: a kernel cannot allocate, and does no reference counting.
+*Memory.*  `_nrt=False` compiles without numba's memory runtime: a kernel can neither allocate nor count references.
 
 *Cache.*  numba keys a cached kernel by its own source file and misses a change in a function it inlined.  Here the
 cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the vehicle's
@@ -20,10 +20,12 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
 
+_njit: Any = numba.njit  # its stubs know neither `_nrt` nor the configuration
+_config: Any = numba.config
 F = TypeVar("F", bound=Callable[..., object])
 
 
@@ -70,24 +72,24 @@ def compiled(function: F, *, folder: Path | None = None, signature: object = Non
             f"cannot create the kernel cache {target}: {error.strerror}; "
             "set KRAFT_CACHE_DIR to a folder that can be written"
         ) from error
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(target)  # read once, when njit attaches the cache
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = str(target)  # read once, when njit attaches the cache
     try:
-        dispatcher: F = numba.njit(signature, cache=True, error_model="numpy", _nrt=False)(function)
+        dispatcher: F = _njit(signature, cache=True, error_model="numpy", _nrt=False)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        _config.CACHE_DIR = before
     return dispatcher
 
 
 def inlined(function: F) -> F:
     """Compile `function` as a part of the kernels that call it (always inlined, so that their loops vectorise)."""
-    dispatcher: F = numba.njit(error_model="numpy", _nrt=False, forceinline=True)(function)
+    dispatcher: F = _njit(error_model="numpy", _nrt=False, forceinline=True)(function)
     return dispatcher
 
 
 def part(function: F) -> F:
     """Compile `function` as a part of the kernels that call it, leaving it to LLVM whether to inline it."""
-    dispatcher: F = numba.njit(error_model="numpy", _nrt=False)(function)
+    dispatcher: F = _njit(error_model="numpy", _nrt=False)(function)
     return dispatcher
 
 

@@ -6,10 +6,10 @@ tuple's fields are what numba compiles against, so few arrays with named places 
 
 from __future__ import annotations
 
-from typing import NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
+import numba
 import numpy as np
-from numba import types, typeof
 
 from ompl_ext.arrays import Floats, Floats32, IntMatrix, Ints, Ints32, Matrix, Matrix32, Words
 
@@ -86,7 +86,7 @@ class Tree(NamedTuple):
     block_best: Floats  # smallest f in each block of cells
     block_shape: Ints  # columns, rows of blocks
     frame: Floats  # lower left corner and cell size of the cells (m)
-    count: Ints
+    count: Ints  # type: ignore[assignment]  # a tuple's own method of that name is not needed here
     best: Floats  # cost of the best goal node, smallest cost-to-go of any node (s)
     random: Words  # generator state
 
@@ -118,15 +118,17 @@ class Retained(NamedTuple):
     node: Ints  # where each edge's end came to stand in the tree, -1 if it was left out
 
 
-def _numba_type(tuple_class: type) -> types.NamedTuple:
+_types: Any = numba.types  # without types of their own
+_typeof: Any = numba.typeof
+
+
+def _numba_type(tuple_class: type) -> Any:
     kinds = {
         Floats: (1, "f8"), Floats32: (1, "f4"), Ints: (1, "i8"), Ints32: (1, "i4"), Words: (1, "u8"),
         Matrix: (2, "f8"), Matrix32: (2, "f4"), IntMatrix: (2, "i8"),
     }  # fmt: skip
     hints = [kinds[kind] for kind in get_type_hints(tuple_class).values()]
-    return types.NamedTuple(
-        [typeof(np.empty((1,) * ndim, dtype=dtype)) for ndim, dtype in hints], tuple_class
-    )
+    return _types.NamedTuple([_typeof(np.empty((1,) * ndim, dtype=dtype)) for ndim, dtype in hints], tuple_class)
 
 
 PROBLEM = _numba_type(Problem)

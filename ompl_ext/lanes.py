@@ -9,18 +9,40 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import types
 
 from ompl_ext import dirt
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, int64
 from ompl_ext.clearance import pose_slack
 from ompl_ext.costtogo import UNREACHABLE, seconds_to_goal
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernel_types import (
-    BRAKE_STEP, BRAKE_STEPS, CYCLE, DELTA, DELTA_PER_SPEED, GOAL_COS, GOAL_RADIUS, GOAL_SIN, GOAL_TOLERANCE, GOAL_X,
-    GOAL_Y, HEADING_WEIGHT, LANE_WIDTH, LANES, LENGTH, PROBLEM, REACH, REST_SPEED, RETAINED_EDGES, STEPS, TREE,
-    Lanes, Problem, Retained, Tree,
+    BRAKE_STEP,
+    BRAKE_STEPS,
+    CYCLE,
+    DELTA,
+    DELTA_PER_SPEED,
+    FULL,
+    GOAL_COS,
+    GOAL_RADIUS,
+    GOAL_SIN,
+    GOAL_TOLERANCE,
+    GOAL_X,
+    GOAL_Y,
+    HEADING_WEIGHT,
+    LANE_WIDTH,
+    LANES,
+    LENGTH,
+    PROBLEM,
+    REACH,
+    REST_SPEED,
+    RETAINED_EDGES,
+    STEPS,
+    TREE,
+    Lanes,
+    Problem,
+    Retained,
+    Tree,
 )  # fmt: skip
 from ompl_ext.specialise import take_target, vehicle_cache_folder
 from ompl_ext.trigonometry import cos, sin
@@ -38,9 +60,7 @@ REST = VEHICLE.rest_indices
 SPEED = REST[0] if REST else -1
 MANOEUVRES = len(VEHICLE.manoeuvres)
 WIDTH = LANE_WIDTH
-AT_INPUT = (
-    NX * WIDTH
-)  # the working block: state, input, step, cosine and sine of the heading, margin, outside
+AT_INPUT = NX * WIDTH  # the working block: state, input, step, cosine and sine of the heading, margin, outside
 AT_STEP = AT_INPUT + NI * WIDTH
 AT_COS = AT_STEP + WIDTH
 AT_SIN = AT_COS + WIDTH
@@ -59,9 +79,7 @@ load_parameters = per_component("p", "p[{k}]", len(VEHICLE.parameter_array))
 load_low = per_component("limits", "limits[{k}, 0]", NX)
 load_high = per_component("limits", "limits[{k}, 1]", NX)
 axpy = per_component("a, k, x", "x[{k}] + a * k[{k}]", NX)
-combine = per_component(
-    "a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", NX
-)
+combine = per_component("a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", NX)
 outside = total_of_components(
     "x, low, high",
     "(0.0 if low[{k}] <= x[{k}] else 1.0) + (0.0 if x[{k}] <= high[{k}] else 1.0)",
@@ -78,7 +96,7 @@ def runge_kutta_4(x: Values, u: Values, p: Values, h: float) -> Values:
     k2 = derivative(axpy(0.5 * h, k1, x), u, p)
     k3 = derivative(axpy(0.5 * h, k2, x), u, p)
     k4 = derivative(axpy(h, k3, x), u, p)
-    return combine(h / 6.0, k1, k2, k3, k4, x)  # type: ignore[no-any-return]
+    return combine(h / 6.0, k1, k2, k3, k4, x)
 
 
 @inlined
@@ -146,7 +164,7 @@ def load_source(source: Floats, work: Lanes, lanes: int) -> None:
         work.block[AT_SIN + i] = s
         work.block[AT_MARGIN + i] = 0.0
         work.block[AT_OUTSIDE + i] = 0.0
-    record_lanes(work, np.int64(0), lanes)
+    record_lanes(work, int64(0), lanes)
 
 
 @inlined
@@ -175,9 +193,7 @@ def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None
         c, s = work.block[AT_COS + i], work.block[AT_SIN + i]
         work.end[i] = x
         work.end[WIDTH + i] = y
-        work.end[2 * WIDTH + i] = (
-            scalar[HEADING_WEIGHT] * c
-        )  # a heading as a point on a circle needs no wrapping
+        work.end[2 * WIDTH + i] = scalar[HEADING_WEIGHT] * c  # a heading as a point on a circle needs no wrapping
         work.end[3 * WIDTH + i] = scalar[HEADING_WEIGHT] * s
         inside = work.block[AT_OUTSIDE + i] == 0.0  # only there is (x, y) surely on the grids
         work.slack[i] = 0.0 if inside else -1.0
@@ -195,16 +211,15 @@ def margin_at(work: Lanes, step: int, steps: int, lane: int) -> float:
 
 @inlined
 def sample_slack(work: Lanes, step: int, lane: int, required: float, problem: Problem) -> float:
+    """Clearance at a sample of a trajectory beyond `required` (m)."""
     at = step * NX * WIDTH + lane
     c, s = work.pose[step * 3 * WIDTH + lane], work.pose[(step * 3 + 1) * WIDTH + lane]
-    return pose_slack(
-        problem, work.trajectory[at + X * WIDTH], work.trajectory[at + Y * WIDTH], c, s, required
-    )
+    return pose_slack(problem, work.trajectory[at + X * WIDTH], work.trajectory[at + Y * WIDTH], c, s, required)
 
 
 @inlined
 def delta(work: Lanes, step: int, lane: int, problem: Problem) -> float:
-    """Clearance delta(v) that the model gap asks for at a sample (m)."""
+    """Clearance (m) that the model gap asks for at a sample."""
     speed = 0.0
     if SPEED >= 0:
         speed = abs(work.trajectory[(step * NX + SPEED) * WIDTH + lane])
@@ -213,7 +228,7 @@ def delta(work: Lanes, step: int, lane: int, problem: Problem) -> float:
 
 @part
 def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
-    """Smallest spare clearance (m) along an edge, negative if it may collide; inside the cycle delta(v) is asked for."""
+    """Smallest spare clearance (m) along an edge, negative if it may collide; within the cycle beyond delta(v)."""
     if work.slack[lane] < 0.0:
         return -1.0
     steps = work.steps[lane]
@@ -232,11 +247,10 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
 
 @inlined
 def at_rest(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
+    """Whether the vehicle stands at a sample."""
     resting = True
     for k in REST:
-        resting = (
-            resting and abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
-        )
+        resting = resting and abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
     return resting
 
 
@@ -276,12 +290,12 @@ def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
 
     The manoeuvres' trajectories stay in `brake`, with the spare clearance of the safe one in its lane's slack.
     """
-    manoeuvres = np.int64(MANOEUVRES)  # not a literal, which numba would compile the callees anew for
+    manoeuvres = int64(MANOEUVRES)  # not a literal, which numba would compile the callees anew for
     p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
     load_source(source, brake, manoeuvres)
     for i in range(manoeuvres):
         brake.block[AT_STEP + i] = problem.scalar[BRAKE_STEP]
-    taken, moving = np.int64(0), True
+    taken, moving = int64(0), True
     while moving and taken < problem.option[BRAKE_STEPS]:
         taken += 1
         for i in range(manoeuvres):  # a manoeuvre is a control law, held over one step
@@ -308,25 +322,23 @@ def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lan
     return brake_from(brake.source, problem, brake)
 
 
-def _grow(
-    tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, kept: Retained, iterations: int
-) -> None:
+def _grow(tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, kept: Retained, iterations: int) -> None:
     dirt.retain(tree, problem, work, brake, kept, propagate, check, safe)
     for _ in range(iterations):
         dirt.visit(tree, problem, work, brake, q, propagate, check, safe)
-        if tree.count[dirt.FULL] == 1:
+        if tree.count[FULL] == 1:
             return
 
 
 def _edge(problem: Problem, work: Lanes, start_time: float) -> None:
-    lane, lanes = np.int64(0), np.int64(1)
+    lane, lanes = int64(0), int64(1)
     propagate(work.source, lanes, problem, work)
     work.slack[lane] = check(lane, start_time, problem, work)
 
 
 def _brake(problem: Problem, work: Lanes, brake: Lanes, start_time: float) -> int:
     if start_time < math.inf:
-        return safe(np.int64(0), start_time, problem, work, brake)
+        return safe(int64(0), start_time, problem, work, brake)
     return brake_from(brake.source, problem, brake)
 
 
@@ -349,9 +361,5 @@ grow = compiled(
 )
 edge = compiled(_edge, folder=FOLDER, signature=types.void(PROBLEM, LANES, types.float64))
 brake = compiled(_brake, folder=FOLDER, signature=types.int64(PROBLEM, LANES, LANES, types.float64))
-advance = compiled(
-    _advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS)
-)
-pose = compiled(
-    _pose, folder=FOLDER, signature=types.float64(PROBLEM, types.float64, types.float64, types.float64)
-)
+advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS))
+pose = compiled(_pose, folder=FOLDER, signature=types.float64(PROBLEM, types.float64, types.float64, types.float64))

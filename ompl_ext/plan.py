@@ -28,8 +28,8 @@ class Plan:
     """Piecewise constant controls and the trajectory they are predicted to cause.
 
     `controls` (n, nu) are held for `durations` (n,) s; `states` (n + 1, nx) stand where they change.  `trajectory`
-    (m, nx) at `times` (m,) has every integration step.  `cost` is the duration; `cost_to_go` is the heuristic at the end,
-    0 inside the goal region.
+    (m, nx) at `times` (m,) has every integration step.  `cost` is the duration; `cost_to_go` is the heuristic at the
+    end, 0 inside the goal region.
     """
 
     states: Matrix

@@ -9,6 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from ompl import base as ob
@@ -25,7 +26,7 @@ from ompl_ext.plan import Plan, TreeView
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
-Termination = ob.PlannerTerminationCondition | float | Callable[[], bool] | None
+Termination: TypeAlias = Any  # a termination condition, seconds, or a function that says when to stop
 CALLBACK_BLOSSOM = 4
 
 
@@ -62,6 +63,8 @@ class DIRT(ob.Planner):
             self._params[name] = value
         self._configuration, self._bounds = configuration, bounds
         self._search: CompiledSearch | CallbackSearch | None = None
+        self._made_for: tuple[object, ...] = ()
+        self._cleared = False
         self._kept: _Retained | None = None
         self._clears = 0
         # OMPL's wrapper hands PlannerData over by copy, which it forbids: a class-level override would abort the
@@ -91,10 +94,10 @@ class DIRT(ob.Planner):
     def solve(
         self,
         ptc: Termination = None,
-        checkInterval: float = 0.0,  # noqa: N803 (OMPL's name)
+        checkInterval: float = 0.0,
         *,
-        solveTime: float | None = None,  # noqa: N803
-        terminationConditionFn: Callable[[], bool] | None = None,  # noqa: N803
+        solveTime: float | None = None,
+        terminationConditionFn: Callable[[], bool] | None = None,
     ) -> ob.PlannerStatus:
         """Grow the tree until the condition holds; called again, it continues.
 
@@ -113,8 +116,8 @@ class DIRT(ob.Planner):
         if goal is None:
             ou.OMPL_ERROR("DIRT: there is no goal")
             return status(status.INVALID_GOAL)
-        if self._search is None:
-            self._search = self._make_search(goal)
+        self._prepare(goal)
+        assert self._search is not None
         if not self._take_starts(self._search):
             ou.OMPL_ERROR("DIRT: none of the start states is valid")
             return status(status.INVALID_START)
@@ -130,13 +133,14 @@ class DIRT(ob.Planner):
     def clear(self) -> None:
         """Forget the tree; the next query draws from the next seed."""
         ob.Planner.clear(self)
-        if self._search is not None:
-            self._clears += 1
-        self._search = None
+        self._cleared = self._search is not None
 
     def setup(self) -> None:
-        """Take up the space information's settings."""
+        """Take up the space information's settings; with a goal, also make the maps that the search reads."""
         ob.Planner.setup(self)
+        definition = self.getProblemDefinition()
+        if definition is not None and definition.getGoal() is not None:
+            self._prepare(definition.getGoal())
 
     def tree(self) -> TreeView:
         """A copy of the tree with controls and durations, which OMPL's `PlannerData` cannot carry from Python."""
@@ -171,6 +175,20 @@ class DIRT(ob.Planner):
             search.add_root(state)
         return search.count(at.SIZE) > 0
 
+    def _prepare(self, goal: ob.Goal) -> None:
+        """Have a search for this goal: the one there is, emptied if it was cleared, or a new one."""
+        checker = self.getSpaceInformation().getStateValidityChecker()
+        made_for = (goal, checker, *self._params.getParams().items())
+        if self._search is not None and not self._cleared:
+            return
+        if self._cleared:
+            self._clears += 1
+        self._cleared = False
+        if isinstance(self._search, CompiledSearch) and made_for == self._made_for:
+            self._search.restart(int(self._params["seed"]) + self._clears)
+        else:
+            self._search, self._made_for = self._make_search(goal), made_for
+
     def _make_search(self, goal: ob.Goal) -> CompiledSearch | CallbackSearch:
         si, checker = self.getSpaceInformation(), self.getSpaceInformation().getStateValidityChecker()
         seed = int(self._params["seed"]) + self._clears
@@ -184,7 +202,13 @@ class DIRT(ob.Planner):
         else:
             configuration, bounds = self._configuration, self._bounds
         return CallbackSearch(
-            si, goal, configuration, bounds, _callback_settings(self._params), getattr(checker, "safety", None), seed
+            si,
+            goal,
+            configuration,
+            bounds,
+            _callback_settings(self._params),
+            getattr(checker, "safety", None),
+            seed,
         )
 
     def _report(self, definition: ob.ProblemDefinition, goal: ob.Goal) -> ob.PlannerStatus:
@@ -221,7 +245,7 @@ def _condition(given: Termination, interval: float) -> ob.PlannerTerminationCond
 
 
 def _fill_planner_data(planner: DIRT | None, data: ob.PlannerData) -> None:
-    """The tree as OMPL's planner data: a vertex's tag is the node's place in `tree()`, an edge's weight its duration."""
+    """The tree as planner data: a vertex's tag is the node's place in `tree()`, an edge's weight its duration."""
     if planner is None or planner._search is None:
         return
     view, search = planner._search.view(), planner._search

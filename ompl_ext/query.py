@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats
 from ompl_ext.clearance import clearance_field, cover
 from ompl_ext.costtogo import cost_to_go
 from ompl_ext.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
-from ompl_ext import kernel_types as at
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
@@ -65,9 +65,12 @@ class Settings:
 
 
 def make_problem(
-    vehicle: Vehicle, workspace: Workspace, goal: Goal, safety: Safety, settings: Settings
+    vehicle: Vehicle, workspace: Workspace, goal: Goal | None, safety: Safety, settings: Settings
 ) -> Problem:
-    """Arrays of a query: the clearance field and the cost-to-go are computed here, once per goal and map."""
+    """Arrays of a query: the clearance field and the cost-to-go are computed here, once per goal and map.
+
+    Without a goal there is no cost-to-go: enough to check edges and to ask for SAFETY, not to grow a tree.
+    """
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
     field = clearance_field(workspace, reach + 2 * settings.cell, settings.cell)

@@ -27,7 +27,7 @@ def unit_from(counter: np.uint64) -> float:
     z = (counter ^ (counter >> _S30)) * _MIX_1
     z = (z ^ (z >> _S27)) * _MIX_2
     z = z ^ (z >> _S31)
-    return np.float64(z >> _S11) * _TO_UNIT  # type: ignore[return-value]
+    return np.float64(z >> _S11) * _TO_UNIT
 
 
 @inlined

@@ -107,9 +107,13 @@ class Dirt:
 
         A state without clearance becomes the root all the same; no edge leaves it.
         """
+        self.clear(seed)
+        return self.add_root(state)
+
+    def clear(self, seed: int = 0) -> None:
+        """Empty the tree."""
         reset(self._tree, generator(seed))
         self._progress = Progress()
-        return self.add_root(state)
 
     def add_root(self, state: Floats) -> float:
         """Another state from which the query may begin; returns its spare clearance like `start`."""
@@ -198,9 +202,7 @@ class Dirt:
             cost=float(tree.hot[node, at.COST]),
             cost_to_go=0.0 if reaches_goal else float(tree.hot[node, at.TOGO]),
             reaches_goal=reaches_goal,
-            contingency=self._contingency_of(tree.state[path], controls, durations)
-            if self.safety.enabled
-            else None,
+            contingency=self._contingency_of(tree.state[path], controls, durations) if self.safety.enabled else None,
         )
 
     def contingency(self, state: Floats, after: float = 0.0) -> Contingency | None:
@@ -283,7 +285,7 @@ class Dirt:
             return None
         samples, nx = int(self._brake.steps[number]) + 1, len(self.vehicle.state)
         states = self._brake.trajectory.reshape(-1, nx, LANE_WIDTH)[:samples, :, number].copy()
-        times = brakes_at + self.safety.step * np.arange(samples)
+        times: Floats = brakes_at + self.safety.step * np.arange(samples, dtype=float)
         return Contingency(self.vehicle.manoeuvres[number], times, states, float(self._brake.slack[number]))
 
     def _call(self, kept: at.Retained, iterations: int) -> None:
@@ -295,8 +297,16 @@ class Dirt:
         if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
             history = (*history, (seconds, cost))
         first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None
-        numbers = [int(count[k]) for k in (at.ITERATIONS, at.EDGES, at.SIZE, at.UNSAFE, at.RETAINED)]
-        self._progress = Progress(seconds, *numbers, first, history)
+        self._progress = Progress(
+            seconds=seconds,
+            iterations=int(count[at.ITERATIONS]),
+            edges=int(count[at.EDGES]),
+            nodes=int(count[at.SIZE]),
+            unsafe=int(count[at.UNSAFE]),
+            retained=int(count[at.RETAINED]),
+            first_iteration=first,
+            history=history,
+        )
 
 
 def _next_chunk(count: int, took: float, left: float | None) -> int:

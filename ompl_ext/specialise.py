@@ -33,9 +33,7 @@ class VehicleKernels:
 def take_target() -> Vehicle:
     """The vehicle that `ompl_ext.lanes` is being executed for."""
     if not _target:
-        raise ImportError(
-            "ompl_ext.lanes is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)"
-        )
+        raise ImportError("ompl_ext.lanes is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)")
     return _target[-1]
 
 
@@ -83,7 +81,8 @@ def _execute(vehicle: Vehicle, key: str) -> ModuleType:
     """Execute lanes.py as a module of its own: numba's machine-code symbols carry the module's name."""
     name = f"ompl_ext.lanes_{key}"
     spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name("lanes.py"))
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba imports the module by name when it loads cached code
     _target.append(vehicle)

@@ -79,7 +79,12 @@ def space_information(
 
 
 def simple_setup(
-    vehicle: Vehicle, workspace: Workspace, start: Floats, goal: Goal, safety: Safety | None = None, step: float = 0.05
+    vehicle: Vehicle,
+    workspace: Workspace,
+    start: Floats,
+    goal: Goal,
+    safety: Safety | None = None,
+    step: float = 0.05,
 ) -> SimpleSetup:
     """`SimpleSetup` for a query: `setup.setPlanner(DIRT(setup.getSpaceInformation()))`, then `setup.solve(seconds)`."""
     si = space_information(vehicle, workspace, safety, step)

@@ -20,11 +20,33 @@ import math
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Ints, Words
+from ompl_ext.arrays import Bools, Floats, Ints, Words, int64
 from ompl_ext.jit import helper, inlined
 from ompl_ext.kernel_types import (
-    AT_GOAL, BEST, CELL_NEXT, CLOSEST, COST, COUNTS, FULL, LANE_WIDTH, LEVEL_COLUMNS, LEVEL_COUNT, LEVEL_ROWS,
-    LEVEL_START, NEXT, PARENT, Q_DIM, RADIUS, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, SIZE, TOGO, F, Lanes, Tree,
+    AT_GOAL,
+    BEST,
+    CELL_NEXT,
+    CLOSEST,
+    COST,
+    COUNTS,
+    FULL,
+    LANE_WIDTH,
+    LEVEL_COLUMNS,
+    LEVEL_COUNT,
+    LEVEL_ROWS,
+    LEVEL_START,
+    NEXT,
+    PARENT,
+    Q_DIM,
+    RADIUS,
+    REGION_LEVEL,
+    REGION_NEXT,
+    REGION_PREVIOUS,
+    SIZE,
+    TOGO,
+    F,
+    Lanes,
+    Tree,
 )  # fmt: skip
 from ompl_ext.rng import uniform
 
@@ -35,9 +57,7 @@ NODES_AT_FULL_RESOLUTION = 20_000.0
 MOST_CELLS = 250_000  # in either index: larger workspaces get larger cells
 
 
-def new_tree(
-    capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]
-) -> Tree:
+def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
     """Empty tree for `capacity` nodes of `nx` states and `nu` controls over a workspace with `bounds`.
 
     Call `reset` before use.
@@ -45,7 +65,9 @@ def new_tree(
     (x_low, x_high), (y_low, y_high) = bounds
     width, height = x_high - x_low, y_high - y_low
     smallest = math.sqrt(width * height / MOST_CELLS)
-    levels, sizes, start, size = [], [], 0, max(REGION_CELL, smallest)
+    start, size = 0, max(REGION_CELL, smallest)
+    levels: list[list[int]] = []
+    sizes: list[float] = []
     while not levels or levels[-1][LEVEL_COLUMNS] * levels[-1][LEVEL_ROWS] > 1:
         columns, rows = math.floor(width / size) + 1, math.floor(height / size) + 1
         levels.append([start, columns, rows, 0])
@@ -93,6 +115,7 @@ def reset_indices(tree: Tree) -> None:
 
 @inlined
 def clamp(value: int, count: int) -> int:
+    """The nearest of 0 .. count - 1."""
     return min(max(value, 0), count - 1)
 
 
@@ -108,6 +131,7 @@ def distance_squared(tree: Tree, node: int, q: Floats) -> float:
 
 @inlined
 def region_cell(tree: Tree, level: int, node: int) -> int:
+    """Place in region_head of the cell that a node's position lies in."""
     size, columns, rows = (
         tree.level_cell[level],
         tree.level[level, LEVEL_COLUMNS],
@@ -121,11 +145,11 @@ def region_cell(tree: Tree, level: int, node: int) -> int:
 @inlined
 def list_region(tree: Tree, node: int) -> None:
     """List a node on the level of its region's radius."""
-    level = np.int64(0)
+    level = int64(0)
     while level < len(tree.level_cell) - 1 and tree.level_cell[level] < tree.hot[node, RADIUS]:
         level += 1
     cell = region_cell(tree, level, node)
-    head = np.int64(tree.region_head[cell])
+    head = int64(tree.region_head[cell])
     tree.link[node, REGION_LEVEL] = level
     tree.link[node, REGION_NEXT] = head
     tree.link[node, REGION_PREVIOUS] = -1
@@ -137,6 +161,7 @@ def list_region(tree: Tree, node: int) -> None:
 
 @inlined
 def unlist_region(tree: Tree, node: int) -> None:
+    """Take a node off its level's list."""
     level, before, after = (
         tree.link[node, REGION_LEVEL], tree.link[node, REGION_PREVIOUS], tree.link[node, REGION_NEXT],
     )  # fmt: skip
@@ -172,7 +197,7 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
         for row in range(first_row, end_row):
             for column in range(first_column, end_column):
                 cell = tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_COLUMNS] + column
-                other = np.int64(tree.region_head[cell])
+                other = int64(tree.region_head[cell])
                 while other >= 0:
                     following = tree.link[other, REGION_NEXT]
                     if tree.hot[other, F] > tree.hot[node, F]:
@@ -199,7 +224,7 @@ def select(tree: Tree, q: Floats) -> int:
         for row in range(first_row, end_row):
             for column in range(first_column, end_column):
                 cell = tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_COLUMNS] + column
-                node = np.int64(tree.region_head[cell])
+                node = int64(tree.region_head[cell])
                 while node >= 0:
                     following = tree.link[node, REGION_NEXT]
                     if tree.hot[node, F] >= tree.best[0]:
@@ -217,8 +242,8 @@ def select(tree: Tree, q: Floats) -> int:
 @inlined
 def gap_squared(x: float, y: float, left: float, bottom: float, size: float) -> float:
     """Squared distance from a point to a square, 0 inside."""
-    dx = max(max(left - x, x - left - size), 0.0)
-    dy = max(max(bottom - y, y - bottom - size), 0.0)
+    dx = max(left - x, x - left - size, 0.0)
+    dy = max(bottom - y, y - bottom - size, 0.0)
     return dx * dx + dy * dy
 
 
@@ -227,7 +252,7 @@ def nearest_better_in_cell(
     tree: Tree, cell: int, q: Floats, f: float, node: int, best2: float, closed: float
 ) -> tuple[int, float]:
     """Improve (node, squared distance) by the nodes of one cell; nodes closed since they were listed are taken off."""
-    before, other = np.int64(-1), np.int64(tree.cell_head[cell])
+    before, other = int64(-1), int64(tree.cell_head[cell])
     while other >= 0 and best2 >= closed * closed:
         following = tree.link[other, CELL_NEXT]
         if tree.hot[other, RADIUS] < closed:
@@ -255,7 +280,7 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
     cell_size, size = tree.frame[2], BLOCK * tree.frame[2]
     center_column = clamp(int((q[0] - tree.frame[0]) / size), columns)
     center_row = clamp(int((q[1] - tree.frame[1]) / size), rows)
-    best2, node = limit * limit, np.int64(-1)
+    best2, node = limit * limit, int64(-1)
     for ring in range(max(columns, rows)):
         nearest = max((ring - 1) * size, 0.0)
         if nearest * nearest > best2 or best2 < closed * closed:
@@ -280,6 +305,7 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
 
 @inlined
 def list_position(tree: Tree, node: int) -> None:
+    """List a node in the cell of its position."""
     columns, rows = tree.block_shape[0], tree.block_shape[1]
     column = clamp(int((tree.hot[node, 0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
     row = clamp(int((tree.hot[node, 1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)

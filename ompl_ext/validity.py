@@ -42,7 +42,7 @@ class SafetyValidityChecker(ob.StateValidityChecker):
         return self._dirt.exact.distance(*self._pose(state))
 
     def delta(self, state: ob.State) -> float:
-        """Clearance delta(v) (m) that SAFETY asks for at the state's speed."""
+        """Clearance (m) that SAFETY asks for at the state's speed."""
         rest = self.vehicle.rest_indices
         speed = abs(state[rest[0]]) if rest else 0.0
         return self.safety_settings.delta + self.safety_settings.delta_per_speed * speed

@@ -26,9 +26,7 @@ class Footprint:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (
-            self.length > 0 and self.width > 0 and math.isfinite(self.length * self.width * (1 + self.offset))
-        ):
+        if not (self.length > 0 and self.width > 0 and math.isfinite(self.length * self.width * (1 + self.offset))):
             raise ValueError(f"footprint sizes must be positive and finite, got {self}")
 
     @property
@@ -90,9 +88,7 @@ class Vehicle:
         """The same vehicle with some parameters replaced; unknown names are a `KeyError`."""
         unknown = sorted(set(values) - set(self.parameters))
         if unknown:
-            raise KeyError(
-                f"{self.name} has no parameter {', '.join(unknown)}; it has {', '.join(self.parameters)}"
-            )
+            raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}; it has {', '.join(self.parameters)}")
         return replace(self, parameters={**self.parameters, **values})
 
     def index(self, component: str) -> int:

@@ -1,4 +1,4 @@
-"""The judgement on a finished plan: exact, continuous in time, and independent of the field the planner searched with."""
+"""The judgement on a finished plan: exact, at every time, and independent of the field that the search used."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import Plan
 from ompl_ext.solver import Dirt
 
@@ -56,13 +56,11 @@ def _poses(dirt: Dirt, states: Matrix) -> Matrix:
     return np.column_stack([states[:, x], states[:, y], heading])
 
 
-def _within_cycle(dirt: Dirt, plan: Plan) -> Floats:
+def _within_cycle(dirt: Dirt, plan: Plan) -> Bools:
     return plan.times <= dirt.safety.cycle + 1e-9
 
 
-def _too_close(
-    dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Floats
-) -> list[str]:
+def _too_close(dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Bools) -> list[str]:
     """Samples nearer to an obstacle than delta(v)."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
     delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
