@@ -53,9 +53,7 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
         raise VehicleProblem(f"{reference!r} is not a module and an attribute", "expected module:attribute")
     if resources.is_name(reference):
         if reference not in resources.names("vehicle"):
-            raise VehicleProblem(
-                f"there is no vehicle {reference!r}", choose(reference, resources.names("vehicle"))
-            )
+            raise VehicleProblem(f"there is no vehicle {reference!r}", choose(reference, resources.names("vehicle")))
         return reference
     return _existing(folder / reference, "a vehicle's YAML file")
 

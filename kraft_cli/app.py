@@ -9,6 +9,7 @@ import typer
 from kraft.version import VERSION
 from kraft_cli.commands.doctor import doctor
 from kraft_cli.commands.listing import list_
+from kraft_cli.commands.plan import plan
 from kraft_cli.commands.validate import validate
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -50,6 +51,7 @@ def common(
         raise typer.Exit(ExitStatus.INVALID)
 
 
+app.command("plan")(plan)
 app.command("validate")(validate)
 app.command("list")(list_)
 app.command("doctor")(doctor)

@@ -5,16 +5,18 @@ from __future__ import annotations
 from ompl_ext.trigonometry import atan, cos, sin, tan
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
+Values = tuple[float, ...]
+
 
 @derivative
-def actuation(u, p):  # type: ignore[no-untyped-def]
+def actuation(u: Values, p: Values) -> Values:
     """Throttle and steering to target speed and side-slip angle's cosine and sine (constant along an edge)."""
     beta = atan(0.5 * tan(p[2] * u[1]))
     return p[0] * u[0], cos(beta), sin(beta)
 
 
 @derivative
-def motion(x, u, p):  # type: ignore[no-untyped-def]
+def motion(x: Values, u: Values, p: Values) -> Values:
     """Bicycle about its centre with a first-order speed response."""
     target, c, s = u
     ct, st = cos(x[2]), sin(x[2])
@@ -22,7 +24,7 @@ def motion(x, u, p):  # type: ignore[no-untyped-def]
 
 
 @derivative
-def stop(x, p, k):  # type: ignore[no-untyped-def]
+def stop(x: Values, p: Values, k: int) -> Values:
     """Throttle off, wheels straight, half or fully turned."""
     return 0.0, (0.0, 0.5, -0.5, 1.0, -1.0)[k]
 

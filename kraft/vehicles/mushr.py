@@ -10,6 +10,8 @@ from __future__ import annotations
 from ompl_ext.trigonometry import atan, cos, sin, tan
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
+Values = tuple[float, ...]
+
 STEERING_MAX = 0.38
 """Limit of the steering joint, rad."""
 PROMPT_LAG = 0.1
@@ -19,14 +21,14 @@ TURNS = ("straight", "left", "right", "hard-left", "hard-right")
 
 
 @derivative
-def actuation(u, p):  # type: ignore[no-untyped-def]
+def actuation(u: Values, p: Values) -> Values:
     """Throttle and steering to target speed, cosine and sine of the side-slip angle, curvature over speed."""
     beta = atan(0.5 * tan(u[1] + p[1]))
     return p[2] * u[0], cos(beta), sin(beta), 2.0 * sin(beta) / p[0]
 
 
 @derivative
-def bicycle(x, u, tau):  # type: ignore[no-untyped-def]
+def bicycle(x: Values, u: Values, tau: float) -> Values:
     """Bicycle about its centre whose speed approaches the target with time constant `tau`."""
     target, c, s, curvature = u
     ct, st = cos(x[2]), sin(x[2])
@@ -34,19 +36,19 @@ def bicycle(x, u, tau):  # type: ignore[no-untyped-def]
 
 
 @derivative
-def prompt(x, u, p):  # type: ignore[no-untyped-def]
+def prompt(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car that follows the throttle almost at once."""
     return bicycle(x, u, PROMPT_LAG)
 
 
 @derivative
-def lagging(x, u, p):  # type: ignore[no-untyped-def]
+def lagging(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car with time constant tau, its fourth parameter."""
     return bicycle(x, u, p[3])
 
 
 @derivative
-def stop(x, p, k):  # type: ignore[no-untyped-def]
+def stop(x: Values, p: Values, k: int) -> Values:
     """Throttle off, wheels straight, half or fully turned."""
     return 0.0, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
 

@@ -10,25 +10,27 @@ from __future__ import annotations
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
+Values = tuple[float, ...]
+
 APPROACH = 10.0
 """Rate at which a saturating speed approaches its limit, 1/s."""
 
 
 @derivative
-def clamped(value, low, high):  # type: ignore[no-untyped-def]
+def clamped(value: float, low: float, high: float) -> float:
     """`value`, moved into [low, high]."""
     above = low if value < low else value
     return high if above > high else above
 
 
 @derivative
-def actuation(u, p):  # type: ignore[no-untyped-def]
+def actuation(u: Values, p: Values) -> Values:
     """Fractions to acceleration (m/s^2) and angular acceleration (rad/s^2)."""
     return p[0] * u[0], p[1] * u[1]
 
 
 @derivative
-def motion(x, u, p):  # type: ignore[no-untyped-def]
+def motion(x: Values, u: Values, p: Values) -> Values:
     """Unicycle whose accelerations fade where a speed reaches its limit."""
     v, omega = x[3], x[4]
     dv = clamped(u[0], -APPROACH * v, APPROACH * (p[2] - v))
@@ -37,7 +39,7 @@ def motion(x, u, p):  # type: ignore[no-untyped-def]
 
 
 @derivative
-def stop(x, p, k):  # type: ignore[no-untyped-def]
+def stop(x: Values, p: Values, k: int) -> Values:
     """Brake fully; turn no more, or left or right at a rate that fades with the speed."""
     turn = (0.0, 0.5, -0.5)[k] * p[3] * x[3] / p[2]
     return -1.0, clamped(APPROACH * (turn - x[4]) / p[1], -1.0, 1.0)

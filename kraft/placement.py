@@ -1,0 +1,64 @@
+"""Are start and goal where a vehicle can be?  Exact, before any planning, and said at the right line."""
+
+from __future__ import annotations
+
+from kraft.errors import Diagnostic, InputError
+from kraft.scenario import Task
+from kraft.workspace import fence, heading_of, planar_obstacle, pose_text
+from ompl_ext.arrays import Floats
+from ompl_ext.exact import ExactClearance
+from ompl_ext.obstacles import Obstacle, Workspace
+from ompl_ext.vehicle import Footprint, Vehicle
+
+POINT = Footprint(1e-6, 1e-6)
+
+
+def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | None = None) -> None:
+    """Check the start state and the goal's centre against the obstacles and the bounds, with FCL.
+
+    Args:
+        task: the scene and the goal.
+        vehicle: whose footprint has to fit.
+        state: where planning starts, shape (nx,).
+        origin: the plan file that the state comes from, if it is not the task's own start.
+
+    Raises:
+        InputError: if the footprint at the start, or the goal's centre, is inside an obstacle or out of bounds.
+    """
+    x, y = float(state[vehicle.index("x")]), float(state[vehicle.index("y")])
+    heading = heading_of(state, vehicle)
+    problems = []
+    if hit := _first_hit(task, vehicle, vehicle.footprint, (x, y, heading)):
+        problem = f"{vehicle.name} at {pose_text(x, y, heading)} {hit}"
+        expected = "expected a start that is free and inside the bounds"
+        if origin is None:
+            problems.append(task.source.diagnostic("start", problem, expected))
+        else:
+            problems.append(Diagnostic(origin, problem, expected))
+    if origin is None and abs(task.start.speed) > vehicle.top_speed:
+        problem = f"is {task.start.speed:g} m/s, faster than {vehicle.name} can be"
+        expected = f"expected at most {vehicle.top_speed:g} m/s"
+        problems.append(task.source.diagnostic("start.speed", problem, expected))
+    if hit := _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0)):
+        problem = f"the goal's centre {hit}"
+        problems.append(task.source.diagnostic("goal.center", problem, "expected a free place"))
+    if problems:
+        raise InputError(problems)
+
+
+def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[float, float, float]) -> str | None:
+    """What the footprint at a pose is in collision with, for a sentence."""
+    for i, obstacle in enumerate(task.obstacles):
+        if _collides(task, footprint, pose, planar_obstacle(obstacle)):
+            return (
+                f"is in collision with {obstacle.name!r}" if obstacle.name else f"is in collision with obstacles[{i}]"
+            )
+    for side in fence(task.bounds, 2 * vehicle.footprint.reach):
+        if _collides(task, footprint, pose, side):
+            return "is out of bounds"
+    return "is out of bounds" if task.bounds.outside(*pose[:2]) else None
+
+
+def _collides(task: Task, footprint: Footprint, pose: tuple[float, float, float], obstacle: Obstacle) -> bool:
+    alone = Workspace((task.bounds.x, task.bounds.y), (obstacle,))
+    return ExactClearance(alone, footprint).distance(*pose) <= 0.0

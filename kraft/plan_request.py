@@ -1,0 +1,155 @@
+"""`kraft plan` without a terminal: from what was asked, by names and paths, to a plan that is written and drawn."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from kraft.errors import Diagnostic, InputError
+from kraft.kernel_cache import ensure_compiled
+from kraft.plan_file import NAME, Origin, check_target, read_plan, write_plan
+from kraft.planners import PLANNERS
+from kraft.planning import PlanResult, Previous, plan_task
+from kraft.scenario import Planning, Task, load_scenario
+from kraft.suggest import choose
+from kraft.vehicle import load_vehicle
+from ompl_ext.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for, as it was written.
+
+    Attributes:
+        scenario: bundled name or path.
+        time, iterations: budget instead of the scenario's, s or a number; at most one.
+        seed: of the random generator.
+        planner, vehicle: instead of the scenario's.
+        parameters: ``name=value`` each.
+        out: folder for the plan file; None writes none.
+        plot: picture; None draws none.
+        previous: plan file to start from, `after` s after its beginning.
+    """
+
+    scenario: str
+    time: float | None = None
+    iterations: int | None = None
+    seed: int = 0
+    planner: str | None = None
+    vehicle: str | None = None
+    parameters: tuple[str, ...] = ()
+    out: Path | None = None
+    plot: Path | None = None
+    previous: Path | None = None
+    after: float = 0.0
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A request, what it was understood as, and what came of it; `plan_file` is None if none was written."""
+
+    request: Request
+    task: Task
+    vehicle: Vehicle
+    result: PlanResult
+    plan_file: Path | None
+
+
+def carry_out(request: Request, say: Callable[[str], None]) -> Planned:
+    """Load, check, plan, write, draw; `say` is told what takes long.
+
+    Everything that can be wrong with the request is looked at before any planning.
+
+    Raises:
+        InputError: with what is wrong with the request or the files it names.
+        Defect: if the plan found does not stand up to exact verification.
+    """
+    task = _task(request)
+    vehicle = _vehicle(request, task)
+    previous = _previous(request)
+    target = None if request.out is None else request.out / NAME
+    if target is not None:
+        check_target(target)
+    if request.plot is not None:
+        from kraft.plot import picture_format
+
+        picture_format(request.plot)
+    ensure_compiled(vehicle, say)
+    result = plan_task(task, vehicle, seed=request.seed, previous=previous)
+    if target is not None and result.plan is not None:
+        origin = Origin(request.scenario, request.vehicle or task.vehicle, previous)
+        write_plan(target, task, vehicle, result, origin)
+    else:
+        target = None
+    if request.plot is not None:
+        _draw(request.plot, task, vehicle, result)
+    return Planned(request, task, vehicle, result, target)
+
+
+def parse_parameters(items: Iterable[str]) -> dict[str, float]:
+    """Read ``name=value`` items.
+
+    Raises:
+        InputError: with every item that is not a name and a finite number, and every name that comes twice.
+    """
+    values: dict[str, float] = {}
+    problems = []
+    for item in items:
+        name, equals, text = item.partition("=")
+        number = _number(text)
+        if not equals or not name.strip() or number is None:
+            problems.append(Diagnostic("--param", f"is {item!r}", "expected name=number"))
+        elif name.strip() in values:
+            problems.append(Diagnostic("--param", f"{name.strip()} is given twice", "expected it once"))
+        else:
+            values[name.strip()] = number
+    if problems:
+        raise InputError(problems)
+    return values
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _task(request: Request) -> Task:
+    task = load_scenario(request.scenario).task()
+    planning: Planning = task.planning
+    if request.time is not None or request.iterations is not None:
+        planning = planning.with_budget(iterations=request.iterations, time=request.time)
+    if request.planner is not None:
+        if request.planner not in PLANNERS:
+            raise InputError.of("--planner", f"is {request.planner!r}", choose(request.planner, PLANNERS))
+        planning = planning.model_copy(update={"planner": request.planner})
+    return dataclasses.replace(task, planning=planning)
+
+
+def _vehicle(request: Request, task: Task) -> Vehicle:
+    parameters = parse_parameters(request.parameters)
+    if request.vehicle is not None:
+        return load_vehicle(request.vehicle, Path.cwd(), parameters)
+    return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)
+
+
+def _previous(request: Request) -> Previous | None:
+    if request.previous is None:
+        if request.after != 0.0:
+            raise InputError.of("--after", "is given without --from", "expected both or none")
+        return None
+    if not (math.isfinite(request.after) and request.after >= 0):
+        raise InputError.of("--after", f"is {request.after:g}", "expected a number of at least 0, s")
+    return Previous(read_plan(request.previous), request.after, str(request.previous))
+
+
+def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:
+    from kraft.plan_report import notes
+    from kraft.plot import plot_plan
+
+    plot_plan(path, task, vehicle, result.plan, result.tree, notes=notes(result), cycle=task.planning.cycle)

@@ -1,0 +1,92 @@
+"""Load a vehicle, whichever way it is named: model from code, numbers from a YAML file if there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from kraft.errors import Diagnostic, InputError
+from kraft.suggest import choose
+from kraft.vehicle_check import check_functions
+from kraft.vehicle_code import vehicle_of
+from kraft.vehicle_config import VehicleConfig, load_vehicle_config
+from kraft.vehicle_reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from ompl_ext.vehicle import Footprint, Vehicle
+
+
+def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping[str, float] | None = None) -> Vehicle:
+    """Load a bundled vehicle (``mushr``), a YAML file, ``module:attribute`` or ``path/to/file.py:attribute``.
+
+    Args:
+        reference: which vehicle; a path is relative to `folder`, by default the working directory.
+        folder: where the reference was written.
+        parameters: values that replace those of the vehicle, in its units.
+
+    Raises:
+        InputError: with everything that is wrong with the reference, the file, the code or the parameters.
+    """
+    try:
+        resolved = resolve_vehicle(reference, folder or Path.cwd())
+    except VehicleProblem as error:
+        raise InputError.of(reference, error.problem, error.expected) from None
+    if is_attribute(resolved) or split_file(resolved) is not None:
+        vehicle = with_parameters(vehicle_of(resolved), parameters or {})
+    else:
+        vehicle = configured(load_vehicle_config(resolved).with_values(parameters or {}))
+    check_functions(vehicle, reference)
+    return vehicle
+
+
+def configured(config: VehicleConfig) -> Vehicle:
+    """The model of a vehicle file with the file's name, parameters, footprint and top speed.
+
+    Raises:
+        InputError: if the model does not load or lacks a parameter that the file sets.
+    """
+    model = vehicle_of(_model(config))
+    problems = [
+        config.source.diagnostic(
+            ("parameters", name), f"{model.name} has no such parameter", choose(name, model.parameters), at_key=True
+        )
+        for name in config.parameters
+        if name not in model.parameters
+    ]
+    if config.speed_limit <= 0:
+        problem = f"is {config.speed_limit:g} m/s"
+        problems.append(config.source.diagnostic("top_speed", problem, "expected a speed greater than 0"))
+    if problems:
+        raise InputError(problems)
+    shape = config.footprint
+    return replace(
+        model.with_parameters(config.values),
+        name=config.name,
+        footprint=Footprint(shape.length, shape.width, shape.offset),
+        top_speed=config.speed_limit,
+    )
+
+
+def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
+    """The same vehicle with other values of some parameters.
+
+    Raises:
+        InputError: for parameters that it does not have.
+    """
+    unknown = [name for name in parameters if name not in vehicle.parameters]
+    if unknown:
+        none = f"{vehicle.name} has no parameters"
+        raise InputError(
+            Diagnostic(name, f"{vehicle.name} has no such parameter", choose(name, vehicle.parameters, none=none))
+            for name in unknown
+        )
+    return vehicle.with_parameters(parameters)
+
+
+def _model(config: VehicleConfig) -> str:
+    """Reference to the code; a relative path is relative to the vehicle's file."""
+    if split_file(config.model) is None:
+        return config.model
+    try:
+        return resolve_vehicle(config.model, Path(config.source.file).parent)
+    except VehicleProblem as error:
+        raise InputError([config.source.diagnostic("model", error.problem, error.expected)]) from None

@@ -1,0 +1,95 @@
+"""Check a vehicle's functions before anything is planned with them: do they compile, and return what they should."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from numba import typeof, types
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
+
+from kraft.errors import Diagnostic, InputError
+from ompl_ext.specialise import is_cached
+from ompl_ext.vehicle import Vehicle
+
+_LINE_MAX = 160  # characters of numba's explanation that are worth repeating
+
+
+def check_functions(vehicle: Vehicle, reference: str) -> None:
+    """Compile each function by itself and try it; does nothing for a vehicle whose kernels are in the cache.
+
+    Raises:
+        InputError: with every problem of every function, `reference` being what it is said of.
+    """
+    if is_cached(vehicle):
+        return
+    problems = [
+        Diagnostic(reference, problem, expected)
+        for function, arguments, count, what in _functions(vehicle)
+        for problem, expected in _problems(function, arguments, count, what)
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def _functions(vehicle: Vehicle) -> Iterator[tuple[Callable[..., Any], tuple[Any, ...], int, str]]:
+    """Each function with arguments to try it on, the number of values it must return, and what it is called."""
+    x = (0.0,) * len(vehicle.state)
+    u = tuple(0.5 * (low + high) for low, high in vehicle.controls.values())
+    p = tuple(float(value) for value in vehicle.parameter_array)
+    inputs = u
+    if vehicle.actuation is not None:
+        inputs = (0.5,) * len(vehicle.inputs)
+        yield vehicle.actuation, (u, p), len(vehicle.inputs), "actuation(u, p)"
+    yield vehicle.derivative, (x, inputs, p), len(vehicle.state), "derivative(x, u, p)"
+    if vehicle.stop is not None:
+        yield vehicle.stop, (x, p, 0), len(vehicle.controls), "stop(x, p, k)"
+
+
+def _problems(
+    function: Callable[..., Any], arguments: tuple[Any, ...], count: int, what: str
+) -> Iterator[tuple[str, str]]:
+    name = getattr(function, "__name__", "?")
+    label = f"{what.partition('(')[0]} {name!r}"
+    if not isinstance(function, Dispatcher):
+        yield f"{label} is not compiled", "expected @derivative above it (from ompl_ext.vehicle import derivative)"
+        return
+    dispatcher: Any = function  # numba is not typed
+    signature = tuple(typeof(value) for value in arguments)
+    try:
+        dispatcher.compile(signature)
+        returned: Any = dispatcher.overloads[signature].signature.return_type
+    except NumbaError as error:
+        yield f"{label} does not compile: {readable(error)}", f"expected {what} over tuples of floats"
+        return
+    if not isinstance(returned, types.BaseTuple) or not all(isinstance(t, types.Number) for t in returned):
+        yield f"{label} returns {_named(returned)}", f"expected a tuple of {count} numbers"
+    elif len(returned) != count:
+        yield f"{label} returns {_count(len(returned))}", f"expected {count}, one for each of {_of(what)}"
+    elif not all(math.isfinite(value) for value in dispatcher.py_func(*arguments)):
+        yield f"{label} is not finite at rest", f"expected finite numbers, got {dispatcher.py_func(*arguments)}"
+
+
+def readable(error: Exception) -> str:
+    """One line of numba's explanation and the line of code it is about."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    lines = [line.strip() for line in text.splitlines()]
+    said = next((line for line in lines if line and not line.startswith(("Failed in", "- Resolution"))), text)
+    place = re.search(r'File "(?P<file>[^"]+)", line (?P<line>\d+):', text)
+    short = said if len(said) <= _LINE_MAX else said[: _LINE_MAX - 3] + "..."
+    return f"{short} ({place['file']}:{place['line']})" if place else short
+
+
+def _named(returned: object) -> str:
+    return "one number" if isinstance(returned, types.Number) else str(returned)
+
+
+def _count(number: int) -> str:
+    return "1 value" if number == 1 else f"{number} values"
+
+
+def _of(what: str) -> str:
+    return {"d": "the state's components", "a": "the inputs", "s": "the controls"}[what[0]]

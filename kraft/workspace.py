@@ -1,0 +1,102 @@
+"""What a task means to the planner: its workspace, goal, safety and settings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kraft.scenario import Bounds, Box, Circle, Obstacle, OccupancyMap, Polygon, Task
+from ompl_ext import obstacles as planar
+from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Workspace, box
+from ompl_ext.query import Goal, Safety, Settings
+from ompl_ext.vehicle import Vehicle
+
+
+def workspace_of(task: Task, vehicle: Vehicle) -> Workspace:
+    """Obstacles of the task, and a fence around its bounds, because the footprint has to stay inside them."""
+    solid = tuple(planar_obstacle(obstacle) for obstacle in task.obstacles)
+    thickness = 2 * vehicle.footprint.reach
+    return Workspace((task.bounds.x, task.bounds.y), solid + fence(task.bounds, thickness))
+
+
+def planar_obstacle(obstacle: Obstacle) -> planar.Obstacle:
+    """An obstacle as the planner takes it."""
+    match obstacle:
+        case Box():
+            return box(obstacle.center, obstacle.size, obstacle.yaw)
+        case Circle():
+            return planar.Circle(np.array(obstacle.center), obstacle.radius)
+        case Polygon():
+            return planar.Polygon(np.array(obstacle.vertices))
+        case OccupancyMap():
+            return obstacle.grid
+
+
+def fence(bounds: Bounds, thickness: float) -> tuple[planar.Polygon, ...]:
+    """Four boxes that begin where the bounds end, `thickness` m wide."""
+    (x0, x1), (y0, y1) = bounds.x, bounds.y
+    cx, cy, width, height = (x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0
+    t = thickness
+    return (
+        box((x0 - t / 2, cy), (t, height + 2 * t)),
+        box((x1 + t / 2, cy), (t, height + 2 * t)),
+        box((cx, y0 - t / 2), (width, t)),
+        box((cx, y1 + t / 2), (width, t)),
+    )
+
+
+def goal_of(task: Task) -> Goal:
+    """The goal region; without a heading any will do."""
+    goal = task.goal
+    if goal.heading is None or goal.heading_tolerance is None:
+        return Goal(goal.center, goal.radius)
+    return Goal(goal.center, goal.radius, goal.heading, goal.heading_tolerance)
+
+
+def safety_of(task: Task) -> Safety:
+    """SAFETY where the plan leaves its first cycle, with the clearance that the task asks for."""
+    margin = task.planning.safety
+    return Safety(cycle=task.planning.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
+
+
+def settings_of(task: Task) -> Settings:
+    """The planner's settings; what a scenario does not say is the planner's own default."""
+    planning = task.planning
+    shortest, longest = planning.edge_duration
+    return Settings(
+        blossom=planning.blossom,
+        child_extension=planning.child_extension,
+        pruning=planning.pruning,
+        goal_bias=planning.goal_bias,
+        shortest=shortest,
+        longest=longest,
+        steps=planning.steps,
+    )
+
+
+def start_state(task: Task, vehicle: Vehicle) -> Floats:
+    """The start pose and speed as a state of the vehicle, all else zero, shape (nx,).
+
+    The speed is the component that the vehicle names first among those that vanish at rest.
+    """
+    state = np.zeros(len(vehicle.state))
+    values = {"x": task.start.x, "y": task.start.y, "theta": task.start.heading}
+    if vehicle.rest:
+        values[vehicle.rest[0]] = task.start.speed
+    for name, value in values.items():
+        if vehicle.index(name) >= 0:
+            state[vehicle.index(name)] = value
+    return state
+
+
+def heading_of(state: Floats, vehicle: Vehicle) -> float:
+    """Heading of a state, rad; 0 for a vehicle that does not turn."""
+    index = vehicle.index("theta")
+    return float(state[index]) if index >= 0 else 0.0
+
+
+def pose_text(x: float, y: float, heading: float) -> str:
+    """A pose for a sentence."""
+    return f"({x:.3g}, {y:.3g}) heading {math.degrees(heading):.4g} deg"

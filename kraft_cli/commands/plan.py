@@ -1,0 +1,86 @@
+"""`kraft plan`: plan a scenario once, and show, write and draw the result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from kraft.plan_request import Planned
+
+Iterations = Annotated[int | None, typer.Option(metavar="N", help="Plan for N iterations: the same plan on every run.")]
+Time = Annotated[float | None, typer.Option(metavar="S", help="Plan for S seconds of wall-clock time.")]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random generator.")]
+Planner = Annotated[str | None, typer.Option(metavar="NAME", help="Planner (kraft list planners).")]
+VehicleName = Annotated[
+    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle: a name, a YAML file, or code.")
+]
+Parameters = Annotated[
+    list[str] | None, typer.Option("--param", metavar="K=V", help="Replace a parameter of the vehicle.")
+]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write plan.json into DIR.")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the plan: FILE.png, .svg or .pdf.")]
+From = Annotated[
+    Path | None, typer.Option("--from", metavar="PLAN", help="Start from, and keep, what is left of a plan file.")
+]
+After = Annotated[float, typer.Option(metavar="S", help="With --from: S seconds after the beginning of that plan.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def plan(
+    context: typer.Context,
+    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")],
+    time: Time = None,
+    iterations: Iterations = None,
+    seed: Seed = 0,
+    planner: Planner = None,
+    vehicle: VehicleName = None,
+    param: Parameters = None,
+    out: Out = None,
+    plot: Plot = None,
+    from_: From = None,
+    after: After = 0.0,
+    json: Json = False,
+) -> ExitStatus:
+    """Plan a scenario and show the result; it ends with 1 if no plan reaches the goal."""
+    from kraft.plan_report import json_content
+    from kraft.plan_request import Request, carry_out
+
+    terminal: Terminal = context.obj
+    request = Request(scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after)
+    planned = carry_out(request, terminal.say)
+    if json:
+        terminal.json("kraft.plan/1", json_content(planned))
+    else:
+        _show(terminal, planned)
+    if planned.result.reason:
+        terminal.problem(planned.result.reason)
+    return ExitStatus.DONE if planned.result.solved else ExitStatus.NEGATIVE
+
+
+def _show(terminal: Terminal, planned: Planned) -> None:
+    """Print the table; plain lines where no terminal shows it."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from kraft.plan_report import table_rows
+
+    rows = table_rows(planned)
+    if not terminal.out.isatty():
+        width = max(len(label) for label, _ in rows)
+        for label, value in rows:
+            terminal.data(f"{label:<{width}}  {value}")
+        return
+    table = Table(box=box.ROUNDED, show_header=False, border_style="dim")
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    for label, value in rows:
+        good = planned.result.solved
+        table.add_row(label, value, style=("bold green" if good else "bold yellow") if label == "result" else None)
+    Console(file=terminal.out, highlight=False, markup=False).print(table)
