@@ -22,8 +22,43 @@ from ompl_ext.vehicle import Vehicle
 UNBOUNDED = 1e3  # bounds of state components without limits: OMPL's samplers need finite ones
 
 
+class Propagator:
+    """OMPL's callback: one RK4 step of the vehicle's compiled derivative, counting its calls."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._advance, self._parameters = kernels(vehicle).advance, vehicle.parameter_array
+        nx, nu = len(vehicle.state), len(vehicle.controls)
+        self._x, self._u, self._y = np.zeros(nx), np.zeros(nu), np.zeros(nx)
+        self._states, self._controls = range(nx), range(nu)
+        self.calls = 0
+
+    def __call__(self, state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
+        """Write the state `duration` s after `state` under `control` into `result`."""
+        self.calls += 1
+        x, u, y = self._x, self._u, self._y
+        for k in self._states:
+            x[k] = state[k]
+        for k in self._controls:
+            u[k] = control[k]
+        self._advance(x, u, self._parameters, duration, y)
+        for k in self._states:
+            result[k] = y[k]
+
+
 class SimpleSetup(oc.SimpleSetup):
-    """OMPL's, whose `getPlannerData` also reaches planners written in Python."""
+    """OMPL's, whose `getPlannerData` also reaches planners written in Python.
+
+    `propagator` is the callback given to the space information, which counts its calls.
+    """
+
+    def __init__(self, si: oc.SpaceInformation, propagator: Propagator) -> None:
+        super().__init__(si)
+        self.propagator = propagator
+
+    @property
+    def steps(self) -> int:
+        """Propagation steps that planners have asked of the callback."""
+        return self.propagator.calls
 
     def getPlannerData(self, data: ob.PlannerData) -> None:  # noqa: N802 (OMPL's name)
         """Fill `data` with the planner's tree."""
@@ -55,6 +90,7 @@ def space_information(
     safety: Safety | None = None,
     step: float = 0.05,
     duration: tuple[float, float] = (0.5, 1.0),
+    propagator: Propagator | None = None,
 ) -> oc.SpaceInformation:
     """Space information for `vehicle` in `workspace`: bounds, propagator (RK4), validity with clearance and SAFETY.
 
@@ -73,7 +109,7 @@ def space_information(
     si = oc.SpaceInformation(space, controls)
     si.setPropagationStepSize(step)
     si.setMinMaxControlDuration(round(duration[0] / step), round(duration[1] / step))
-    si.setStatePropagator(_propagator(vehicle))
+    si.setStatePropagator(propagator or Propagator(vehicle))
     si.setStateValidityChecker(SafetyValidityChecker(si, vehicle, workspace, safety))
     return si
 
@@ -85,10 +121,15 @@ def simple_setup(
     goal: Goal,
     safety: Safety | None = None,
     step: float = 0.05,
+    duration: tuple[float, float] = (0.5, 1.0),
 ) -> SimpleSetup:
-    """`SimpleSetup` for a query: `setup.setPlanner(DIRT(setup.getSpaceInformation()))`, then `setup.solve(seconds)`."""
-    si = space_information(vehicle, workspace, safety, step)
-    setup = SimpleSetup(si)
+    """`SimpleSetup` for a query: `setup.setPlanner(DIRT(setup.getSpaceInformation()))`, then `setup.solve(seconds)`.
+
+    `start` (nx,) in the vehicle's components; the other arguments as in `space_information`.
+    """
+    propagator = Propagator(vehicle)
+    si = space_information(vehicle, workspace, safety, step, duration, propagator)
+    setup = SimpleSetup(si, propagator)
     state = si.allocState()
     for k, value in enumerate(start):
         state[k] = float(value)
@@ -103,21 +144,3 @@ def _bounds(pairs: Floats) -> ob.RealVectorBounds:
         bounds.setLow(k, float(low))
         bounds.setHigh(k, float(high))
     return bounds
-
-
-def _propagator(vehicle: Vehicle):  # type: ignore[no-untyped-def]
-    """OMPL's callback: one RK4 step of the vehicle's compiled derivative."""
-    advance, parameters = kernels(vehicle).advance, vehicle.parameter_array
-    nx, nu = len(vehicle.state), len(vehicle.controls)
-    x, u, y = np.zeros(nx), np.zeros(nu), np.zeros(nx)
-
-    def propagate(state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
-        for k in range(nx):
-            x[k] = state[k]
-        for k in range(nu):
-            u[k] = control[k]
-        advance(x, u, parameters, duration, y)
-        for k in range(nx):
-            result[k] = y[k]
-
-    return propagate

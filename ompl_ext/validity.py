@@ -52,7 +52,11 @@ class SafetyValidityChecker(ob.StateValidityChecker):
 
         The result names the manoeuvre, holds its trajectory, and its smallest spare clearance beyond delta(v).
         """
-        return self._dirt.contingency(self._floats(state))
+        return self.safety_from(self._floats(state))
+
+    def safety_from(self, state: Floats, after: float = 0.0) -> Contingency | None:
+        """SAFETY of a state given as an array (nx,); the contingency's times begin at `after` s."""
+        return self._dirt.contingency(state, after)
 
     def _floats(self, state: ob.State) -> Floats:
         return np.array([state[k] for k in range(len(self._limits))])
