@@ -8,6 +8,21 @@ from pathlib import Path
 
 from kraft.errors import InputError
 
+EXPECTED = "expected a place that can be written, with room for it"
+
+
+def check_writable(path: Path) -> None:
+    """Find out before the work whether a file can be written at `path`.
+
+    Raises:
+        InputError: if a file stands where a folder has to be, or the folder is closed to us.
+    """
+    folder = next(p for p in path.absolute().parents if os.path.lexists(p))
+    if not folder.is_dir():
+        raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError.of(str(path), f"cannot be written: no permission to write into {folder}", EXPECTED)
+
 
 def write_whole(path: Path, content: bytes) -> None:
     """Put `content` at `path` in one step; folders on the way are made.
@@ -31,8 +46,7 @@ def write_whole(path: Path, content: bytes) -> None:
             os.unlink(temporary)
             raise
     except OSError as error:
-        problem = f"cannot be written: {error.strerror}"
-        raise InputError.of(str(path), problem, "expected a place that can be written, with room for it") from error
+        raise InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED) from error
 
 
 def _umask() -> int:

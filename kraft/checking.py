@@ -10,11 +10,14 @@ from pydantic import BaseModel
 
 from kraft import resources
 from kraft.errors import Diagnostic, InputError
+from kraft.placement import check_placement
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
 from kraft.validation import check
+from kraft.vehicle import load_vehicle, vehicle_of_task
 from kraft.vehicle_config import VehicleConfig
+from kraft.workspace import start_state
 from kraft.yaml_nodes import Document, read_document
 
 FileKind: TypeAlias = Literal["scenario", "vehicle", "map"]
@@ -66,10 +69,13 @@ def _find(name_or_path: str | Path) -> Path:
 
 def _check_as(kind: FileKind, document: Document, path: Path) -> None:
     if kind == "scenario":
-        scenario_from(document, path.parent)
+        task = scenario_from(document, path.parent).task()
+        vehicle = vehicle_of_task(task)
+        check_placement(task, vehicle, start_state(task, vehicle))
     elif kind == "vehicle":
         _, problems = check(VehicleConfig, document)
         if problems:
             raise InputError(problems)
+        load_vehicle(str(path))
     else:
         read_map(path, height=0.2, name=None)

@@ -9,7 +9,6 @@ import platform
 import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 from kraft import resources
@@ -32,6 +31,7 @@ REQUIRED: Final[dict[str, str]] = {
     "pydantic": "pydantic",
     "matplotlib": "matplotlib",
     "pillow": "PIL",
+    "pytest": "pytest",
 }
 """Each package that kraft requires, and what to import to see that it loads."""
 
@@ -65,16 +65,12 @@ def examine() -> list[Finding]:
 def _python() -> Finding:
     version = platform.python_version()
     fits = (3, 11) <= sys.version_info[:2] < (3, 14)
-    return Finding(
-        "python", "ok" if fits else "missing", version if fits else f"{version}; needs 3.11 to 3.13"
-    )
+    return Finding("python", "ok" if fits else "missing", version if fits else f"{version}; needs 3.11 to 3.13")
 
 
 def _files() -> Finding:
     try:
-        return Finding(
-            "bundled files", "ok", f"{len(resources.names('scenario'))} scenarios in {resources.root()}"
-        )
+        return Finding("bundled files", "ok", f"{len(resources.names('scenario'))} scenarios in {resources.root()}")
     except MissingAsset as error:
         return Finding("bundled files", "missing", str(error))
 
@@ -98,20 +94,14 @@ def _processor() -> Finding:
 
 
 def _cache() -> Finding:
-    """Where numba keeps compiled kernels: its variable, else beside the code, else the user's folder."""
-    beside = Path(__file__).resolve().parent.parent / "ompl_ext" / "__pycache__"
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        folder = Path(chosen)
-    elif os.access(beside if beside.exists() else beside.parent, os.W_OK):
-        folder = beside
-    else:
-        return Finding(
-            "kernel cache", "note", f"{beside} is read-only; kernels go to the user's cache folder"
-        )
-    existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    writable = os.access(existing, os.W_OK)
-    detail = str(folder) if writable else f"{folder} is not writable: every start compiles for seconds"
-    return Finding("kernel cache", "ok" if writable else "note", detail)
+    """Where compiled kernels are kept, and whether they can be."""
+    from ompl_ext.jit import cache_root
+
+    folder = cache_root().absolute()
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    if existing.is_dir() and os.access(existing, os.W_OK | os.X_OK):
+        return Finding("kernel cache", "ok", str(folder))
+    return Finding("kernel cache", "missing", f"{folder} cannot be written; set KRAFT_CACHE_DIR to a folder that can")
 
 
 def _rendering() -> Finding:
@@ -126,6 +116,4 @@ def _rendering() -> Finding:
             continue
         if trial.returncode == 0:
             return Finding("rendering", "ok", f"MUJOCO_GL={backend}")
-    return Finding(
-        "rendering", "note", f"no {asked or 'EGL, OSMesa or GLFW'}; `--video` and `--view` need one"
-    )
+    return Finding("rendering", "note", f"no {asked or 'EGL, OSMesa or GLFW'}; `--video` and `--view` need one")

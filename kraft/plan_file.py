@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel
 
-from kraft.atomic_file import write_whole
+from kraft.atomic_file import check_writable, write_whole
 from kraft.errors import InputError
 from kraft.plan_file_reader import SCHEMA, plan_from, read_object
 from kraft.planning import PlanResult, Previous
@@ -52,11 +52,12 @@ def write_plan(path: Path, task: Task, vehicle: Vehicle, result: PlanResult, ori
 
 
 def check_target(path: Path) -> None:
-    """Refuse to replace a file that is not a plan file.
+    """Refuse to replace a file that is not a plan file, and a place that cannot be written.
 
     Raises:
-        InputError: if there is such a file, or a folder.
+        InputError: if there is such a file, or a folder, or no permission.
     """
+    check_writable(path)
     if path.is_dir():
         raise InputError.of(str(path), "is a folder", "expected the place of a plan file")
     if path.exists():

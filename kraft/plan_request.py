@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from kraft.atomic_file import check_writable
 from kraft.errors import Diagnostic, InputError
 from kraft.kernel_cache import ensure_compiled
 from kraft.plan_file import NAME, Origin, check_target, read_plan, write_plan
@@ -15,7 +16,7 @@ from kraft.planners import PLANNERS
 from kraft.planning import PlanResult, Previous, plan_task
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.suggest import choose
-from kraft.vehicle import load_vehicle
+from kraft.vehicle import load_vehicle, vehicle_of_task
 from ompl_ext.vehicle import Vehicle
 
 
@@ -77,6 +78,7 @@ def carry_out(request: Request, say: Callable[[str], None]) -> Planned:
         from kraft.plot import picture_format
 
         picture_format(request.plot)
+        check_writable(request.plot)
     ensure_compiled(vehicle, say)
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
     if target is not None and result.plan is not None:
@@ -135,7 +137,7 @@ def _vehicle(request: Request, task: Task) -> Vehicle:
     parameters = parse_parameters(request.parameters)
     if request.vehicle is not None:
         return load_vehicle(request.vehicle, Path.cwd(), parameters)
-    return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)
+    return vehicle_of_task(task, parameters)
 
 
 def _previous(request: Request) -> Previous | None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kraft.errors import Diagnostic, InputError
+from kraft.scenario import Task
 from kraft.suggest import choose
 from kraft.vehicle_check import check_functions
 from kraft.vehicle_code import vehicle_of
@@ -31,11 +32,26 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
     except VehicleProblem as error:
         raise InputError.of(reference, error.problem, error.expected) from None
     if is_attribute(resolved) or split_file(resolved) is not None:
-        vehicle = with_parameters(vehicle_of(resolved), parameters or {})
+        vehicle = with_parameters(vehicle_of(resolved, reference), parameters or {})
     else:
         vehicle = configured(load_vehicle_config(resolved).with_values(parameters or {}))
     check_functions(vehicle, reference)
     return vehicle
+
+
+def vehicle_of_task(task: Task, parameters: Mapping[str, float] | None = None) -> Vehicle:
+    """The vehicle that a scenario names.
+
+    Raises:
+        InputError: as `load_vehicle`; what is wrong with the reference is said at its line.
+    """
+    try:
+        return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)
+    except InputError as error:
+        raise InputError(
+            task.source.diagnostic("vehicle", d.problem, d.expected) if d.file == task.vehicle else d
+            for d in error.diagnostics
+        ) from error
 
 
 def configured(config: VehicleConfig) -> Vehicle:
@@ -44,7 +60,7 @@ def configured(config: VehicleConfig) -> Vehicle:
     Raises:
         InputError: if the model does not load or lacks a parameter that the file sets.
     """
-    model = vehicle_of(_model(config))
+    model = _model(config)
     problems = [
         config.source.diagnostic(
             ("parameters", name), f"{model.name} has no such parameter", choose(name, model.parameters), at_key=True
@@ -82,11 +98,14 @@ def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicl
     return vehicle.with_parameters(parameters)
 
 
-def _model(config: VehicleConfig) -> str:
-    """Reference to the code; a relative path is relative to the vehicle's file."""
-    if split_file(config.model) is None:
-        return config.model
+def _model(config: VehicleConfig) -> Vehicle:
+    """The code that the file names; a relative path is relative to the file."""
+    reference = config.model
     try:
-        return resolve_vehicle(config.model, Path(config.source.file).parent)
+        if split_file(reference) is not None:
+            reference = resolve_vehicle(reference, Path(config.source.file).parent)
+        return vehicle_of(reference)
     except VehicleProblem as error:
         raise InputError([config.source.diagnostic("model", error.problem, error.expected)]) from None
+    except InputError as error:
+        raise InputError(config.source.diagnostic("model", d.problem, d.expected) for d in error.diagnostics) from error

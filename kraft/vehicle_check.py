@@ -7,7 +7,8 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from numba import typeof, types
+import numba
+from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
@@ -57,25 +58,44 @@ def _problems(
     if not isinstance(function, Dispatcher):
         yield f"{label} is not compiled", "expected @derivative above it (from ompl_ext.vehicle import derivative)"
         return
-    dispatcher: Any = function  # numba is not typed
-    signature = tuple(typeof(value) for value in arguments)
+    dispatcher, library = _untyped(function), _untyped(numba)
+    signature = tuple(library.typeof(value) for value in arguments)
     try:
         dispatcher.compile(signature)
         returned: Any = dispatcher.overloads[signature].signature.return_type
-    except NumbaError as error:
-        yield f"{label} does not compile: {readable(error)}", f"expected {what} over tuples of floats"
+    except (NumbaError, TypeError) as error:  # TypeError: another number of arguments
+        yield f"{label} does not compile: {readable(error)}", f"expected {what}, arithmetic on tuples of floats"
         return
-    if not isinstance(returned, types.BaseTuple) or not all(isinstance(t, types.Number) for t in returned):
+    kinds = list(_untyped(returned)) if isinstance(returned, types.BaseTuple) else None
+    if kinds is None or not all(isinstance(kind, types.Number) for kind in kinds):
         yield f"{label} returns {_named(returned)}", f"expected a tuple of {count} numbers"
-    elif len(returned) != count:
-        yield f"{label} returns {_count(len(returned))}", f"expected {count}, one for each of {_of(what)}"
-    elif not all(math.isfinite(value) for value in dispatcher.py_func(*arguments)):
-        yield f"{label} is not finite at rest", f"expected finite numbers, got {dispatcher.py_func(*arguments)}"
+    elif len(kinds) != count:
+        yield f"{label} returns {_count(len(kinds))}", f"expected {count}, one for each of {_of(what)}"
+    else:
+        yield from _not_finite(dispatcher, arguments, label)
+
+
+def _not_finite(dispatcher: Any, arguments: tuple[Any, ...], label: str) -> Iterator[tuple[str, str]]:
+    try:
+        values = dispatcher(*arguments)
+    except ArithmeticError as error:  # a function that was compiled to raise
+        yield f"{label} fails at rest: {error}", "expected finite numbers"
+        return
+    if not all(math.isfinite(value) for value in values):
+        shown = ", ".join(f"{value:g}" for value in values)
+        yield f"{label} returns ({shown}) at rest", "expected finite numbers"
+
+
+def _untyped(value: Any) -> Any:
+    """What the type checker shall not look into: numba is typed in part only."""
+    return value
 
 
 def readable(error: Exception) -> str:
     """One line of numba's explanation and the line of code it is about."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    if "NRT required" in text:
+        return "it makes a list or an array, and kernels cannot allocate memory"
     lines = [line.strip() for line in text.splitlines()]
     said = next((line for line in lines if line and not line.startswith(("Failed in", "- Resolution"))), text)
     place = re.search(r'File "(?P<file>[^"]+)", line (?P<line>\d+):', text)
