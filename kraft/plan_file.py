@@ -21,7 +21,8 @@ from pydantic import BaseModel
 from kraft.atomic_file import check_writable, write_whole
 from kraft.errors import InputError
 from kraft.plan_file_reader import SCHEMA, plan_from, read_object
-from kraft.planning import PlanResult, Previous
+from kraft.planning import PlanResult
+from kraft.previous import Previous
 from kraft.scenario import Task
 from kraft.version import VERSION
 from kraft.workspace import settings_of

@@ -29,7 +29,7 @@ def json_content(planned: Planned) -> dict[str, Any]:
         "setup_ms": 1000 * result.setup_seconds,
         "verify_ms": 1000 * result.verify_seconds,
         "iterations": progress.iterations,
-        "edges": progress.edges,
+        "edges": progress.edges or None,
         "edges_per_s": _rate(result),
         "nodes": progress.nodes,
         "retained": progress.retained,
@@ -37,7 +37,8 @@ def json_content(planned: Planned) -> dict[str, Any]:
         "min_clearance_m": _finite(verification.min_clearance) if verification else None,
         "contingency": plan.contingency.manoeuvre if plan and plan.contingency else None,
         "contingency_clearance_m": _finite(verification.contingency_clearance) if verification else None,
-        "safe": verification is not None and not verification.problems,
+        "safe": result.safe,
+        "problems": list(verification.problems) if verification else [],
         "plan_file": str(planned.plan_file) if planned.plan_file else None,
     }
 
@@ -61,6 +62,8 @@ def table_rows(planned: Planned) -> list[tuple[str, str]]:
         rows.append(
             ("contingency", f"{stop.manoeuvre} from t = {stop.times[0]:.2f} s, stands after {took:.1f} s, {clearance}")
         )
+    if result.verification is not None and result.verification.problems:
+        rows.append(("not safe", "\n".join(result.verification.problems)))
     if progress.retained:
         rows.append(("retained", f"{progress.retained} edges of the earlier plan"))
     if progress.iterations:
@@ -107,7 +110,7 @@ def _search(result: PlanResult) -> str:
 
 def _rate(result: PlanResult) -> float | None:
     progress = result.progress
-    return progress.edges / progress.seconds if progress.seconds > 0 else None
+    return progress.edges / progress.seconds if progress.edges and progress.seconds > 0 else None
 
 
 def _metres(value: float | None) -> str:

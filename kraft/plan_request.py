@@ -13,7 +13,8 @@ from kraft.errors import Diagnostic, InputError
 from kraft.kernel_cache import ensure_compiled
 from kraft.plan_file import NAME, Origin, check_target, read_plan, write_plan
 from kraft.planners import PLANNERS
-from kraft.planning import PlanResult, Previous, plan_task
+from kraft.planning import PlanResult, plan_task
+from kraft.previous import Previous
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.suggest import choose
 from kraft.vehicle import load_vehicle, vehicle_of_task

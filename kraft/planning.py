@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.errors import Defect, InputError
+from kraft.errors import Defect
 from kraft.placement import check_placement
-from kraft.planners import PLANNERS
+from kraft.previous import Previous
 from kraft.scenario import Task
-from kraft.suggest import choose
+from kraft.search import Budget, Found, search_of
 from kraft.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
 from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats
@@ -21,36 +21,6 @@ from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verify import Verification, verify
-
-PRESENT: frozenset[str] = frozenset({"dirt"})
-"""Those of `kraft.planners.PLANNERS` that `plan_task` can run."""
-
-
-@dataclass(frozen=True)
-class Budget:
-    """How long to plan: a number of iterations, which is repeatable, or wall-clock time in s."""
-
-    iterations: int | None = None
-    seconds: float | None = None
-
-
-@dataclass(frozen=True)
-class Previous:
-    """An earlier plan to start from: planning begins where it is after `elapsed` s and keeps what is left of it.
-
-    `origin` is the file it was read from, for messages and for the record.
-    """
-
-    plan: Plan
-    elapsed: float = 0.0
-    origin: str = "<built in code>"
-
-    @property
-    def state(self) -> Floats:
-        """The state that the plan predicts after `elapsed` s, shape (nx,)."""
-        plan = self.plan
-        columns = [np.interp(self.elapsed, plan.times, column) for column in plan.trajectory.T]
-        return np.array(columns)
 
 
 @dataclass(frozen=True)
@@ -61,7 +31,8 @@ class PlanResult:
         plan: the best plan, or the one that ends closest to the goal, or None if there is none that may be executed.
         tree: a copy of the tree that it was found in.
         progress: iterations, edges, and when which cost was found.
-        verification: FCL's judgement of the plan; None without a plan.
+        verification: FCL's judgement of the plan; None without a plan.  DIRT's have no problems; a plan of one of
+            OMPL's own planners, which know no SAFETY, is free of collisions but may lack clearance or a contingency.
         reason: why there is no plan that reaches the goal; empty if there is one.
         budget: what was asked for.
         seed: of the random generator.
@@ -78,6 +49,11 @@ class PlanResult:
     seed: int
     setup_seconds: float
     verify_seconds: float
+
+    @property
+    def safe(self) -> bool:
+        """Whether the plan keeps its clearance and has a contingency, as verified."""
+        return self.verification is not None and not self.verification.problems
 
     @property
     def solved(self) -> bool:
@@ -103,49 +79,45 @@ def plan_task(
         previous: an earlier plan to begin with.
 
     Raises:
-        InputError: if start or goal is in collision or out of bounds, or the previous plan is not of this vehicle.
+        InputError: if start or goal is in collision or out of bounds, the previous plan is not of this vehicle, or
+            there is no such planner.
         Defect: if the plan found does not stand up to exact verification.
     """
-    _check_planner(task.planning.planner)
-    budget = budget or budget_of(task)
-    state = _first_state(task, vehicle, previous)
+    search = search_of(task.planning.planner)
+    if previous is not None:
+        previous.check(vehicle)
+    state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = time.perf_counter()
     dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
     spare = dirt.start(state, seed)
-    setup = time.perf_counter() - began
+    setup_seconds = time.perf_counter() - began
+    budget = budget or budget_of(task)
     reason = _hopeless(dirt, state, spare)
-    if not reason:
-        if previous is not None:
-            dirt.retain(previous.plan, previous.elapsed)
-        dirt.grow(iterations=budget.iterations, seconds=budget.seconds)
-        reason = _shortfall(dirt.plan(), dirt.progress)
-    plan = dirt.plan()
+    found = Found(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
     began = time.perf_counter()
-    verification = _judged(dirt, plan, seed) if plan is not None else None
-    return PlanResult(
-        plan, dirt.tree(), dirt.progress, verification, reason, budget, seed, setup, time.perf_counter() - began
-    )
+    verification = verify(dirt, found.plan) if found.plan is not None else None
+    verify_seconds = time.perf_counter() - began
+    plan, unfit = _accepted(found, verification, seed)
+    reason = reason or unfit or _shortfall(plan, found.progress)
+    judged = verification if plan is not None else None
+    return PlanResult(plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds)
 
 
-def _check_planner(name: str) -> None:
-    if name not in PRESENT:
-        expected = f"expected {' or '.join(PRESENT)}" if name in PLANNERS else choose(name, PRESENT)
-        raise InputError.of(name, "is not a planner that `kraft plan` can run", expected)
+def _accepted(found: Found, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:
+    """The plan if it stands up to its verification, else why there is none.
 
-
-def _first_state(task: Task, vehicle: Vehicle, previous: Previous | None) -> Floats:
-    if previous is None:
-        return start_state(task, vehicle)
-    columns, controls = previous.plan.trajectory.shape[1], previous.plan.controls.shape[1]
-    if (columns, controls) != (len(vehicle.state), len(vehicle.controls)):
-        problem = f"the plan has {columns} state components and {controls} controls"
-        expected = f"expected a plan of {vehicle.name} with {len(vehicle.state)} and {len(vehicle.controls)}"
-        raise InputError.of(previous.origin, problem, expected)
-    if not 0.0 <= previous.elapsed < previous.plan.cost:
-        problem = f"the plan is over after {previous.plan.cost:.12g} s, asked for is {previous.elapsed:.12g} s"
-        raise InputError.of(previous.origin, problem, f"expected from 0 to less than {previous.plan.cost:.12g} s")
-    return previous.state
+    Raises:
+        Defect: if a planner that promises SAFETY broke its promise.
+    """
+    if found.plan is None or verification is None or not verification.problems:
+        return found.plan, ""
+    told = "; ".join(verification.problems)
+    if found.strict:
+        raise Defect(f"the plan of seed {seed} fails verification: {told}")
+    if verification.min_clearance > 0.0 and not any("collides" in problem for problem in verification.problems):
+        return found.plan, ""  # free of collisions, and that is all this planner promises
+    return None, f"the planner's plan was refused: {told}"
 
 
 def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
@@ -179,10 +151,3 @@ def _shortfall(plan: Plan | None, progress: Progress) -> str:
         return f"no plan reaches the goal after {used}; the best one ends {plan.cost_to_go:.3g} s short of it"
     unsafe = f", {progress.unsafe} of them because no contingency is safe" if progress.unsafe else ""
     return f"no edge may be executed after {used}: {progress.edges} were tried{unsafe}"
-
-
-def _judged(dirt: Dirt, plan: Plan, seed: int) -> Verification:
-    verification = verify(dirt, plan)
-    if verification.problems:
-        raise Defect(f"the plan of seed {seed} fails verification: " + "; ".join(verification.problems))
-    return verification
