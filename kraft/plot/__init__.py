@@ -1,0 +1,45 @@
+"""One picture that explains a plan: scene, tree, plan, its first cycle, and the manoeuvre that is kept in hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from kraft.plot.output import FORMATS, picture_format, write_picture
+from kraft.plot.picture import Subject, compose
+from kraft.plot.style import look
+from kraft.scenario import Task
+from ompl_ext.plan import Plan, TreeView
+from ompl_ext.vehicle import Vehicle
+
+__all__ = ["FORMATS", "picture_format", "plot_plan"]
+
+
+def plot_plan(
+    path: Path,
+    task: Task,
+    vehicle: Vehicle,
+    plan: Plan | None,
+    tree: TreeView,
+    *,
+    title: str | None = None,
+    notes: Mapping[str, str] = MappingProxyType({}),
+    cycle: float = 1.0,
+) -> None:
+    """Draw what the planner was asked and what it answered, as PNG, SVG or PDF by the suffix of `path`.
+
+    `notes` are key numbers, by name, with their units.  `cycle` is the duration of the first cycle, s.  The same
+    arguments give the same bytes.  The file is written in one step or not at all.
+
+    Raises:
+        InputError: if the suffix is none of these or the file cannot be written.
+    """
+    picture_format(path)  # before the work, not after it
+    with look():
+        subject = Subject.of(task, vehicle, plan, tree, cycle)
+        write_picture(path, compose(subject, title or _title(task), notes))
+
+
+def _title(task: Task) -> str:
+    return f"{task.name} · {task.description}" if task.description else task.name

@@ -1,0 +1,97 @@
+"""The plan on the map: its path, its first cycle, the vehicle along it, and the manoeuvre that would stop it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+
+from kraft.plot.frame import Frame, Motion, arrowheads, outlines
+from kraft.plot.style import CYCLE, CYCLE_PALE, DASHED, INK, WARNING, WARNING_PALE, Dashes, Look
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.vehicle import Vehicle
+
+INTERVALS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # between drawn footprints, s
+FOOTPRINTS_MAX = 40
+SWEPT = 64  # footprints that make up a swept area
+
+
+def footprint_interval(motion: Motion, vehicle: Vehicle) -> float:
+    """Seconds between the footprints that are drawn: short, but not so short that they hide each other."""
+    duration = motion.end - float(motion.times[0])
+    spacing = 1.1 * vehicle.footprint.length * duration / max(motion.length, 1e-9)
+    least = max(duration / FOOTPRINTS_MAX, min(spacing, 1.0))
+    return next((interval for interval in INTERVALS if interval >= least), least)
+
+
+def path_width(vehicle: Vehicle, scale: float) -> float:
+    """Width of the plan's line, pt, on a page of `scale` inches per m: thinner where the vehicle is small."""
+    return float(np.clip(0.06 * 72 * scale * vehicle.footprint.width, 1.1, 1.8))
+
+
+def draw_plan(axes: Axes, frame: Frame, vehicle: Vehicle, motion: Motion, cycle: float, scale: float) -> None:
+    """Path and footprints; what lies before the end of the cycle (s) is emphasised."""
+    begin, leaves, width = float(motion.times[0]), min(cycle, motion.end), path_width(vehicle, scale)
+    times = _footprint_times(motion, footprint_interval(motion, vehicle), leaves)
+    before = times <= leaves
+    _draw_swept(axes, frame, vehicle, motion.at(np.linspace(begin, leaves, SWEPT)), CYCLE_PALE, 4.3)
+    for poses, colour in ((motion.at(times[~before]), INK), (motion.at(times[before]), CYCLE)):
+        _draw_vehicle(axes, frame, vehicle, poses, colour, linewidths=0.8, facecolors=(1.0, 1.0, 1.0, 0.35))
+    _draw_path(axes, frame, motion.between(leaves, motion.end), INK, width)
+    _draw_path(axes, frame, motion.between(begin, leaves), CYCLE, 2 * width)
+
+
+def _footprint_times(motion: Motion, interval: float, leaves: float) -> Floats:
+    """Regular times (s), the end of the cycle and the end of the plan; none of the first close to these two."""
+    regular = np.arange(interval, motion.end, interval)
+    fixed = np.unique([leaves, motion.end])
+    far = (np.abs(regular[:, None] - fixed) > interval / 3).all(axis=1)
+    return np.sort(np.concatenate([regular[far], fixed]))
+
+
+def draw_start(axes: Axes, frame: Frame, vehicle: Vehicle, pose: Floats) -> None:
+    """The vehicle at `pose` (3,), where it starts."""
+    _draw_vehicle(axes, frame, vehicle, pose[None, :], "white", linewidths=1.2, facecolors=INK, zorder=6.0)
+
+
+def draw_contingency(axes: Axes, frame: Frame, vehicle: Vehicle, braking: Motion, scale: float) -> None:
+    """Path until standstill, the floor it sweeps, and the footprint where it ends."""
+    last, width = braking.poses[-1:], path_width(vehicle, scale)
+    times = np.linspace(float(braking.times[0]), braking.end, SWEPT)
+    _draw_swept(axes, frame, vehicle, braking.at(times), WARNING_PALE, 4.2)
+    _draw_vehicle(axes, frame, vehicle, last, WARNING, linestyles=[DASHED], linewidths=1.6, zorder=5.3)
+    _draw_path(axes, frame, braking.poses, WARNING, 1.4 * width, DASHED)
+    ring: Look = {"markerfacecolor": "white", "markeredgecolor": WARNING, "markeredgewidth": 0.9 * width}
+    where = frame.points(braking.poses[0, :2])
+    axes.plot(*where, marker="o", markersize=3.4 * width, zorder=6.7, **ring)
+
+
+def _draw_swept(axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colour: str, zorder: float) -> None:
+    """What the footprint covers; opaque, so that it does not matter how often it is covered."""
+    shapes = list(frame.points(outlines(vehicle.footprint, poses)))
+    look: Look = {"facecolors": colour, "edgecolors": colour, "linewidths": 0.5, "zorder": zorder}
+    axes.add_collection(PolyCollection(shapes, **look))
+
+
+def _draw_vehicle(
+    axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colour: str, *, linewidths: float, **look: Any
+) -> None:
+    """Footprints and, if the vehicle turns, marks that say where it heads."""
+    shapes = list(frame.points(outlines(vehicle.footprint, poses)))
+    drawn: Look = {"facecolors": "none", "edgecolors": colour, "linewidths": linewidths, "zorder": 5.0, **look}
+    axes.add_collection(PolyCollection(shapes, **drawn))
+    if vehicle.index("theta") >= 0:
+        marks = list(frame.points(arrowheads(vehicle.footprint, poses)))
+        axes.add_collection(LineCollection(marks, colors=colour, linewidths=linewidths, zorder=drawn["zorder"]))
+
+
+def _draw_path(
+    axes: Axes, frame: Frame, poses: Matrix, colour: str, width: float, dashes: Dashes | None = None
+) -> None:
+    path = frame.points(poses[:, :2])
+    below: Look = {"color": "white", "linewidth": width + 1.6, "zorder": 6.2}  # a casing, whole even under dashes
+    above: Look = {"color": colour, "linewidth": width, "zorder": 6.3, "linestyle": dashes or "solid"}
+    for look in (below, above):
+        axes.plot(path[:, 0], path[:, 1], **look)

@@ -1,0 +1,156 @@
+"""The map: workspace, obstacles, the tree, and where it starts and ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.patches import Circle as Disc
+from matplotlib.patches import Patch, Wedge
+from matplotlib.patches import Polygon as Area
+from matplotlib.path import Path as Outline
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+from matplotlib.transforms import Affine2D
+
+from kraft.plot.frame import Frame
+from kraft.plot.style import (
+    GOAL,
+    GOAL_HALF,
+    GOAL_PALE,
+    GREY,
+    OUTSIDE,
+    SMALL,
+    SOLID,
+    SOLID_EDGE,
+    Look,
+    cost_colours,
+    text_width,
+)
+from kraft.scenario import Bounds, Box, Circle, Goal, Obstacle, OccupancyMap, Polygon
+from ompl_ext.arrays import Floats
+from ompl_ext.plan import TreeView
+from ompl_ext.vehicle import Vehicle
+
+EDGES_MAX = 30_000  # more than this cannot be told apart
+EDGES_AS_LINES = 2_000  # more would make vector pictures too large: they become pixels
+TICK_SPACING = 0.5  # at least, inches
+
+
+def draw_workspace(axes: Axes, frame: Frame, bounds: Bounds, scale: float) -> None:
+    """The free floor, and ticks in the world's metres; `scale` is inches per m."""
+    axes.set(xlim=frame.limits[0], ylim=frame.limits[1], aspect="equal", facecolor=OUTSIDE)
+    (x0, x1), (y0, y1) = bounds.x, bounds.y
+    corners = frame.points(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
+    axes.add_patch(Area(corners, facecolor="white", edgecolor=GREY, linewidth=0.6, zorder=0))
+    for axis, size in zip((axes.xaxis, axes.yaxis), frame.size, strict=True):
+        axis.set_major_locator(MultipleLocator(_round_step(min(TICK_SPACING / scale, size / 5))))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
+    axes.set_xlabel("y, m" if frame.turned else "x, m", labelpad=2)
+    axes.set_ylabel("x, m" if frame.turned else "y, m", labelpad=2)
+    if frame.turned:  # the page's vertical is -x
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _tick(-value)))
+
+
+def _tick(value: float) -> str:
+    return f"{round(value, 9) + 0.0:.12g}".replace("-", "\N{MINUS SIGN}")
+
+
+def _round_step(least: float) -> float:
+    """The smallest 1, 2 or 5 times a power of ten that is not below `least`."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * (1 - 1e-9))
+
+
+def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, scale: float) -> None:
+    """One obstacle, with its name where there is room for it."""
+    if isinstance(obstacle, OccupancyMap):
+        _draw_cells(axes, frame, obstacle)
+        return
+    # all outlines lie below all fillings: obstacles that overlap look like one
+    for look in ({"edgecolor": SOLID_EDGE, "linewidth": 1.4, "zorder": 2.8}, {"facecolor": SOLID, "zorder": 2.9}):
+        axes.add_patch(_shape(frame, obstacle, look))
+    center, room = widest_place(obstacle)
+    if obstacle.name and text_width(obstacle.name, SMALL) / 72 < 0.9 * room * scale:
+        style: Look = {"fontsize": SMALL, "color": "#4a515c", "ha": "center", "va": "center", "zorder": 3.1}
+        axes.text(*_pair(frame.points(center)), obstacle.name, parse_math=False, clip_on=True, **style)
+
+
+def _shape(frame: Frame, obstacle: Box | Circle | Polygon, look: Mapping[str, Any]) -> Patch:
+    if isinstance(obstacle, Circle):
+        return Disc(_pair(frame.points(np.array(obstacle.center))), obstacle.radius, **look)
+    vertices = np.array(obstacle.corners if isinstance(obstacle, Box) else obstacle.vertices)
+    return Area(frame.points(vertices), **look)
+
+
+def widest_place(obstacle: Box | Circle | Polygon) -> tuple[Floats, float]:
+    """Middle of the largest disc inside the obstacle and its diameter, m; for a polygon, to a grid's accuracy."""
+    if isinstance(obstacle, Circle):
+        return np.array(obstacle.center), 2 * obstacle.radius
+    if isinstance(obstacle, Box):
+        return np.array(obstacle.center), min(obstacle.size)
+    vertices = np.array(obstacle.vertices)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 32)[1:-1].T), axis=-1).reshape(-1, 2)
+    grid = grid[Outline(vertices).contains_points(grid)]
+    if not len(grid):  # a sliver
+        return vertices.mean(axis=0), 0.0
+    along = np.roll(vertices, -1, axis=0) - vertices
+    part = np.einsum("gvj,vj->gv", grid[:, None] - vertices, along) / (along**2).sum(axis=1)
+    nearest = vertices + np.clip(part, 0.0, 1.0)[..., None] * along
+    room = np.linalg.norm(grid[:, None] - nearest, axis=-1).min(axis=1)
+    return grid[room.argmax()], 2 * float(room.max())
+
+
+def _draw_cells(axes: Axes, frame: Frame, cells: OccupancyMap) -> None:
+    """The occupied cells as an image: as many as there are, without seams between them."""
+    x, y, yaw = cells.origin
+    rows, columns = cells.occupied.shape
+    image = np.zeros((rows, columns, 4), np.uint8)
+    image[..., :3] = np.round(255 * np.array(to_rgb("#a3a9b4")))
+    image[..., 3] = 255 * cells.occupied
+    placed = Affine2D().rotate(yaw).translate(x, y)
+    if frame.turned:
+        placed = placed.rotate_deg(-90)
+    extent = (0.0, columns * cells.resolution, 0.0, rows * cells.resolution)
+    drawn = axes.imshow(image, origin="lower", extent=extent, aspect="equal", zorder=2.9)
+    drawn.set_transform(placed + axes.transData)
+    axes.set(xlim=frame.limits[0], ylim=frame.limits[1])  # imshow moves them
+
+
+def tree_lines(frame: Frame, tree: TreeView, vehicle: Vehicle) -> LineCollection | None:
+    """Each edge as a straight line, coloured by the cost-to-come at its end; None if there are no edges."""
+    nodes = np.flatnonzero(tree.parents >= 0)
+    if not len(nodes):
+        return None
+    if len(nodes) > EDGES_MAX:
+        nodes = nodes[np.linspace(0, len(nodes) - 1, EDGES_MAX).astype(np.int64)]
+    nodes = nodes[np.argsort(-tree.costs[nodes], kind="stable")]  # what is reached sooner lies on top
+    places = frame.points(tree.states[:, [vehicle.index("x"), vehicle.index("y")]])
+    segments = np.stack([places[tree.parents[nodes]], places[nodes]], axis=1)
+    scale = Normalize(0.0, float(tree.costs.max()) or 1.0)
+    width = float(np.clip(26 / math.sqrt(len(nodes)), 0.3, 0.9))
+    lines = LineCollection(list(segments), cmap=cost_colours(), norm=scale, linewidths=width, zorder=2)
+    lines.set_array(tree.costs[nodes])
+    lines.set_rasterized(len(nodes) > EDGES_AS_LINES)
+    return lines
+
+
+def draw_goal(axes: Axes, frame: Frame, goal: Goal) -> None:
+    """The goal region; a wedge shows the headings that count, if not all do."""
+    center = _pair(frame.points(np.array(goal.center)))
+    axes.add_patch(Disc(center, goal.radius, facecolor=GOAL_PALE, zorder=4))
+    axes.add_patch(Disc(center, goal.radius, fill=False, edgecolor=GOAL, linewidth=1.6, zorder=7))
+    if goal.heading is not None and goal.heading_tolerance is not None:
+        middle, half = math.degrees(frame.heading(goal.heading)), math.degrees(goal.heading_tolerance)
+        wedge = Wedge(center, goal.radius, middle - half, middle + half, facecolor=GOAL_HALF, zorder=4)
+        axes.add_patch(wedge)
+    axes.plot(*center, marker="+", color=GOAL, markersize=6, markeredgewidth=1.2, zorder=7)
+
+
+def _pair(point: Floats) -> tuple[float, float]:
+    return float(point[0]), float(point[1])

@@ -1,0 +1,94 @@
+"""One look for every picture: colours that differ in lightness as well as in hue, and type sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any, Final, TypeAlias
+
+import matplotlib
+import numpy as np
+from matplotlib import style
+from matplotlib.colors import ListedColormap
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+
+INK: Final = "#16181d"
+GREY: Final = "#667080"
+RULE: Final = "#c9ced6"
+SOLID: Final = "#b8bcc8"  # obstacles
+SOLID_EDGE: Final = "#7b8390"
+OUTSIDE: Final = "#ececf0"
+CYCLE: Final = "#0072b2"  # what is being executed
+WARNING: Final = "#d55e00"  # what keeps it safe
+CYCLE_FAINT: Final = "#e4f0f8"
+CYCLE_PALE: Final = "#cce4f4"
+WARNING_PALE: Final = "#fcdcc4"
+GOAL: Final = "#009e73"
+GOAL_PALE: Final = "#b4e0d4"
+GOAL_HALF: Final = "#50bc9c"
+Look: TypeAlias = dict[str, Any]  # arguments of matplotlib's artists
+Dashes: TypeAlias = tuple[float, tuple[float, ...]]
+DASHED: Final[Dashes] = (0, (2.4, 0.9))  # what would happen instead
+
+TITLE, VALUE, LABEL, SMALL = 13.0, 10.5, 8.0, 7.0  # type sizes, pt
+
+SETTINGS: Final[dict[str, Any]] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs everywhere
+    "font.size": LABEL,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": GREY,
+    "axes.linewidth": 0.6,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "svg.hashsalt": "kraft",  # or every SVG would get other identifiers
+}
+
+
+@contextmanager
+def look() -> Iterator[None]:
+    """Draw with these settings alone, whatever the user's matplotlibrc says, and leave his as they were."""
+    with style.context(SETTINGS, after_reset=True):
+        yield
+
+
+def cost_colours() -> ListedColormap:
+    """Viridis without its ends and paler: even steps for every eye, and the plan stands out before it."""
+    colours = matplotlib.colormaps["viridis"](np.linspace(0.08, 0.95, 256))[:, :3]
+    return ListedColormap(0.8 * colours + 0.2, name="cost-to-come")
+
+
+def plain_number(value: float) -> str:
+    """A number for a tick: three digits, no trailing zeros, a true minus sign."""
+    return f"{value + 0.0:.3g}".replace("-", "\N{MINUS SIGN}")
+
+
+@lru_cache(maxsize=1024)
+def text_width(text: str, size: float, *, bold: bool = False) -> float:
+    """Width of a line of text of `size` pt, in pt."""
+    if not text.strip():
+        return 0.0
+    weight = "bold" if bold else "normal"
+    properties = FontProperties(family="DejaVu Sans", weight=weight)
+    plain = text.replace("$", r"\$")  # a TextPath always looks for mathematics
+    return float(np.ptp(TextPath((0, 0), plain, size=size, prop=properties).vertices[:, 0]))
+
+
+def shortened(text: str, size: float, width: float, *, bold: bool = False) -> str:
+    """The text on one line, cut where it would be wider than `width` pt."""
+    line = " ".join(text.split())
+    if text_width(line, size, bold=bold) <= width:
+        return line
+    fits, too_long = 0, len(line)
+    while too_long - fits > 1:
+        middle = (fits + too_long) // 2
+        wide = text_width(line[:middle].rstrip() + "…", size, bold=bold) > width
+        fits, too_long = (fits, middle) if wide else (middle, too_long)
+    return line[:fits].rstrip() + "…"
