@@ -63,7 +63,10 @@ def configured(config: VehicleConfig) -> Vehicle:
     model = _model(config)
     problems = [
         config.source.diagnostic(
-            ("parameters", name), f"{model.name} has no such parameter", choose(name, model.parameters), at_key=True
+            ("parameters", name),
+            f"{model.name} has no such parameter",
+            choose(name, model.parameters, none=f"{model.name} has no parameters"),
+            at_key=True,
         )
         for name in config.parameters
         if name not in model.parameters

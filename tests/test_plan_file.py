@@ -1,0 +1,240 @@
+"""The plan file: what is written is read back exactly, nothing wrong is read, nothing is written half."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from kraft import atomic_file
+from kraft.atomic_file import write_whole
+from kraft.errors import InputError
+from kraft.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
+from kraft.planning import PlanResult, plan_task
+from kraft.previous import Previous
+from kraft.scenario import Task, load_scenario, parse_scenario
+from kraft.search import Budget
+from kraft.vehicle import load_vehicle
+from ompl_ext.vehicle import Vehicle
+
+ORIGIN = Origin("turns", "mushr")
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    return load_scenario("turns").task()
+
+
+@pytest.fixture(scope="module")
+def mushr() -> Vehicle:
+    return load_vehicle("mushr")
+
+
+@pytest.fixture(scope="module")
+def result(task: Task, mushr: Vehicle) -> PlanResult:
+    return plan_task(task, mushr, Budget(iterations=1000))
+
+
+@pytest.fixture(scope="module")
+def text(task: Task, mushr: Vehicle, result: PlanResult) -> str:
+    return plan_text(task, mushr, result, ORIGIN)
+
+
+def test_what_is_written_is_read_back_to_the_last_bit(
+    tmp_path: Path, task: Task, mushr: Vehicle, result: PlanResult
+) -> None:
+    write_plan(tmp_path / "new" / "plan.json", task, mushr, result, ORIGIN)
+    plan, read = result.plan, read_plan(tmp_path / "new" / "plan.json")
+    assert plan is not None
+    for name in ("states", "controls", "durations", "times", "trajectory"):
+        assert np.array_equal(getattr(read, name), getattr(plan, name)), name
+    assert (read.cost, read.cost_to_go, read.reaches_goal) == (plan.cost, plan.cost_to_go, plan.reaches_goal)
+    assert plan.contingency is not None
+    assert read.contingency is not None
+    assert read.contingency.manoeuvre == plan.contingency.manoeuvre
+    assert read.contingency.spare == plan.contingency.spare
+    assert np.array_equal(read.contingency.states, plan.contingency.states)
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["plan.json"]
+
+
+def test_it_says_everything_that_planning_again_needs(text: str, task: Task) -> None:
+    content = json.loads(text)
+    assert content["schema"] == "kraft.plan-file/1"
+    assert content["scenario"] == {"name": "turns", "reference": "turns", "sha256": task_hash(task)}
+    assert content["vehicle"]["parameters"] == {"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228}
+    assert (content["planner"], content["seed"], content["iterations"]) == ("dirt", 0, 1000)
+    assert content["settings"]["steps"] == 10
+    assert set(content["versions"]) == {"kraft", "numba", "numpy", "ompl", "python"}
+    assert content["goal"] == {"center": [1.0, 5.0], "radius": 0.25, "reached": True}
+    assert content["from"] is None
+
+
+def test_a_person_can_read_it_one_state_a_line(text: str, result: PlanResult) -> None:
+    assert result.plan is not None
+    lines = [line for line in text.splitlines() if line.startswith("    [")]
+    assert len(lines) >= len(result.plan.trajectory)
+    assert max(map(len, text.splitlines())) < 4000
+
+
+def test_nothing_in_it_depends_on_the_clock(task: Task, mushr: Vehicle, text: str) -> None:
+    again = plan_task(task, mushr, Budget(iterations=1000))
+    assert plan_text(task, mushr, again, ORIGIN) == text
+
+
+def test_an_earlier_plan_is_recorded(task: Task, mushr: Vehicle, result: PlanResult) -> None:
+    assert result.plan is not None
+    origin = Origin("turns", "mushr", Previous(result.plan, 1.0, "a/plan.json"))
+    recorded = json.loads(plan_text(task, mushr, result, origin))["from"]
+    assert (recorded["file"], recorded["after"], len(recorded["sha256"])) == ("a/plan.json", 1.0, 64)
+
+
+def test_the_hash_of_a_task_sees_what_the_planner_is_told_and_nothing_else(task: Task) -> None:
+    source = Path(task.source.file).read_text()
+    assert task_hash(parse_scenario("# a comment\n" + source).task()) == task_hash(task)
+    assert task_hash(parse_scenario(source.replace("center: [0.5, 1.5]", "center: [0.5, 1.6]")).task()) != task_hash(
+        task
+    )
+    assert task_hash(parse_scenario(source + "planning: {blossom: 31}\n").task()) != task_hash(task)
+
+
+def wrong(tmp_path: Path, content: str | bytes) -> str:
+    path = tmp_path / "plan.json"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InputError) as caught:
+        read_plan(path)
+    return str(caught.value).replace(f"{path}: ", "").replace(str(path), "plan.json")
+
+
+def changed(text: str, **changes: Any) -> str:
+    content = json.loads(text)
+    for dotted, value in changes.items():
+        *parents, key = dotted.split("__")
+        place = content
+        for parent in parents:
+            place = place[parent]
+        if value is ...:
+            del place[key]
+        else:
+            place[key] = value
+    return json.dumps(content)
+
+
+PLAN_FILE = "expected a plan file (kraft.plan-file/1), as `kraft plan --out` writes it"
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("", f"plan.json:1:1: is not JSON: Expecting value; {PLAN_FILE}"),
+        ("{", f"plan.json:1:2: is not JSON: Expecting property name enclosed in double quotes; {PLAN_FILE}"),
+        ("[1]", f"holds a list; {PLAN_FILE}"),
+        ('{"a": NaN}', f"is not JSON: NaN is not a finite number; {PLAN_FILE}"),
+        ("[" * 100_000, "is not JSON"),
+        (b"\xff\xfe", "is not JSON: 'utf-8' codec can't decode byte 0xff"),
+        ("{}", "schema: is missing; expected 'kraft.plan-file/1'"),
+        ('{"schema": "kraft.plan/1"}', "schema: is the text 'kraft.plan/1'; expected 'kraft.plan-file/1'"),
+    ],
+)
+def test_what_is_not_a_plan_file_is_refused(content: str | bytes, expected: str, tmp_path: Path) -> None:
+    assert wrong(tmp_path, content).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"controls": ...}, "controls: the key is missing; expected it in a plan file"),
+        ({"durations": "long"}, "durations: is not a table of numbers of n; expected lists of equal length"),
+        ({"durations": []}, "durations: is not a table of numbers of n; expected lists of equal length"),
+        ({"states": [[1, 2, 3, 4], [1, 2]]}, "states: is not a table of numbers of"),
+        ({"states": [[1, 2, 3, True]]}, "states: is not a table of numbers of"),
+        ({"states": [[1, 2, 3, "4"]]}, "states: is not a table of numbers of"),
+        ({"trajectory": [[0, 0, 0, 0]]}, "trajectory: has 1 x 4 numbers; expected"),
+        ({"cost": -1}, "cost: is the number -1; expected a number of at least 0"),
+        ({"cost": True}, "cost: is true; expected a number of at least 0"),
+        ({"cost": 1.0}, "cost: times end at"),
+        ({"goal": {}}, "goal.reached: the key is missing; expected it in a plan file"),
+        ({"goal__reached": 1}, "goal.reached: is the number 1; expected true or false"),
+        ({"contingency__states": [[0, 0, 0]]}, "contingency.states: has 1 x 3 numbers; expected"),
+        ({"contingency__manoeuvre": 3}, "contingency.manoeuvre: is the number 3; expected text"),
+    ],
+)
+def test_a_wrong_entry_is_named_by_its_path(changes: dict[str, Any], expected: str, text: str, tmp_path: Path) -> None:
+    assert expected in wrong(tmp_path, changed(text, **changes))
+
+
+def test_every_problem_comes_at_once(text: str, tmp_path: Path) -> None:
+    assert len(wrong(tmp_path, changed(text, controls=..., cost="x", goal=3)).splitlines()) == 3
+
+
+def test_numbers_too_large_for_a_double_are_refused(text: str, tmp_path: Path) -> None:
+    start = text.index('"durations": [') + len('"durations": [')
+    assert "durations: holds a number that is not finite" in wrong(tmp_path, text[:start] + "1e999, " + text[start:])
+    assert "durations: is not a table" in wrong(tmp_path, text[:start] + "1" + "0" * 400 + ", " + text[start:])
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.floats(0, 1), what=st.binary(max_size=6), cut=st.integers(0, 6))
+def test_a_damaged_file_is_read_as_a_plan_or_refused_never_anything_else(
+    place: float, what: bytes, cut: int, text: str, tmp_path: Path
+) -> None:
+    content = text.encode()
+    at = int(place * len(content))
+    path = tmp_path / "damaged.json"
+    path.write_bytes(content[:at] + what + content[at + cut :])
+    try:
+        plan = read_plan(path)
+    except InputError:
+        return
+    assert np.all(np.isfinite(plan.trajectory))
+    assert plan.trajectory.shape == (len(plan.times), plan.states.shape[1])
+    assert len(plan.states) == len(plan.durations) + 1 == len(plan.controls) + 1
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(keep=st.floats(0, 0.999))
+def test_a_truncated_file_is_refused(keep: float, text: str, tmp_path: Path) -> None:
+    wrong(tmp_path, text.encode()[: int(keep * (len(text) - 2))])
+
+
+def test_a_plan_replaces_a_plan_and_nothing_else(
+    tmp_path: Path, task: Task, mushr: Vehicle, result: PlanResult, text: str
+) -> None:
+    path = tmp_path / "plan.json"
+    write_plan(path, task, mushr, result, ORIGIN)
+    write_plan(path, task, mushr, result, ORIGIN)
+    assert path.read_text() == text
+    path.write_text('{"recipe": "soup"}')
+    with pytest.raises(InputError, match="there is a file that is not a plan file"):
+        write_plan(path, task, mushr, result, ORIGIN)
+    assert path.read_text() == '{"recipe": "soup"}'
+    with pytest.raises(InputError, match="is a folder; expected the place of a plan file"):
+        write_plan(tmp_path, task, mushr, result, ORIGIN)
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "plan.json"
+    write_whole(path, b"before")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(atomic_file.os, "fsync", full)
+    with pytest.raises(InputError, match=r"plan\.json: cannot be written: No space left on device"):
+        write_whole(path, b"after")
+    assert path.read_bytes() == b"before"
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
+
+
+def test_a_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"cannot be written: .*/file is not a folder"):
+        atomic_file.check_writable(tmp_path / "file" / "plan.json")
+    with pytest.raises(InputError, match="cannot be written: "):
+        write_whole(tmp_path / "file" / "plan.json", b"")

@@ -1,0 +1,228 @@
+"""Planning a task: what comes back is verified, repeatable, and honest when there is no plan."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from kraft import planning
+from kraft.errors import Defect, InputError
+from kraft.planning import PlanResult, plan_task
+from kraft.previous import Previous
+from kraft.scenario import Task, load_scenario, parse_scenario
+from kraft.search import Budget
+from kraft.vehicle import load_vehicle
+from kraft.workspace import fence, workspace_of
+from ompl_ext.exact import ExactClearance
+from ompl_ext.vehicle import Vehicle
+from ompl_ext.verify import Verification
+
+SCENE = """name: room
+bounds: {x: [0, 4], y: [0, 4]}
+obstacles:
+  - {name: pillar, box: {center: [2, 2], size: [1, 1]}}
+  - circle: {center: [3.5, 0.5], radius: 0.2}
+start: {x: 0.5, y: 0.5, heading_deg: 0}
+goal: {center: [3, 3], radius: 0.3}
+"""
+FEW = Budget(iterations=2000)
+
+
+def room(*changes: tuple[str, str]) -> Task:
+    text = SCENE
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return parse_scenario(text, "room.yaml").task()
+
+
+@pytest.fixture(scope="module")
+def mushr() -> Vehicle:
+    return load_vehicle("mushr")
+
+
+@pytest.fixture(scope="module")
+def solved(mushr: Vehicle) -> PlanResult:
+    return plan_task(room(), mushr, FEW, seed=3)
+
+
+def test_a_plan_begins_at_the_start_and_ends_in_the_goal(solved: PlanResult) -> None:
+    assert solved.solved
+    assert solved.safe
+    assert solved.reason == ""
+    assert solved.plan is not None
+    assert solved.plan.states[0] == pytest.approx([0.5, 0.5, 0, 0])
+    assert math.dist(solved.plan.states[-1][:2], (3, 3)) < 0.3
+    assert solved.plan.cost == pytest.approx(solved.plan.durations.sum())
+
+
+def test_the_plan_is_judged_with_its_exact_clearance(solved: PlanResult, mushr: Vehicle) -> None:
+    assert solved.plan is not None
+    assert solved.verification is not None
+    judge = ExactClearance(workspace_of(room(), mushr), mushr.footprint)
+    distances = judge.distances(solved.plan.trajectory[:, :3])
+    assert solved.verification.min_clearance == pytest.approx(distances.min())
+
+
+def test_seed_and_iterations_decide_the_plan(solved: PlanResult, mushr: Vehicle) -> None:
+    again = plan_task(room(), mushr, FEW, seed=3)
+    other = plan_task(room(), mushr, FEW, seed=4)
+    assert again.plan is not None
+    assert solved.plan is not None
+    assert other.plan is not None
+    assert again.plan.trajectory.tobytes() == solved.plan.trajectory.tobytes()
+    assert other.plan.trajectory.tobytes() != solved.plan.trajectory.tobytes()
+
+
+def test_the_scenarios_own_budget_holds_unless_another_is_given(mushr: Vehicle) -> None:
+    task = parse_scenario(SCENE + "planning: {iterations: 123}\n").task()
+    assert plan_task(task, mushr).progress.iterations == 123
+    assert plan_task(task, mushr, Budget(iterations=7)).progress.iterations == 7
+
+
+def test_a_time_budget_is_kept(mushr: Vehicle) -> None:
+    result = plan_task(room(), mushr, Budget(seconds=0.05))
+    assert 0.04 < result.progress.seconds < 0.5
+    assert result.solved
+
+
+@pytest.mark.parametrize("vehicle", ["mushr-lag", "unicycle2", "benchmark"])
+def test_every_bundled_vehicle_solves_turns(vehicle: str) -> None:
+    result = plan_task(load_scenario("turns").task(), load_vehicle(vehicle), FEW)
+    assert result.solved
+    assert result.safe
+
+
+@pytest.mark.parametrize("planner", ["rrt", "est", "kpiece1"])
+def test_ompls_own_planners_answer_the_same_query(planner: str, mushr: Vehicle) -> None:
+    task = parse_scenario(SCENE + f"planning: {{planner: {planner}}}\n").task()
+    result = plan_task(task, mushr, Budget(seconds=0.5))
+    assert result.plan is None or result.verification is not None
+    assert result.progress.edges == 0  # they count no edges, and none are invented
+    if result.plan is not None:
+        judge = ExactClearance(workspace_of(task, mushr), mushr.footprint)
+        assert judge.distances(result.plan.trajectory[:, :3]).min() > 0
+
+
+def test_ompls_own_planners_cannot_keep_a_plan(solved: PlanResult, mushr: Vehicle) -> None:
+    task = parse_scenario(SCENE + "planning: {planner: est}\n").task()
+    assert solved.plan is not None
+    with pytest.raises(InputError, match="est: cannot keep an earlier plan; expected the planner dirt with --from"):
+        plan_task(task, mushr, FEW, previous=Previous(solved.plan))
+
+
+def test_the_footprint_stays_inside_the_bounds(mushr: Vehicle) -> None:
+    task = room()
+    bare = dataclasses.replace(task, obstacles=())
+    result = plan_task(bare, mushr, FEW)
+    assert result.plan is not None
+    corners = mushr.footprint.corners()
+    for x, y, theta, _ in result.plan.trajectory:
+        c, s = math.cos(theta), math.sin(theta)
+        points = corners @ np.array([[c, s], [-s, c]]) + (x, y)
+        assert points.min() >= 0
+        assert points.max() <= 4
+
+
+def test_the_fence_touches_the_bounds_from_outside() -> None:
+    corners = np.vstack([side.vertices for side in fence(room().bounds, 1.0)])
+    assert (corners.min(), corners.max()) == (-1.0, 5.0)
+    inside = (corners > 0) & (corners < 4)
+    assert not inside.all(axis=1).any()
+
+
+def test_what_is_left_of_a_plan_is_kept_from_where_it_is_then(solved: PlanResult, mushr: Vehicle) -> None:
+    assert solved.plan is not None
+    result = plan_task(room(), mushr, Budget(iterations=1), previous=Previous(solved.plan, 1.0))
+    assert result.plan is not None
+    assert result.solved
+    assert result.progress.retained > 0
+    assert result.plan.cost == pytest.approx(solved.plan.cost - 1.0)
+    expected = [np.interp(1.0, solved.plan.times, column) for column in solved.plan.trajectory.T]
+    assert result.plan.states[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("elapsed", [-0.1, 1000.0])
+def test_a_plan_that_is_over_is_not_a_place_to_start(elapsed: float, solved: PlanResult, mushr: Vehicle) -> None:
+    assert solved.plan is not None
+    with pytest.raises(InputError, match=r"the plan is over after .* expected from 0 to less than"):
+        plan_task(room(), mushr, FEW, previous=Previous(solved.plan, elapsed))
+
+
+def test_a_plan_of_another_vehicle_is_refused(solved: PlanResult) -> None:
+    assert solved.plan is not None
+    with pytest.raises(
+        InputError, match="p.json: the plan has 4 state components and 2 controls; expected a plan of unicycle2"
+    ):
+        plan_task(room(), load_vehicle("unicycle2"), FEW, previous=Previous(solved.plan, 0.0, "p.json"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("start: {x: 0.5, y: 0.5", "start: {x: 1.4, y: 2.0", "room.yaml:6:8: start: mushr at (1.4, 2) heading 0 deg is in collision with 'pillar'; expected a start that is free and inside the bounds"),
+        ("start: {x: 0.5, y: 0.5", "start: {x: 3.2, y: 0.5", "room.yaml:6:8: start: mushr at (3.2, 0.5) heading 0 deg is in collision with obstacles[1]; expected a start that is free and inside the bounds"),
+        ("start: {x: 0.5, y: 0.5", "start: {x: 0.1, y: 0.5", "room.yaml:6:8: start: mushr at (0.1, 0.5) heading 0 deg is out of bounds; expected a start that is free and inside the bounds"),
+        ("heading_deg: 0}", "heading_deg: 0, speed: 3}", "room.yaml:6:48: start.speed: is 3 m/s, faster than mushr can be; expected at most 0.6228 m/s"),
+        ("center: [3, 3]", "center: [2.2, 2]", "room.yaml:7:16: goal.center: the goal's centre is in collision with 'pillar'; expected a free place"),
+    ],
+)  # fmt: skip
+def test_a_start_or_goal_where_nothing_can_be_is_explained_at_its_line(
+    old: str, new: str, expected: str, mushr: Vehicle
+) -> None:
+    with pytest.raises(InputError) as caught:
+        plan_task(room((old, new)), mushr, FEW)
+    assert str(caught.value) == expected
+
+
+WALL = ("size: [1, 1]", "size: [0.5, 4]")
+NEAR = ("x: 0.5, y: 0.5, heading_deg: 0", "x: 1.2975, y: 2.0, heading_deg: 0")
+
+
+@pytest.mark.parametrize(
+    ("task", "reason"),
+    [
+        (lambda: room(WALL), "the goal is unreachable: no path from the start is wide enough for the footprint"),
+        (lambda: room(NEAR), "the start is too near to an obstacle: 0.0025 m, which is less than"),
+        (
+            lambda: dataclasses.replace(
+                room(),
+                planning=parse_scenario(SCENE + "planning: {safety: {delta: 0.4}}\n").planning,
+            ),
+            "m of the clearance delta that its first cycle asks for",
+        ),
+    ],
+    ids=["unreachable", "near", "delta"],
+)
+def test_a_hopeless_task_is_answered_without_searching(task: Callable[[], Task], reason: str, mushr: Vehicle) -> None:
+    result = plan_task(task(), mushr, FEW)
+    assert not result.solved
+    assert result.plan is None
+    assert reason in result.reason
+    assert result.progress.iterations == 0
+
+
+def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -> None:
+    result = plan_task(load_scenario("turns").task(), mushr, Budget(iterations=3))
+    assert not result.solved
+    assert result.plan is not None
+    assert result.verification is not None
+    assert result.reason.startswith("no plan reaches the goal after 3 iterations")
+    assert result.plan.cost_to_go > 0
+
+
+def test_a_plan_that_fails_verification_is_a_defect(mushr: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planning, "verify", lambda *_: Verification(-1.0, None, ("plan: collides at t = 1.000 s",)))
+    with pytest.raises(Defect, match="the plan of seed 3 fails verification: plan: collides at t = 1.000 s"):
+        plan_task(room(), mushr, FEW, seed=3)
+
+
+def test_an_unknown_planner_is_answered_with_the_nearest(mushr: Vehicle) -> None:
+    task = room()
+    wrong = dataclasses.replace(task, planning=task.planning.model_copy(update={"planner": "rrrt"}))
+    with pytest.raises(InputError, match="rrrt: there is no planner of this name; did you mean 'rrt'"):
+        plan_task(wrong, mushr, FEW)

@@ -1,0 +1,118 @@
+"""The bundled vehicles: their files fit their models, and the models move as their equations say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from kraft import resources
+from kraft.errors import InputError
+from kraft.vehicle import load_vehicle
+from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.benchmark import BENCHMARK
+from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
+from kraft.vehicles.unicycle2 import UNICYCLE2
+from ompl_ext.vehicle import Vehicle
+
+BUNDLED = (BENCHMARK, MUSHR, MUSHR_LAG, UNICYCLE2)
+
+
+def rate(vehicle: Vehicle, state: Iterable[float], control: Iterable[float]) -> list[float]:
+    x, u = tuple(map(float, state)), tuple(map(float, control))
+    p = tuple(vehicle.parameter_array)
+    inputs = u if vehicle.actuation is None else vehicle.actuation(u, p)
+    return list(vehicle.derivative(x, inputs, p))
+
+
+def after(vehicle: Vehicle, state: list[float], control: list[float], seconds: float) -> np.ndarray:
+    x, h = np.array(state, dtype=float), 1e-3
+    for _ in range(round(seconds / h)):
+        x = x + h * np.array(rate(vehicle, x + 0.5 * h * np.array(rate(vehicle, x, control)), control))
+    return x
+
+
+@pytest.mark.parametrize("name", resources.names("vehicle"))
+def test_a_bundled_file_fits_its_model(name: str) -> None:
+    config, vehicle = load_vehicle_config(name), load_vehicle(name)
+    assert vehicle.name == name
+    assert list(vehicle.parameters.items()) == list(config.values.items())
+    assert (vehicle.footprint.length, vehicle.footprint.width) == (config.footprint.length, config.footprint.width)
+    assert vehicle.top_speed == config.speed_limit
+
+
+@pytest.mark.parametrize("model", BUNDLED, ids=lambda model: model.name)
+def test_a_model_without_its_file_is_the_same_vehicle(model: Vehicle) -> None:
+    loaded = load_vehicle(model.name)
+    assert (loaded.parameters, loaded.footprint, loaded.top_speed) == (
+        model.parameters,
+        model.footprint,
+        model.top_speed,
+    )
+
+
+@pytest.mark.parametrize("model", BUNDLED, ids=lambda model: model.name)
+def test_every_manoeuvre_stops_a_vehicle_that_turns_at_full_speed(model: Vehicle) -> None:
+    p = tuple(model.parameter_array)
+    assert model.stop is not None
+    for k in range(len(model.manoeuvres)):
+        state = np.zeros(len(model.state))
+        state[model.index("v")] = model.top_speed
+        if model.index("omega") >= 0:
+            state[model.index("omega")] = -1.5
+        for _ in range(100):
+            state = after(model, list(state), list(model.stop(tuple(state), p, k)), 0.1)
+        assert np.all(np.abs(state[list(model.rest_indices)]) < 0.01), model.manoeuvres[k]
+
+
+@pytest.mark.parametrize("model", [MUSHR, MUSHR_LAG], ids=lambda model: model.name)
+def test_mushr_turns_about_the_circle_of_its_centre(model: Vehicle) -> None:
+    steering = 0.3
+    _, _, turn, _ = rate(model, [0, 0, 0, 0.5], [0.5, steering])
+    beta = math.atan(0.5 * math.tan(steering))
+    radius = 0.2965 / (2 * math.sin(beta))
+    assert 0.5 / turn == pytest.approx(radius)
+
+
+def test_mushr_steers_straight_where_the_offset_is_steered_against() -> None:
+    car = MUSHR.with_parameters({"phi_diff": 0.1})
+    assert rate(car, [0, 0, 0, 0.5], [1, -0.1])[2] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_mushr_follows_the_throttle_almost_at_once_and_its_lagging_sister_with_tau() -> None:
+    assert after(MUSHR, [0, 0, 0, 0], [1, 0], 0.3)[3] == pytest.approx(0.6228 * (1 - math.exp(-3)), rel=1e-3)
+    assert after(MUSHR_LAG, [0, 0, 0, 0], [1, 0], 1.0103)[3] == pytest.approx(0.6228 * (1 - math.exp(-1)), rel=1e-3)
+
+
+def test_the_lagging_mushr_is_the_benchmark_car_up_to_names_of_its_numbers() -> None:
+    mine = rate(MUSHR_LAG, [0, 0, 0.4, 0.3], [0.7, 0.25])
+    theirs = rate(BENCHMARK, [0, 0, 0.4, 0.3], [0.7, 0.25 / 0.4203])
+    assert mine == pytest.approx(theirs, rel=1e-4)
+
+
+def test_the_unicycle_never_exceeds_its_speeds_nor_drives_backwards() -> None:
+    rng = np.random.default_rng(1)
+    state = np.zeros(5)
+    for _ in range(200):
+        state = after(UNICYCLE2, list(state), list(rng.choice([-1.0, 1.0], 2)), 0.2)
+        assert -1e-9 <= state[3] <= 0.6 + 1e-9
+        assert abs(state[4]) <= 2.0 + 1e-9
+
+
+def test_the_unicycle_accelerates_as_commanded_away_from_its_limits() -> None:
+    assert rate(UNICYCLE2, [0, 0, 0, 0.3, 0], [0.5, -0.5])[3:] == [0.5, -2.0]
+
+
+def test_a_top_speed_that_is_a_parameter_follows_it() -> None:
+    assert load_vehicle("mushr", parameters={"v_delta": 1.0}).top_speed == 1.0
+    assert load_vehicle("unicycle2", parameters={"v_max": 0.3}).top_speed == 0.3
+    assert load_vehicle("benchmark", parameters={"gain": 0.3}).top_speed == 0.6228
+
+
+def test_parameters_are_checked_against_the_files_limits() -> None:
+    with pytest.raises(InputError, match=r"mushr: parameters\.L\.value: is 9, above max; expected at most 0\.6"):
+        load_vehicle("mushr", parameters={"L": 9.0})
+    with pytest.raises(InputError, match="tau: mushr has no such parameter; expected one of L, phi_diff, v_delta"):
+        load_vehicle("mushr", parameters={"tau": 1.0})
