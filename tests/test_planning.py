@@ -156,7 +156,7 @@ def test_a_plan_that_is_over_is_not_a_place_to_start(elapsed: float, solved: Pla
 def test_a_plan_of_another_vehicle_is_refused(solved: PlanResult) -> None:
     assert solved.plan is not None
     with pytest.raises(
-        InputError, match="p.json: the plan has 4 state components and 2 controls; expected a plan of unicycle2"
+        InputError, match=r"p\.json: the plan has 4 state components and 2 controls; expected a plan of unicycle2"
     ):
         plan_task(room(), load_vehicle("unicycle2"), FEW, previous=Previous(solved.plan, 0.0, "p.json"))
 
@@ -217,7 +217,7 @@ def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -
 
 def test_a_plan_that_fails_verification_is_a_defect(mushr: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planning, "verify", lambda *_: Verification(-1.0, None, ("plan: collides at t = 1.000 s",)))
-    with pytest.raises(Defect, match="the plan of seed 3 fails verification: plan: collides at t = 1.000 s"):
+    with pytest.raises(Defect, match=r"the plan of seed 3 fails verification: plan: collides at t = 1\.000 s"):
         plan_task(room(), mushr, FEW, seed=3)
 
 

@@ -1,7 +1,5 @@
 """A user's own vehicle: found wherever it is, and what is wrong with its code is said in one line."""
 
-# ruff: noqa: E501 - what kraft says on one line is tested on one line
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Vehicle files: the bundled ones hold the measured numbers, and wrong ones are explained."""
 
-# ruff: noqa: E501 - what kraft says on one line is tested on one line
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -42,9 +40,7 @@ def test_the_four_vehicles_are_bundled() -> None:
         ("benchmark", {"gain": 0.6228, "rate": 0.9898, "steering_max": 0.4203, "wheelbase": 0.2965}),
     ],
 )
-def test_a_bundled_car_has_the_measured_parameters_in_the_models_order(
-    name: str, values: dict[str, float]
-) -> None:
+def test_a_bundled_car_has_the_measured_parameters_in_the_models_order(name: str, values: dict[str, float]) -> None:
     config = load_vehicle_config(name)
     assert config.name == name
     assert list(config.values.items()) == list(values.items())
