@@ -29,15 +29,26 @@ class CostToGo(NamedTuple):
 
 
 def cost_to_go(
-    field: ClearanceField, inscribed: float, goal: tuple[float, float], goal_radius: float, top_speed: float
+    field: ClearanceField,
+    inscribed: float,
+    goal: tuple[float, float],
+    goal_radius: float,
+    top_speed: float,
+    bounds: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> CostToGo:
     """Geodesic distance to the goal region over `top_speed`, on the clearance field's cells.
 
-    A cell is blocked where even its best point is nearer to an obstacle than the `inscribed` radius (m).
+    A cell is blocked where even its best point is nearer to an obstacle than the `inscribed` radius (m), or lies
+    outside the workspace's `bounds`.
     """
     best_in_cell = field.values + np.float32(field.cell * math.sqrt(2.0))
     blocked = best_in_cell < inscribed
     rows, columns = blocked.shape
+    if bounds is not None:
+        for axis, count, (low, high) in ((0, columns, bounds[0]), (1, rows, bounds[1])):
+            left = field.origin[axis] + field.cell * np.arange(count)
+            outside = (left + field.cell < low) | (left > high)
+            blocked |= outside[None, :] if axis == 0 else outside[:, None]
     distance = np.full((rows, columns), math.inf)
     heap = np.empty(rows * columns * 4, dtype=np.int32)
     place = np.full(rows * columns, -1, dtype=np.int32)

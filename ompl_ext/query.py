@@ -77,7 +77,7 @@ def make_problem(
     seconds = np.zeros((1, 1), np.float32)
     if goal is not None:
         inscribed = vehicle.footprint.inscribed
-        seconds = cost_to_go(field, inscribed, goal.center, goal.radius, vehicle.top_speed).seconds
+        seconds = cost_to_go(field, inscribed, goal.center, goal.radius, vehicle.top_speed, workspace.bounds).seconds
     limits = vehicle.state_limits.copy()
     for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
         k = vehicle.index(name)
