@@ -46,7 +46,7 @@ def json_content(planned: Planned) -> dict[str, Any]:
 def table_rows(planned: Planned) -> list[tuple[str, str]]:
     """Label and value of each line of the table that a person reads."""
     result, plan, progress = planned.result, planned.result.plan, planned.result.progress
-    rows = [("scenario", _about(planned.task.name, planned.task.description)), ("vehicle", _vehicle(planned))]
+    rows = [("scenario", planned.task.name), ("vehicle", _vehicle(planned))]
     rows.append(("result", _outcome(result)))
     if plan is not None:
         rows.append(("plan", f"{plan.cost:.2f} s in {len(plan.durations)} edges"))
@@ -58,9 +58,9 @@ def table_rows(planned: Planned) -> list[tuple[str, str]]:
     if plan is not None and plan.contingency is not None:
         stop = plan.contingency
         clearance = _metres(result.verification.contingency_clearance) if result.verification else "-"
-        took = stop.times[-1] - stop.times[0]
+        stands = stop.times[-1] - stop.times[0]
         rows.append(
-            ("contingency", f"{stop.manoeuvre} from t = {stop.times[0]:.2f} s, stands after {took:.1f} s, {clearance}")
+            ("contingency", f"{stop.manoeuvre} at {stop.times[0]:.2f} s, stands {stands:.1f} s later, {clearance}")
         )
     if result.verification is not None and result.verification.problems:
         rows.append(("not safe", "\n".join(result.verification.problems)))
@@ -86,10 +86,6 @@ def notes(result: PlanResult) -> dict[str, str]:
     return {**found, "iterations": f"{result.progress.iterations:,}", "nodes": f"{result.progress.nodes:,}"}
 
 
-def _about(name: str, description: str) -> str:
-    return f"{name}: {description}" if description else name
-
-
 def _vehicle(planned: Planned) -> str:
     values = ", ".join(f"{name} {value:g}" for name, value in planned.vehicle.parameters.items())
     return f"{planned.vehicle.name} ({values})" if values else planned.vehicle.name
@@ -104,8 +100,8 @@ def _outcome(result: PlanResult) -> str:
 def _search(result: PlanResult) -> str:
     progress = result.progress
     rate = _rate(result)
-    speed = f", {rate / 1e6:.2f} million edges/s" if rate is not None else ""
-    return f"{progress.iterations:,} iterations, {progress.nodes:,} nodes in {1000 * progress.seconds:.0f} ms{speed}"
+    speed = f", {rate / 1e6:.2f} M edges/s" if rate is not None else ""
+    return f"{progress.iterations:,} iterations, {progress.nodes:,} nodes, {1000 * progress.seconds:.0f} ms{speed}"
 
 
 def _rate(result: PlanResult) -> float | None:

@@ -1,0 +1,54 @@
+"""What the documentation shows about vehicles and plans is what there is."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from kraft import resources
+from kraft.plan_file import Origin, plan_text
+from kraft.planning import plan_task
+from kraft.scenario import load_scenario
+from kraft.search import Budget
+from kraft.vehicle import load_vehicle
+from kraft_cli.main import main
+
+ROOT = Path(__file__).resolve().parent.parent
+VEHICLES = (ROOT / "docs" / "vehicles.md").read_text(encoding="utf-8")
+PLAN = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
+
+
+def test_the_vehicle_shown_is_the_example() -> None:
+    block = VEHICLES.split("```python\n")[1].split("```")[0]
+    assert (ROOT / "examples" / "skid_steer.py").read_text().endswith(block)
+
+
+def test_the_vehicle_file_shown_is_that_of_mushr(tmp_path: Path) -> None:
+    path = tmp_path / "mushr.yaml"
+    path.write_text(VEHICLES.split("```yaml\n")[1].split("```")[0])
+    assert load_vehicle(str(path)) == load_vehicle("mushr")
+
+
+def test_every_bundled_vehicle_is_described() -> None:
+    for name in resources.names("vehicle"):
+        vehicle = load_vehicle(name)
+        rows = [line for line in VEHICLES.splitlines() if line.startswith(f"| `{name}` |")]
+        assert any(", ".join(vehicle.state) in row for row in rows)
+
+
+def test_every_key_of_the_plan_file_is_described() -> None:
+    task, vehicle = load_scenario("turns").task(), load_vehicle("mushr")
+    result = plan_task(task, vehicle, Budget(iterations=200))
+    content = json.loads(plan_text(task, vehicle, result, Origin("turns", "mushr")))
+    described = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", PLAN, re.MULTILINE))))
+    assert set(content) <= described
+
+
+def test_every_option_of_kraft_plan_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "--help"]) == 0
+    options = set(re.findall(r"(?<![\w-])--[a-z]+", capsys.readouterr().out)) - {"--help"}
+    assert options
+    assert options <= set(re.findall(r"--[a-z]+", PLAN))
