@@ -92,7 +92,7 @@ def test_every_kind_of_termination_condition_ends_solve() -> None:
 
 def test_an_exhausted_budget_is_a_timeout_or_an_approximate_solution() -> None:
     setup = arena(goal=(3.5, 0.5))
-    planner = DIRT(setup.getSpaceInformation())
+    planner = DIRT(setup.getSpaceInformation(), child_extension=False, blossom=4)
     setup.setPlanner(planner)
     setup.setup()
     assert planner.solve(ob.plannerAlwaysTerminatingCondition()) == STATUS.TIMEOUT
