@@ -1,0 +1,60 @@
+"""Run benchmarks, print their tables, and write results.json."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks.effort import FULL, QUICK, Effort
+from benchmarks.machine import describe
+from benchmarks.report import Report
+
+TOPICS = ("planner", "peers", "scaling", "callbacks", "startup", "safety")
+NEEDS_OUT = ("peers",)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run what the command line asks for; 1 if a target was missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("topics", nargs="*", metavar="TOPIC", help=f"of {', '.join(TOPICS)}; all if none is given")
+    parser.add_argument("--quick", action="store_true", help="measure little, to see that everything works")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), metavar="DIR", help="for the results")
+    given = parser.parse_args(arguments)
+    if unknown := [topic for topic in given.topics if topic not in TOPICS]:
+        parser.error(f"there is no topic {', '.join(unknown)}; expected {', '.join(TOPICS)}")
+    effort = QUICK if given.quick else FULL
+    given.out.mkdir(parents=True, exist_ok=True)
+    content: dict[str, Any] = {"machine": describe(), "quick": given.quick, "topics": {}}
+    warn_if_busy(content["machine"])
+    reports = []
+    for topic in given.topics or TOPICS:
+        report, took = run_topic(topic, effort, given.out)
+        print(report.text(), flush=True)
+        reports.append(report)
+        content["topics"][topic] = {**report.as_json(), "seconds": round(took, 1)}
+        (given.out / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return 0 if all(row.met is not False for report in reports for row in report.rows) else 1
+
+
+def run_topic(topic: str, effort: Effort, out: Path) -> tuple[Report, float]:
+    """A topic's report and how long it took (s)."""
+    print(f"measuring {topic} ...", file=sys.stderr, flush=True)
+    module, began = importlib.import_module(f"benchmarks.{topic}"), time.perf_counter()
+    report = module.run(effort, out) if topic in NEEDS_OUT else module.run(effort)
+    return report, time.perf_counter() - began
+
+
+def warn_if_busy(machine: dict[str, Any]) -> None:
+    """Say so if other work is running: times are then not what the machine can do."""
+    load = machine["load"][0]
+    if load > 0.5:
+        print(f"the machine is busy (load {load}): times are worse than they could be", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,41 @@
+"""How much to measure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Numbers of repetitions; the same code runs with all of them.
+
+    Attributes:
+        seeds: queries of each scene.
+        repeats: rounds of a comparison; every round runs each of the things compared once.
+        seconds: wall-clock time of one run in a comparison.
+        nodes: size of the largest tree.
+        cycles: queries in the search for leaks.
+        processes: `kraft plan` processes.
+        first_run: whether to compile all kernels anew, in an empty cache.
+        scenes: random scenes.
+        jobs: processes that share the random scenes; everything else runs alone.
+    """
+
+    seeds: int
+    repeats: int
+    seconds: float
+    nodes: int
+    cycles: int
+    processes: int
+    first_run: bool
+    scenes: int
+    jobs: int
+
+
+FULL = Effort(
+    seeds=100, repeats=10, seconds=2.0, nodes=100_000, cycles=1000, processes=10, first_run=True, scenes=2000, jobs=2
+)
+QUICK = Effort(
+    seeds=20, repeats=3, seconds=0.5, nodes=100_000, cycles=100, processes=3, first_run=True, scenes=60, jobs=2
+)
+SMOKE = Effort(seeds=1, repeats=1, seconds=0.02, nodes=3_000, cycles=3, processes=1, first_run=False, scenes=2, jobs=1)

@@ -1,0 +1,69 @@
+"""The scenes and the vehicle of all planning figures, without a safety margin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ompl import base as ob
+
+from kraft.scenario import load_scenario
+from kraft.vehicle import load_vehicle
+from kraft.workspace import goal_of, start_state, workspace_of
+from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Workspace
+from ompl_ext.query import Goal, Safety, Settings
+from ompl_ext.solver import Dirt
+from ompl_ext.system import SimpleSetup, simple_setup
+from ompl_ext.vehicle import Vehicle
+
+SCENES = ("turns", "boxes")
+NO_MARGIN = Safety(enabled=False, cycle=0.0)
+RK4_STEPS = Settings().steps  # of an edge
+OMPL_STEP = 0.05  # propagation and validity checking of planners that work over callbacks (s)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A query: vehicle, workspace, start state (nx,) and goal."""
+
+    name: str
+    vehicle: Vehicle
+    workspace: Workspace
+    start: Floats
+    goal: Goal
+
+    def dirt(self, capacity: int = 200_000) -> Dirt:
+        """The compiled planner for the query, with its maps and memory."""
+        return Dirt(self.vehicle, self.workspace, self.goal, NO_MARGIN, Settings(), capacity)
+
+    def setup(self) -> SimpleSetup:
+        """The query as OMPL planners take it."""
+        settings = Settings()
+        duration = (settings.shortest, settings.longest)
+        setup = simple_setup(self.vehicle, self.workspace, self.start, self.goal, NO_MARGIN, OMPL_STEP, duration)
+        setup.getStateSpace().setBounds(sampling_bounds(self))
+        return setup
+
+
+def sampling_bounds(query: Scene) -> ob.RealVectorBounds:
+    """Bounds that states are sampled in: no wider than states are, or RRT's nearest neighbours mean nothing."""
+    vehicle, (x, y) = query.vehicle, query.workspace.bounds
+    ranges = {"x": x, "y": y, "theta": (-math.pi, math.pi), "v": (-0.2, vehicle.top_speed)}
+    bounds = ob.RealVectorBounds(len(vehicle.state))
+    for k, name in enumerate(vehicle.state):
+        bounds.setLow(k, ranges[name][0])
+        bounds.setHigh(k, ranges[name][1])
+    return bounds
+
+
+def scene(name: str) -> Scene:
+    """A bundled scene with the benchmark vehicle."""
+    task, vehicle = load_scenario(name).task(), load_vehicle("benchmark")
+    return Scene(name, vehicle, workspace_of(task, vehicle), start_state(task, vehicle), goal_of(task))
+
+
+def endless(given: Scene) -> Scene:
+    """The same query with a heading asked for so exactly that no tree ever meets it: the search never ends."""
+    goal = Goal(given.goal.center, given.goal.radius, heading=0.0, tolerance=1e-9)
+    return Scene(given.name, given.vehicle, given.workspace, given.start, goal)
