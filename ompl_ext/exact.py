@@ -30,17 +30,21 @@ class ExactClearance:
         """Distance (m) from the footprint at a pose to the nearest obstacle: 0 in contact, inf without obstacles."""
         if not self._obstacles:
             return math.inf
+        if self.collides(x, y, theta):
+            return 0.0
+        data = fcl.DistanceData()
+        self._manager.distance(self._body, data, fcl.defaultDistanceCallback)
+        return float(data.result.min_distance)
+
+    def collides(self, x: float, y: float, theta: float = 0.0) -> bool:
+        """Whether the footprint at a pose touches an obstacle."""
         c, s = math.cos(theta), math.sin(theta)
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         position = np.array([x + c * self._offset, y + s * self._offset, 0.0])
         self._body.setTransform(fcl.Transform(rotation, position))
         contact = fcl.CollisionData()
         self._manager.collide(self._body, contact, fcl.defaultCollisionCallback)
-        if contact.result.is_collision:
-            return 0.0
-        data = fcl.DistanceData()
-        self._manager.distance(self._body, data, fcl.defaultDistanceCallback)
-        return float(data.result.min_distance)
+        return bool(contact.result.is_collision)
 
     def distances(self, poses: Matrix) -> Floats:
         """`distance` for each row x, y, theta of `poses`."""
