@@ -27,9 +27,7 @@ def refuse(problem: str, expected: str, at: KeyPath = ()) -> PydanticCustomError
 def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
     low, high = interval
     if low >= high:
-        raise refuse(
-            f"the interval [{low:g}, {high:g}] is empty or inverted", "expected [low, high] with low < high"
-        )
+        raise refuse(f"the interval [{low:g}, {high:g}] is empty or inverted", "expected [low, high] with low < high")
     return interval
 
 

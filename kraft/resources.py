@@ -34,9 +34,7 @@ def root() -> Path:
     for candidate in (package / "_bundled", package.parent):
         if (candidate / "scenarios").is_dir() and (candidate / "configs").is_dir():
             return candidate
-    raise MissingAsset(
-        f"kraft's own scenarios and configs are not in {package / '_bundled'}; reinstall kraft"
-    )
+    raise MissingAsset(f"kraft's own scenarios and configs are not in {package / '_bundled'}; reinstall kraft")
 
 
 def folder(kind: Kind) -> Path:

@@ -37,9 +37,7 @@ def format_path(path: KeyPath) -> str:
 
 def parse_path(text: str) -> KeyPath:
     """Read what `format_path` writes. Keys must not contain ``.``, ``[`` or ``]``."""
-    return tuple(
-        int(index) if index else key for key, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", text) or []
-    )
+    return tuple(int(index) if index else key for key, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", text) or [])
 
 
 @dataclass(frozen=True)
@@ -66,9 +64,7 @@ class Source:
                     return table[parts[:end]]
         return None
 
-    def diagnostic(
-        self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False
-    ) -> Diagnostic:
+    def diagnostic(self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False) -> Diagnostic:
         """Make a diagnostic at the value of ``path`` (or at the key itself, for a key that is wrong)."""
         parts = parse_path(path) if isinstance(path, str) else path
         position = self.keys.get(parts) if at_key else None

@@ -59,9 +59,7 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
         details = error.errors(include_url=False)
         misspelt = _misspelt(model, details)
         for detail in details:
-            if _counts_bad_items_as_absent(detail) or (
-                detail["type"] == "missing" and detail["loc"] in misspelt
-            ):
+            if _counts_bad_items_as_absent(detail) or (detail["type"] == "missing" and detail["loc"] in misspelt):
                 continue
             unknown = detail["type"] == "extra_forbidden"  # said even if its value is unusable too
             if unknown or not _already_reported(detail["loc"], document):
@@ -112,11 +110,7 @@ def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPat
 def _counts_bad_items_as_absent(detail: ErrorDetails) -> bool:
     """Whether a list is called too short only because pydantic does not count items that are wrong."""
     given = detail["input"]
-    return (
-        detail["type"] == "too_short"
-        and isinstance(given, tuple)
-        and len(given) >= detail["ctx"]["min_length"]
-    )
+    return detail["type"] == "too_short" and isinstance(given, tuple) and len(given) >= detail["ctx"]["min_length"]
 
 
 def _already_reported(path: tuple[int | str, ...], document: Document) -> bool:
@@ -127,9 +121,7 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     path: KeyPath = detail["loc"]
     kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
     if path and path[-1] == "[key]":  # pydantic's way to say that the key itself is wrong
-        return document.source.diagnostic(
-            path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True
-        )
+        return document.source.diagnostic(path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True)
     source = document.source
     known = lookup(model, path)
     about = f" ({known.description})" if known.description else ""
@@ -143,24 +135,16 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     if kind == "missing":
         return source.diagnostic(path, "the key is missing", f"expected {known.description or 'it'}")
     if kind == "too_long":
-        return source.diagnostic(
-            path, "the list is too long", f"expected {context['max_length']} items{about}"
-        )
+        return source.diagnostic(path, "the list is too long", f"expected {context['max_length']} items{about}")
     if kind == "too_short":
-        return source.diagnostic(
-            path, "the list is too short", f"expected {context['min_length']} items or more"
-        )
+        return source.diagnostic(path, "the list is too short", f"expected {context['min_length']} items or more")
     if kind == "literal_error":
         return source.diagnostic(path, f"is {describe(given)}", choose(str(given), known.choices))
     if kind in _LIMITS:
         key, words = _LIMITS[kind]
-        return source.diagnostic(
-            path, f"is {describe(given)}", f"expected a number {words} {context[key]:g}{about}"
-        )
+        return source.diagnostic(path, f"is {describe(given)}", f"expected a number {words} {context[key]:g}{about}")
     if kind == "string_pattern_mismatch":
         return source.diagnostic(path, f"is {describe(given)}", f"expected a {known.description}")
     if kind in _NOUNS:
         return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}")
-    return source.diagnostic(
-        path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}"
-    )
+    return source.diagnostic(path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}")

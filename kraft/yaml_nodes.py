@@ -105,9 +105,7 @@ class _Converter:
             self.report(node, (), f"holds more than {NODES_MAX} values", "expected fewer aliases")
             raise InputError(self.problems)
         if node in self.open_nodes:
-            return self.reject(
-                node, path, "the alias stands for something it is part of", "expected a finite value"
-            )
+            return self.reject(node, path, "the alias stands for something it is part of", "expected a finite value")
         if len(self.open_nodes) >= DEPTH_MAX:
             return self.reject(node, path, TOO_DEEP, f"expected at most {DEPTH_MAX} levels")
         self.open_nodes.append(node)
@@ -145,9 +143,7 @@ class _Converter:
             inner = (*path, key)
             if key in result:
                 first = self.keys[inner]
-                self.report(
-                    key_node, inner, f"the key is repeated; it is first at {first}", "expected it once"
-                )
+                self.report(key_node, inner, f"the key is repeated; it is first at {first}", "expected it once")
                 continue
             self.keys[inner] = _position(key_node)
             result[key] = self.value(value_node, inner)

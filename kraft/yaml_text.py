@@ -77,9 +77,7 @@ def _decoded(content: bytes, file: str) -> str:
         line = content.count(b"\n", 0, error.start) + 1
         column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
         problem = "is not UTF-8 text"
-        raise InputError(
-            [Diagnostic(file, problem, "expected the file saved as UTF-8", line, column)]
-        ) from error
+        raise InputError([Diagnostic(file, problem, "expected the file saved as UTF-8", line, column)]) from error
 
 
 def _composed(text: str, file: str) -> yaml.Node | None:

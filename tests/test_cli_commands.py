@@ -27,9 +27,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "good.yaml").write_text(GOOD)
     (tmp_path / "bad.yaml").write_text(GOOD.replace("radius: 1", "radius: 0") + "colour: red\n")
-    (tmp_path / "car.yaml").write_text(
-        "name: car\nmodel: x\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n"
-    )
+    (tmp_path / "car.yaml").write_text("name: car\nmodel: x\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n")
     return tmp_path
 
 

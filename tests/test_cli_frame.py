@@ -1,7 +1,5 @@
 """The frame of the command line: exit codes, streams, and errors that explain themselves."""
 
-# ruff: noqa: E501 - what kraft says on one line is tested on one line
-
 from __future__ import annotations
 
 import io
@@ -88,9 +86,7 @@ def test_a_traceback_is_shown_when_it_is_asked_for() -> None:
 
 
 def test_every_diagnostic_is_one_line_that_an_editor_can_jump_to() -> None:
-    error = InputError(
-        [Diagnostic("b.yaml", "p", "e", 2, 1), Diagnostic("a.yaml", "p", "e", 3, 4, "goal.radius")]
-    )
+    error = InputError([Diagnostic("b.yaml", "p", "e", 2, 1), Diagnostic("a.yaml", "p", "e", 3, 4, "goal.radius")])
     _, text = ended_with(error)
     assert text.splitlines() == ["a.yaml:3:4: goal.radius: p; e", "b.yaml:2:1: p; e"]
 
@@ -169,9 +165,7 @@ def test_light_commands_do_not_load_heavy_packages() -> None:
         "heavy = {'numba', 'ompl', 'matplotlib', 'mujoco', 'gtsam', 'scipy', 'numpy', 'fcl'} & set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 

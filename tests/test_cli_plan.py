@@ -81,7 +81,7 @@ def test_the_plan_file_is_written_where_asked_and_only_then(tmp_path: Path, caps
 
 def test_two_processes_write_the_same_bytes(tmp_path: Path) -> None:
     for folder in ("a", "b"):
-        command = [sys.executable, "-m", "kraft_cli", "plan", "room.yaml", "--seed", "7", "--out", folder]
+        command = [sys.executable, "-m", "kraft_cli", "plan", "room.yaml", "--seed", "7", "--out", folder, "-q"]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT)])}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")

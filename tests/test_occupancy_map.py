@@ -1,7 +1,5 @@
 """Occupancy maps: what a pixel means, which way is up, and broken images."""
 
-# ruff: noqa: E501 - what kraft says on one line is tested on one line
-
 from __future__ import annotations
 
 import contextlib
@@ -56,9 +54,7 @@ def test_a_cell_that_the_map_does_not_know_is_occupied(tmp_path: Path) -> None:
         grid = written(tmp_path, b"P5 4 1 255\n" + pixels, YAML + f"mode: {mode}\n")
         assert grid.occupied.tolist() == [[False, True, True, True]]
     generous = YAML.replace("free_thresh: 0.196", "free_thresh: 0.25")
-    assert written(tmp_path, b"P5 4 1 255\n" + pixels, generous).occupied.tolist() == [
-        [False, False, True, True]
-    ]
+    assert written(tmp_path, b"P5 4 1 255\n" + pixels, generous).occupied.tolist() == [[False, False, True, True]]
 
 
 def test_transparent_cells_are_occupied(tmp_path: Path) -> None:
@@ -68,9 +64,7 @@ def test_transparent_cells_are_occupied(tmp_path: Path) -> None:
 
 def test_negate_swaps_black_and_white(tmp_path: Path) -> None:
     for flag in ("1", "true"):
-        grid = written(
-            tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", f"negate: {flag}")
-        )
+        grid = written(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", f"negate: {flag}"))
         assert grid.occupied.tolist() == [[False, True]]
 
 
@@ -98,9 +92,7 @@ def test_sixteen_bit_images_are_read(tmp_path: Path) -> None:
         (b"", "D/m.pgm is neither PGM nor PNG; expected a PGM or PNG file"),
     ],
 )
-def test_a_broken_image_is_reported_at_the_line_that_names_it(
-    image: bytes, expected: str, tmp_path: Path
-) -> None:
+def test_a_broken_image_is_reported_at_the_line_that_names_it(image: bytes, expected: str, tmp_path: Path) -> None:
     line = refusal(tmp_path, image)
     assert line.startswith("D/m.yaml:1:8: image: ")
     assert expected in line

@@ -22,9 +22,7 @@ def star(radii: list[float]) -> NDArray[np.float64]:
 
 
 @given(radii, st.integers(0, 11))
-def test_a_star_is_simple_whichever_vertex_comes_first_and_whichever_way_it_runs(
-    radii: list[float], k: int
-) -> None:
+def test_a_star_is_simple_whichever_vertex_comes_first_and_whichever_way_it_runs(radii: list[float], k: int) -> None:
     vertices = np.roll(star(radii), k, axis=0)
     assert crossing_edges(vertices) is None
     assert crossing_edges(vertices[::-1]) is None

@@ -1,7 +1,5 @@
 """Wrong scenario files: each mistake is explained at its line and column."""
 
-# ruff: noqa: E501 - what kraft says on one line is tested on one line
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -186,15 +184,9 @@ def test_no_bytes_raise_anything_but_an_input_error(content: bytes) -> None:
 
 
 scalars = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5))
-keys = st.sampled_from(
-    ["name", "bounds", "x", "y", "start", "goal", "center", "radius", "obstacles", "box", "size"]
-)
-values = st.recursive(
-    scalars, lambda v: st.lists(v, max_size=3) | st.dictionaries(keys, v, max_size=4), max_leaves=12
-)
-sections = st.sampled_from(
-    ["name", "bounds", "obstacles", "start", "goal", "vehicle", "planning", "truth", "sensing"]
-)
+keys = st.sampled_from(["name", "bounds", "x", "y", "start", "goal", "center", "radius", "obstacles", "box", "size"])
+values = st.recursive(scalars, lambda v: st.lists(v, max_size=3) | st.dictionaries(keys, v, max_size=4), max_leaves=12)
+sections = st.sampled_from(["name", "bounds", "obstacles", "start", "goal", "vehicle", "planning", "truth", "sensing"])
 
 
 @given(sections, values)

@@ -1,7 +1,5 @@
 """Bundled scenarios say what the paper's scenes are, and loading gives plain geometry in metres and radians."""
 
-# ruff: noqa: E501 - what kraft says on one line is tested on one line
-
 from __future__ import annotations
 
 import copy
@@ -205,9 +203,7 @@ def test_a_scenario_survives_pickling_and_keeps_its_places() -> None:
 
 
 def test_a_scenario_built_in_code_has_no_places_and_says_so_without_failing() -> None:
-    scene = Scenario(
-        name="x", bounds=Bounds(x=(0, 1), y=(0, 1)), start=Start(0.5, 0.5, 0), goal=Goal((0.5, 0.5), 0.1)
-    )
+    scene = Scenario(name="x", bounds=Bounds(x=(0, 1), y=(0, 1)), start=Start(0.5, 0.5, 0), goal=Goal((0.5, 0.5), 0.1))
     diagnostic = scene.source.diagnostic("start", "the start is in collision", "expected free space")
     assert str(diagnostic) == "<built in code>: start: the start is in collision; expected free space"
 
@@ -245,9 +241,7 @@ def test_a_name_of_a_missing_scenario_too_long_for_a_file_is_still_an_input_erro
         load_scenario("x" * 5000 + ".yaml")
 
 
-def test_a_bundled_name_wins_over_a_folder_of_that_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bundled_name_wins_over_a_folder_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "turns").mkdir()
     assert load_scenario("turns").name == "turns"

@@ -1,7 +1,5 @@
 """Reading YAML: what words mean, and that whatever is wrong is said with its place."""
 
-# ruff: noqa: E501 - what kraft says on one line is tested on one line
-
 from __future__ import annotations
 
 from pathlib import Path

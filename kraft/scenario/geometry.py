@@ -33,9 +33,7 @@ class Box:
         (x, y), (length, width) = self.center, self.size
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         a, b = length / 2, width / 2
-        q0, q1, q2, q3 = (
-            (x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
-        )
+        q0, q1, q2, q3 = ((x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b)))
         return q0, q1, q2, q3
 
 

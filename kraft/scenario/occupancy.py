@@ -109,9 +109,7 @@ def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArra
     except UnidentifiedImageError as error:
         raise wrong(f"{path} is neither PGM nor PNG", "expected a PGM or PNG file") from error
     except _BROKEN as error:
-        raise wrong(
-            f"the image {path} cannot be read ({error})", "expected a whole PGM or PNG file"
-        ) from error
+        raise wrong(f"the image {path} cannot be read ({error})", "expected a whole PGM or PNG file") from error
 
 
 def _brightness(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -79,9 +79,7 @@ def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
 class PolygonFile(FileModel):
     """A simple polygon, convex or not."""
 
-    vertices: Annotated[
-        tuple[Point, ...], Field(min_length=3, max_length=VERTICES_MAX), AfterValidator(_simple)
-    ]
+    vertices: Annotated[tuple[Point, ...], Field(min_length=3, max_length=VERTICES_MAX), AfterValidator(_simple)]
     """[[x, y], ...] in order, m"""
     height: Length = 0.2
     """height in the physics world, m"""

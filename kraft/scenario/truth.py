@@ -77,9 +77,7 @@ class Tilt(FileModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if (self.angle is None) == (self.angle_deg is None):
-            raise refuse(
-                "needs one of `angle` and `angle_deg`", "expected angle in rad or angle_deg in degrees"
-            )
+            raise refuse("needs one of `angle` and `angle_deg`", "expected angle in rad or angle_deg in degrees")
         return self
 
     @property
