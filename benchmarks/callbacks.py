@@ -105,6 +105,9 @@ def solutions(name: str, query: Scene, repeats: int) -> list[Row]:
         rows.append(row(what + "first solution", "ms", [1e3 * each.seconds for each in of_planner]))
         rows.append(row(what + "steps to it", "steps", [each.steps for each in of_planner]))
         rows.append(row(what + "cost of it", "s", [each.cost for each in of_planner]))
+    for peer in PEERS:
+        ratios = [ours.seconds / theirs.seconds for ours, theirs in zip(found["dirt"], found[peer], strict=True)]
+        rows.append(row(f"{name}: DIRT's time to a first solution over {peer}'s", "times", ratios))
     return rows
 
 

@@ -31,6 +31,8 @@ class Target:
         if self.limit == 0 or not math.isfinite(value):
             return word if self.met_by(value) else f"{word} by {number(abs(value - self.limit))}"
         ratio = value / self.limit
+        if ratio == 1.0:
+            return word
         if ratio > 2.0:
             return f"{word}, {number(ratio)} times it"
         return f"{word} by {abs(ratio - 1):.0%}"

@@ -1,0 +1,82 @@
+"""The vehicles' models written down once more, in numpy, to check with what the planner returns.
+
+States have shape (n, nx), controls (n, nu): n motions at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.vehicle import Vehicle
+
+Model = Callable[[Matrix, Matrix], Matrix]
+Law = Callable[[Floats], Floats]
+
+MUSHR_LAG = 0.1  # s
+APPROACH = 10.0  # 1/s
+
+
+def model_of(vehicle: Vehicle) -> Model:
+    """dx/dt of a state and a control."""
+    p = vehicle.parameters
+    if vehicle.name == "benchmark":
+        return car(p["wheelbase"], p["gain"], 1.0 / p["rate"], p["steering_max"], 0.0)
+    if vehicle.name == "mushr":
+        return car(p["L"], p["v_delta"], MUSHR_LAG, 1.0, p["phi_diff"])
+    if vehicle.name == "unicycle2":
+        return unicycle(p["a_max"], p["alpha_max"], p["v_max"], p["omega_max"])
+    raise KeyError(f"there is no second model of {vehicle.name}")
+
+
+def car(wheelbase: float, gain: float, lag: float, steering_scale: float, steering_offset: float) -> Model:
+    """Bicycle about its centre whose speed follows the throttle with a lag."""
+
+    def derivative(x: Matrix, u: Matrix) -> Matrix:
+        theta, v = x[:, 2], x[:, 3]
+        beta = np.arctan(np.tan(steering_scale * u[:, 1] + steering_offset) / 2)
+        turning = 2 * v * np.sin(beta) / wheelbase
+        rows = [v * np.cos(theta + beta), v * np.sin(theta + beta), turning, (gain * u[:, 0] - v) / lag]
+        return np.column_stack(rows)
+
+    return derivative
+
+
+def unicycle(a_max: float, alpha_max: float, v_max: float, omega_max: float) -> Model:
+    """Unicycle whose accelerations fade where a speed reaches its limit."""
+
+    def derivative(x: Matrix, u: Matrix) -> Matrix:
+        theta, v, omega = x[:, 2], x[:, 3], x[:, 4]
+        dv = np.clip(a_max * u[:, 0], -APPROACH * v, APPROACH * (v_max - v))
+        domega = np.clip(alpha_max * u[:, 1], -APPROACH * (omega_max + omega), APPROACH * (omega_max - omega))
+        return np.column_stack([v * np.cos(theta), v * np.sin(theta), omega, dv, domega])
+
+    return derivative
+
+
+def law_of(vehicle: Vehicle, manoeuvre: str) -> Law:
+    """Control (nu,) of a contingency manoeuvre in a state (nx,)."""
+    turn = {"straight": 0.0, "left": 0.5, "right": -0.5, "hard-left": 1.0, "hard-right": -1.0}[manoeuvre]
+    if vehicle.name == "unicycle2":
+        p = vehicle.parameters
+
+        def brake(x: Floats) -> Floats:
+            wanted = turn * p["omega_max"] * x[3] / p["v_max"]
+            return np.array([-1.0, np.clip(APPROACH * (wanted - x[4]) / p["alpha_max"], -1.0, 1.0)])
+
+        return brake
+    steering = turn * vehicle.controls["steering"][1]
+    return lambda x: np.array([0.0, steering])
+
+
+def rk4(model: Model, x: Matrix, u: Matrix, h: Floats) -> Matrix:
+    """One classical step of each motion by its own `h` (n,), s."""
+    h = h[:, None]
+    k1 = model(x, u)
+    k2 = model(x + h / 2 * k1, u)
+    k3 = model(x + h / 2 * k2, u)
+    k4 = model(x + h * k3, u)
+    stepped: Matrix = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return stepped
