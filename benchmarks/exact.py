@@ -1,4 +1,8 @@
-"""Collision and distance of a footprint, asked of FCL without any of the planner's own code."""
+"""Collision and distance of a footprint, without any of the planner's own code.
+
+Contact is FCL's verdict.  Distances are computed in the plane: FCL's are too large for some pairs of prisms whose
+sides are parallel, by decimetres.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +56,11 @@ class Body:
         self._manager.registerObjects(self._solids)
         self._manager.setup()
         self._box = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT))
-        self._offset = footprint.offset
+        self._footprint = footprint
+        outlines = [outline(solid) for solid in solids if not isinstance(solid, Disc)]
+        self._from = np.concatenate([*outlines, np.zeros((0, 2))])
+        self._to = np.concatenate([*(np.roll(corners, -1, axis=0) for corners in outlines), np.zeros((0, 2))])
+        self._discs = np.array([[*solid.center, solid.radius] for solid in solids if isinstance(solid, Disc)])
 
     def collides(self, x: float, y: float, theta: float) -> bool:
         """Whether the footprint at a pose touches a solid."""
@@ -63,13 +71,7 @@ class Body:
 
     def distance(self, x: float, y: float, theta: float) -> float:
         """Distance (m) to the nearest solid, 0 in contact, infinite without solids."""
-        if not self._solids:
-            return math.inf
-        if self.collides(x, y, theta):
-            return 0.0
-        found = fcl.DistanceData()
-        self._manager.distance(self._box, found, fcl.defaultDistanceCallback)
-        return float(found.result.min_distance)
+        return 0.0 if self.collides(x, y, theta) else self._gap(x, y, theta)
 
     def any_collision(self, poses: Matrix) -> bool:
         """Whether the footprint touches a solid at any row x, y, theta."""
@@ -79,9 +81,49 @@ class Body:
         """`distance` of each row x, y, theta."""
         return np.array([self.distance(x, y, theta) for x, y, theta in poses.tolist()])
 
+    def _gap(self, x: float, y: float, theta: float) -> float:
+        """Distance of the outlines, for bodies that do not touch: from a corner of the one to a side of the other."""
+        turn = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
+        gaps = [np.array([math.inf])]
+        if len(self._from):
+            gaps.append(to_segments(self._footprint.corners() @ turn.T + (x, y), self._from, self._to))
+            gaps.append(self._to_footprint((self._from - (x, y)) @ turn))
+        if len(self._discs):
+            gaps.append(self._to_footprint((self._discs[:, :2] - (x, y)) @ turn) - self._discs[:, 2])
+        return float(np.concatenate(gaps).min())
+
+    def _to_footprint(self, points: Matrix) -> Floats:
+        """Distance of each point (n, 2) in the body's frame from the rectangle."""
+        shape = self._footprint
+        ahead = np.abs(points[:, 0] - shape.offset) - shape.length / 2
+        aside = np.abs(points[:, 1]) - shape.width / 2
+        gap: Floats = np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
+        return gap
+
     def _move(self, x: float, y: float, theta: float) -> None:
         c, s = math.cos(theta), math.sin(theta)
-        self._box.setTransform(place(x + c * self._offset, y + s * self._offset, theta))
+        offset = self._footprint.offset
+        self._box.setTransform(place(x + c * offset, y + s * offset, theta))
+
+
+def outline(solid: Rectangle | Star) -> Matrix:
+    """Corners (n, 2) in their order."""
+    if isinstance(solid, Star):
+        return solid.corners
+    c, s = math.cos(solid.yaw), math.sin(solid.yaw)
+    half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(solid.size) / 2
+    corners: Matrix = half @ np.array([[c, s], [-s, c]]) + np.array(solid.center)
+    return corners
+
+
+def to_segments(points: Matrix, begin: Matrix, end: Matrix) -> Floats:
+    """Distances of points (m, 2) from segments (n, 2) to (n, 2), all pairs in a row."""
+    along = end - begin
+    offset = points[:, None] - begin[None]
+    share = np.clip((offset * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
+    away = offset - share[:, :, None] * along
+    distances: Floats = np.hypot(away[:, :, 0], away[:, :, 1]).ravel()
+    return distances
 
 
 def place(x: float, y: float, yaw: float) -> fcl.Transform:

@@ -14,7 +14,7 @@ from ompl_ext.plan import Contingency, Plan
 
 MOTION = 0.005  # of any point of the body between two poses that are looked at (m), at most
 SAME = 1e-6  # m, rad, m/s: two roll-outs of the same steps
-FCL_TOLERANCE = 1e-6  # of distances (m)
+TOLERANCE = 1e-9  # of distances (m)
 FINER = 50  # steps that stand for the exact solution, within one of the planner's
 
 
@@ -138,7 +138,7 @@ def near(query: RandomScene, body: Body, states: Matrix) -> bool:
     """Whether any state is nearer to a solid than delta(v)."""
     speed = np.abs(states[:, query.vehicle.rest_indices[0]])
     delta = query.safety.delta + query.safety.delta_per_speed * speed
-    return bool(np.any(body.distances(states[:, :3]) < delta - FCL_TOLERANCE))
+    return bool(np.any(body.distances(states[:, :3]) < delta - TOLERANCE))
 
 
 def same(one: Matrix, other: Matrix) -> bool:

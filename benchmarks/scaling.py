@@ -50,7 +50,7 @@ def run(effort: Effort) -> Report:
             added = float(np.mean([window.added for windows in grown for window in windows]))
             curve = [number(float(np.median(of_size))) for of_size in zip(*costs, strict=True)]
             table.append([name, what, *curve, number(added)])
-        rows += memory(scene(name), effort.cycles)
+        rows += memory(scene(name), effort.cycles, min(WARM_UP, 10 * effort.cycles))
     notes = [
         "An endless search has a goal that nothing meets: no bound ever turns a candidate away.",
         "Kernels are compiled without numba's memory runtime: within a call of one, nothing can be allocated.",
@@ -93,27 +93,27 @@ def cost_at(windows: list[Window], size: int) -> float:
     return float(np.median([w.microseconds for w in windows if abs(w.nodes - size) <= NEAR * size]))
 
 
-def memory(query: Scene, cycles: int, warm_up: int = WARM_UP) -> list[Row]:
+def memory(query: Scene, cycles: int, warm_up: int) -> list[Row]:
     """Memory that stays taken per cycle of starting anew, planning, and reading the plan."""
     dirt = query.dirt(capacity=10 * ITERATIONS)
-    for seed in range(WARM_UP):
+    for seed in range(warm_up):
         cycle(query, dirt, seed)
     resident = resident_bytes()
     for seed in range(cycles):
         cycle(query, dirt, seed)
     resident = resident_bytes() - resident
-    python = traced(query, dirt, cycles)
+    python = traced(query, dirt, cycles, warm_up)
     return [
         row(f"{query.name}: Python memory kept per cycle", "bytes", [python], Target(0)),
         row(f"{query.name}: resident memory grown in {cycles:,} cycles", "bytes", [resident]),
     ]
 
 
-def traced(query: Scene, dirt: Dirt, cycles: int) -> int:
+def traced(query: Scene, dirt: Dirt, cycles: int, warm_up: int) -> int:
     """Bytes that Python and numpy hold more after a cycle than before it, on average, rounded."""
     tracemalloc.start()
     try:
-        for seed in range(WARM_UP):
+        for seed in range(warm_up):
             cycle(query, dirt, seed)
         gc.collect()
         before, _ = tracemalloc.get_traced_memory()

@@ -15,8 +15,9 @@ from benchmarks.report import Report, Row, Target, row
 from benchmarks.scenes import SCENES
 from kraft.kernel_cache import ensure_compiled
 from kraft.plan_file import NAME, Origin, plan_text
-from kraft.planning import Budget, plan_task
+from kraft.planning import plan_task
 from kraft.scenario import load_scenario
+from kraft.search import Budget
 from kraft.vehicle import vehicle_of_task
 
 LAUNCHER = Path(__file__).with_name("launch.py")

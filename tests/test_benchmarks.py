@@ -1,0 +1,143 @@
+"""Every benchmark runs, in the smallest size; what it measures is of no interest here."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import callbacks, peers, planner, safety, scaling, startup
+from benchmarks.__main__ import main
+from benchmarks.effort import SMOKE
+from benchmarks.exact import Body, Disc, Rectangle, Star
+from benchmarks.judge import judge
+from benchmarks.ompl_log import DATABASE
+from benchmarks.random_scenes import random_scene
+from benchmarks.report import Report, Target, row
+from benchmarks.scenes import endless, scene
+from ompl_ext.vehicle import Footprint
+
+
+def quantities(report: Report) -> dict[str, float]:
+    return {each.quantity: each.median for each in report.rows}
+
+
+def test_planner_finds_solutions_and_judges_them_by_targets() -> None:
+    report = planner.run(SMOKE)
+    assert quantities(report)["turns: cost after 100 ms"] < 12
+    assert {each.met for each in report.rows if each.target is None} == {None}
+    assert "turns: checked edges" in report.text()
+
+
+def test_peers_write_a_database_with_runs_and_progress(tmp_path: Path) -> None:
+    report = peers.run(SMOKE, tmp_path)
+    assert quantities(report)["boxes, kpiece1: first solution"] > 0
+    with sqlite3.connect(tmp_path / DATABASE) as connection:
+        runs = connection.execute("SELECT COUNT(*) FROM runs WHERE graph_states > 0").fetchone()
+        best = connection.execute("SELECT MIN(best_duration), COUNT(*) FROM progress WHERE time > 0").fetchone()
+    connection.close()
+    assert runs == (8,)
+    assert 8 < best[0] < 13
+    assert best[1] >= 2
+
+
+def test_scaling_times_windows_of_both_sizes_and_keeps_no_memory() -> None:
+    windows = scaling.grow(endless(scene("turns")), 3000, seed=0)
+    assert scaling.cost_at(windows, 1000) > 0
+    assert scaling.cost_at(windows, 3000) > 0
+    assert abs(scaling.memory(scene("turns"), cycles=1, warm_up=1)[0].median) < 1e6
+
+
+def test_an_endless_search_has_no_solution() -> None:
+    query = endless(scene("boxes"))
+    dirt = query.dirt(capacity=5000)
+    dirt.start(query.start)
+    assert dirt.grow(iterations=2000).first_solution is None
+
+
+def test_callbacks_count_edges_and_steps_of_every_planner() -> None:
+    rates = callbacks.one_round(endless(scene("turns")), SMOKE.seconds, seed=0)
+    assert rates["compiled"].edges > rates["callbacks"].edges > 0
+    assert all(rates[name].steps > 0 for name in ("callbacks", "rrt", "est", "kpiece1"))
+
+
+def test_startup_runs_kraft_and_compares_plan_files() -> None:
+    assert startup.same_bytes("turns", processes=1)[0].median == 1
+    failed = startup.kraft("plan", "no-such-scene")
+    assert failed.code == 2
+    assert "no-such-scene" in failed.said
+
+
+def test_random_scenes_are_planned_in_and_judged() -> None:
+    found = quantities(safety.run(SMOKE))
+    assert found["scenes"] == SMOKE.scenes
+    assert found["plans in collision"] == 0
+
+
+def test_a_random_scene_is_the_same_every_time() -> None:
+    one, other = random_scene(5), random_scene(5)
+    assert one.solids[-1] == other.solids[-1]
+    assert np.array_equal(one.start, other.start)
+
+
+def test_the_judge_finds_a_plan_through_an_obstacle_and_a_falsified_trajectory() -> None:
+    query = scene("turns")
+    dirt = query.dirt(capacity=5000)
+    dirt.start(query.start)
+    dirt.grow(iterations=1000)
+    plan = dirt.plan()
+    assert plan is not None
+    middle = plan.trajectory[len(plan.trajectory) // 2]
+    blocked = random_scene(0).__class__(
+        number=0,
+        vehicle=query.vehicle,
+        workspace=query.workspace,
+        solids=(Disc((float(middle[0]), float(middle[1])), 0.05),),
+        start=query.start,
+        goal=query.goal,
+        safety=dirt.safety,
+        settings=dirt.settings,
+        iterations=0,
+    )
+    assert judge(blocked, query.start, plan).collides
+    assert not judge(blocked, query.start, plan).differs
+    assert judge(blocked, query.start + 0.01, plan).differs
+
+
+@pytest.mark.parametrize(
+    "solid", [Rectangle((2.0, 0.0), (1.0, 1.0), 0.0), Disc((2.0, 0.0), 0.5), Star((2.0, 0.0), np.array(
+        [[1.5, -0.5], [2.5, -0.5], [2.5, 0.5], [1.5, 0.5]]))],
+)  # fmt: skip
+def test_distances_of_the_judge_are_those_of_the_plane(solid: Rectangle | Disc | Star) -> None:
+    body = Body((solid,), Footprint(0.4, 0.2, 0.1))
+    assert body.distance(0.0, 0.0, 0.0) == pytest.approx(1.2, abs=1e-6)
+    assert body.distance(0.0, 0.0, math.pi) == pytest.approx(1.4, abs=1e-6)
+    assert body.collides(1.3, 0.0, 0.0)
+
+
+def test_a_verdict_says_met_or_missed_and_by_how_much() -> None:
+    slow = row("q", "ms", [1.0, 3.0], Target(1.0))
+    assert (slow.median, slow.worst, slow.met) == (2.0, 3.0, False)
+    assert slow.cells()[-1] == "MISSED by 100%"
+    fast = row("q", "1/s", [8.0, 4.0], Target(2.0, most=False))
+    assert (fast.worst, fast.met) == (4.0, True)
+    assert fast.cells()[-1] == "met, 3 times it"
+    assert row("q", "s", []).as_json()["median"] is None
+
+
+def test_the_command_writes_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.__main__.QUICK", SMOKE)
+    assert main(["scaling", "--quick", "--out", str(tmp_path)]) in (0, 1)
+    content = json.loads((tmp_path / "results.json").read_text())
+    assert content["machine"]["versions"]["kraft"]
+    assert content["topics"]["scaling"]["rows"]
+
+
+def test_an_unknown_topic_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["plannr"])
+    assert "expected planner, peers" in capsys.readouterr().err
