@@ -24,6 +24,7 @@ from ompl_ext.kernel_types import (
     COST,
     CYCLE,
     EDGES,
+    EXPLORATION,
     FIRST_ITERATION,
     FULL,
     GOAL_BIAS,
@@ -45,6 +46,7 @@ from ompl_ext.kernel_types import (
     STEPS,
     TOGO,
     UNSAFE,
+    VISITS,
     X_HIGH,
     X_LOW,
     Y_HIGH,
@@ -59,14 +61,18 @@ from ompl_ext.rng import uniform
 from ompl_ext.tree import add_to_indices, closed_radius, distance_squared, select
 from ompl_ext.trigonometry import cos, sin
 
+DETOURS = 4  # candidates added by a visit that explores, or that finds no candidate nearer to the goal
 Propagate = Callable[[Floats, int, Problem, Lanes], None]
 Check = Callable[[int, float, Problem, Lanes], float]
 Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
 
 
 @helper
-def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> None:
-    """Sample the workspace uniformly, the goal with the probability of the goal bias, and any heading."""
+def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> bool:
+    """Sample the workspace uniformly, the goal with the probability of the goal bias, and any heading.
+
+    Returns whether the visit is to explore: to add any free candidate instead of the best.
+    """
     scalar, weight = problem.scalar, problem.scalar[HEADING_WEIGHT]
     if uniform(tree.random) < scalar[GOAL_BIAS]:
         q[0], q[1] = scalar[GOAL_X], scalar[GOAL_Y]
@@ -75,6 +81,7 @@ def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> None:
         q[1] = scalar[Y_LOW] + uniform(tree.random) * (scalar[Y_HIGH] - scalar[Y_LOW])
     heading = 2.0 * math.pi * uniform(tree.random)
     q[2], q[3] = weight * cos(heading), weight * sin(heading)
+    return uniform(tree.random) < scalar[EXPLORATION]
 
 
 @inlined
@@ -115,6 +122,18 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
 
 
 @helper
+def any_lane(tree: Tree, work: Lanes, lanes: int, start: float, bound: float) -> int:
+    """One of the free lanes with f below `bound`, each equally likely; -1 if there is none."""
+    lane, seen = -1, 0
+    for i in range(lanes):
+        if work.slack[i] >= 0.0 and work.togo[i] < UNREACHABLE and start + work.duration[i] + work.togo[i] < bound:
+            seen += 1
+            if uniform(tree.random) * seen < 1.0:  # reservoir sampling
+                lane = i
+    return lane
+
+
+@helper
 def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) -> int:
     """Add the end of an edge as a node, give it its region, and keep the best solution; -1 if the tree is full."""
     node = tree.count[SIZE]
@@ -136,6 +155,7 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
     tree.hot[node, F] = tree.hot[node, COST] + work.togo[lane]
     tree.link[node, PARENT] = parent
     tree.link[node, AT_GOAL] = work.at_goal[lane]
+    tree.link[node, VISITS] = 0
     closed = closed_radius(problem.scalar[RESOLUTION], tree.count[SIZE])
     add_to_indices(tree, node, math.sqrt(distance_squared(tree, parent, tree.hot[node])), closed)
     if tree.link[node, AT_GOAL] == 1 and tree.hot[node, COST] < tree.best[0]:  # Alg. 1, l. 20-22
@@ -168,15 +188,21 @@ def visit(
     check: Check,
     safe: Safe,
 ) -> None:
-    """One iteration: select a node, propagate a blossom from it, add the best candidate that passes every check."""
+    """One iteration: select a node, propagate a blossom from it, add the best candidate that passes every check.
+
+    Where no candidate comes nearer to the goal, or a later visit explores, a few others are added by lot: the best
+    alone would stand still wherever the way on first leads away from the goal.
+    """
     tree.count[ITERATIONS] += 1
-    node = tree.count[NEXT]
+    node, exploring = tree.count[NEXT], False
     tree.count[NEXT] = -1
     if node < 0:
-        sample_configuration(tree, problem, q)
+        exploring = sample_configuration(tree, problem, q)
         node = select(tree, q)  # Alg. 1, l. 10
         if node < 0:
             return
+    exploring = exploring and tree.link[node, VISITS] > 0
+    tree.link[node, VISITS] += 1
     lanes, start = problem.option[BLOSSOM], tree.hot[node, COST]
     sample_edges(tree, problem, work, lanes)  # l. 11
     propagate(tree.state[node], lanes, problem, work)  # l. 12
@@ -184,10 +210,14 @@ def visit(
         work.slack[lane] = check(lane, start, problem, work)  # l. 14, 18
     tree.count[EDGES] += lanes
     added = 0
-    while added < problem.option[INSERTIONS]:
+    wanted = problem.option[INSERTIONS]
+    while added < wanted:
         lane = best_lane(work, lanes, start, tree.best[0])
         if lane < 0:
             return
+        if exploring or work.togo[lane] >= tree.hot[node, TOGO]:
+            wanted = DETOURS
+            lane = any_lane(tree, work, lanes, start, tree.best[0])
         if asks_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
             tree.count[UNSAFE] += 1
         else:
@@ -232,4 +262,4 @@ def retain(
             tree.count[UNSAFE] += 1
             continue
         kept.node[k] = insert(tree, problem, parent, lane, work)
-        tree.count[RETAINED] += 1
+        tree.count[RETAINED] += 1 if kept.node[k] >= 0 else 0

@@ -12,7 +12,7 @@ from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.triangulate import triangles
 from ompl_ext.vehicle import Footprint
 
-HEIGHT = 1.0  # bodies are prisms of one height, so that distances in space are distances in the plane
+HEIGHT = 30.0  # of prisms around the plane z = 0; low ones mislead FCL's iteration where bodies are far apart
 
 
 class ExactClearance:
@@ -54,8 +54,9 @@ class ExactClearance:
 def _prisms(obstacle: Polygon | Circle | OccupancyGrid) -> list[fcl.CollisionObject]:
     """Convex prisms that make up an obstacle."""
     if isinstance(obstacle, Circle):
+        # A sphere around z = 0: its nearest point to an upright prism lies in that plane, and FCL is exact for it.
         place = fcl.Transform(np.array([*obstacle.center, 0.0]))
-        return [fcl.CollisionObject(fcl.Cylinder(obstacle.radius, HEIGHT), place)]
+        return [fcl.CollisionObject(fcl.Sphere(obstacle.radius), place)]
     if isinstance(obstacle, Polygon):
         return [_prism(corners) for corners in triangles(obstacle.vertices)]
     x, y, yaw = obstacle.origin

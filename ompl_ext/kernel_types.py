@@ -39,6 +39,7 @@ REACH, DISC_RADIUS, LENGTH = 10, 11, 12  # of the footprint (m)
 GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
 X_LOW, X_HIGH, Y_LOW, Y_HIGH = 16, 17, 18, 19  # workspace bounds (m)
 GOAL_BIAS, BEYOND = 20, 21  # share of samples at the goal; share of controls beyond each bound, moved onto it
+EXPLORATION = 28  # share of the visits to a sampled node that add any free candidate instead of the best
 GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
     22,
     23,
@@ -47,7 +48,7 @@ GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
     26,
     27,
 )  # tolerance as its cosine
-SCALARS = 28
+SCALARS = 29
 
 # Places in Problem.option
 STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre
@@ -77,7 +78,7 @@ class Tree(NamedTuple):
     state: Matrix  # (capacity, nx)
     edge: Matrix  # (capacity, nu + 1) control and duration of the edge from the parent
     hot: Matrix  # (capacity, 8) what searches read, one cache line a node
-    link: IntMatrix  # (capacity, 6)
+    link: IntMatrix  # (capacity, 7)
     region_head: Ints32  # first node of each cell, level after level
     level: IntMatrix  # (levels, 4)
     level_cell: Floats  # cell size of each level (m)
@@ -100,7 +101,7 @@ F, RADIUS, COST, TOGO = (
 )  # f = cost-to-come + cost-to-go (s), radius of the dominance-informed region (m)
 
 # Columns of Tree.link
-PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT = range(6)
+PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS = range(7)
 
 # Columns of Tree.level: where the level starts in region_head, its columns and rows, the nodes on it
 LEVEL_START, LEVEL_COLUMNS, LEVEL_ROWS, LEVEL_COUNT = range(4)

@@ -15,6 +15,8 @@ from ompl_ext.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Pr
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
+MOST_STEPS = 100_000  # of an edge or a manoeuvre
+
 
 @dataclass(frozen=True)
 class Goal:
@@ -43,6 +45,18 @@ class Safety:
     step: float = 0.1
     horizon: float = 10.0
 
+    def __post_init__(self) -> None:
+        """Refuse settings without a meaning.
+
+        Raises:
+            ValueError: a negative or non-finite number, or more steps than memory is meant for.
+        """
+        numbers = (self.cycle, self.delta, self.delta_per_speed, self.rest_speed, self.step, self.horizon)
+        if not all(math.isfinite(value) and value >= 0 for value in numbers) or self.step == 0:
+            raise ValueError(f"safety: numbers must be finite and not negative, got {self}")
+        if self.horizon / self.step > MOST_STEPS:
+            raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -53,6 +67,7 @@ class Settings:
     child_extension: bool = True
     pruning: bool = False
     goal_bias: float = 0.05
+    exploration: float = 0.2
     beyond: float = 1.0
     shortest: float = 0.5
     longest: float = 1.0
@@ -62,6 +77,39 @@ class Settings:
     resolution: float = 0.01
     discs: int = 4
     cell: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Refuse what the kernels' arrays cannot hold.
+
+        Raises:
+            ValueError: all that is wrong.
+        """
+        longest = math.floor(self.longest / self.quantum + 0.5) if self.quantum > 0 else self.steps
+        rules = {
+            f"blossom is {self.blossom}, not 1 to {LANE_WIDTH}": 1 <= self.blossom <= LANE_WIDTH,
+            f"insertions is {self.insertions}, not 1 to blossom": 1 <= self.insertions <= max(self.blossom, 1),
+            f"an edge has {longest} integration steps, not 1 to {MOST_STEPS}": 1 <= longest <= MOST_STEPS,
+            f"durations {self.shortest} to {self.longest} are not 0 < shortest <= longest": 0
+            < self.shortest
+            <= self.longest
+            < math.inf,
+            f"goal_bias is {self.goal_bias}, not 0 to 1": 0 <= self.goal_bias <= 1,
+            f"exploration is {self.exploration}, not 0 to 1": 0 <= self.exploration <= 1,
+            f"discs is {self.discs}, not 1 to 1000": 1 <= self.discs <= 1000,
+            "lengths are not finite, or not positive": all(
+                math.isfinite(value) and value >= low
+                for value, low in (
+                    (self.cell, 1e-6),
+                    (self.resolution, 0.0),
+                    (self.heading_weight, 0.0),
+                    (self.beyond, 0.0),
+                    (self.quantum, 0.0),
+                )
+            ),
+        }
+        wrong = [what for what, fine in rules.items() if not fine]
+        if wrong:
+            raise ValueError("settings: " + "; ".join(wrong))
 
 
 def make_problem(
@@ -90,7 +138,7 @@ def make_problem(
     scalar[[at.REACH, at.DISC_RADIUS, at.LENGTH]] = reach, discs.radius, vehicle.footprint.length
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell
     scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
-    scalar[[at.GOAL_BIAS, at.BEYOND]] = settings.goal_bias, settings.beyond
+    scalar[[at.GOAL_BIAS, at.EXPLORATION, at.BEYOND]] = settings.goal_bias, settings.exploration, settings.beyond
     if goal is not None:
         scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
         scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)

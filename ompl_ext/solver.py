@@ -158,9 +158,9 @@ class Dirt:
         chunk, elapsed = FIRST_CHUNK, 0.0
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
             count = min(chunk, left, PRUNE_EVERY - int(self._tree.count[at.ITERATIONS]) % PRUNE_EVERY)
-            looked = elapsed
+            looked, before = elapsed, int(self._tree.count[at.ITERATIONS])
             self._call(self._nothing, count)
-            left -= count
+            left -= int(self._tree.count[at.ITERATIONS]) - before
             elapsed = time.perf_counter() - began
             self._note(base + elapsed)
             if self._tree.count[at.FULL] or self._prunes_now():
@@ -187,7 +187,7 @@ class Dirt:
         Every plan that is returned has a contingency if SAFETY is enabled.
         """
         tree, (node, reaches_goal) = self._tree, self.best_node()
-        if node < 0 or tree.link[node, at.PARENT] < 0:
+        if node < 0 or (tree.link[node, at.PARENT] < 0 and not reaches_goal):
             return None
         path = path_to(tree, node)
         nu = len(self.vehicle.controls)
@@ -257,6 +257,8 @@ class Dirt:
         work.duration[0], work.steps[0] = duration, steps or problem.option[at.STEPS]
         if not steps and self.settings.quantum > 0.0 and duration > 0.0:
             work.steps[0] = max(1, round(duration / self.settings.quantum))
+        if not 1 <= work.steps[0] <= problem.option[at.STEPS]:
+            raise ValueError(f"an edge of {duration} s is longer than the longest of {self.settings.longest} s")
         self._kernels.edge(problem, work, start_time)
         return float(work.slack[0])
 
@@ -271,6 +273,8 @@ class Dirt:
 
     def _contingency_of(self, states: Matrix, controls: Matrix, durations: Floats) -> Contingency | None:
         """The contingency where the plan leaves the cycle, or where it ends if that is earlier."""
+        if len(durations) == 0:  # the start is in the goal
+            return self.contingency(states[0])
         ends = np.cumsum(durations)
         leaves = min(self.safety.cycle, float(ends[-1]))
         k = int(np.searchsorted(ends, leaves - 1e-12))

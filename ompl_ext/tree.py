@@ -44,6 +44,7 @@ from ompl_ext.kernel_types import (
     REGION_PREVIOUS,
     SIZE,
     TOGO,
+    VISITS,
     F,
     Lanes,
     Tree,
@@ -80,7 +81,7 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
         state=np.zeros((capacity, nx)),
         edge=np.zeros((capacity, nu + 1)),
         hot=np.zeros((capacity, 8)),
-        link=np.zeros((capacity, 6), np.int64),
+        link=np.zeros((capacity, 7), np.int64),
         region_head=np.full(start, -1, np.int32),
         level=np.array(levels),
         level_cell=np.array(sizes),
@@ -212,11 +213,11 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
 
 @helper
 def select(tree: Tree, q: Floats) -> int:
-    """A node whose region holds `q`, each of them equally likely; the nearest node if there is none.
+    """The least visited node whose region holds `q`, ties by lot; the nearest node if there is none.
 
     Nodes that cannot lead to a better plan any more are taken off the index on the way; -1 if no others are left.
     """
-    chosen, seen = -1, 0
+    chosen, seen, fewest = int64(-1), 0, int64(2**62)
     for level in range(len(tree.level_cell)):
         if tree.level[level, LEVEL_COUNT] == 0:
             continue
@@ -230,9 +231,13 @@ def select(tree: Tree, q: Floats) -> int:
                     if tree.hot[node, F] >= tree.best[0]:
                         unlist_region(tree, node)
                     elif distance_squared(tree, node, q) <= tree.hot[node, RADIUS] * tree.hot[node, RADIUS]:
-                        seen += 1
-                        if uniform(tree.random) * seen < 1.0:  # reservoir sampling
-                            chosen = node
+                        visits = tree.link[node, VISITS]
+                        if visits < fewest:
+                            fewest, seen = visits, 0
+                        if visits == fewest:
+                            seen += 1
+                            if uniform(tree.random) * seen < 1.0:  # reservoir sampling
+                                chosen = node
                     node = following
     if chosen < 0:
         chosen, _ = nearest_better(tree, q, tree.best[0], math.inf, 0.0)
@@ -356,6 +361,7 @@ def add_root(tree: Tree, work: Lanes) -> None:
     tree.hot[node, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
     tree.link[node] = -1
     tree.link[node, AT_GOAL] = work.at_goal[0]
+    tree.link[node, VISITS] = 0
     if work.at_goal[0]:
         tree.best[0], tree.count[BEST] = 0.0, node
     tree.count[SIZE] += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ompl_ext.arrays import Matrix
+from ompl_ext.arrays import Floats, Matrix
 
 
 def triangles(vertices: Matrix) -> list[Matrix]:
@@ -14,16 +14,19 @@ def triangles(vertices: Matrix) -> list[Matrix]:
         ValueError: the polygon has no area or is not simple, so that no ear can be found.
     """
     points = np.asarray(vertices, dtype=float)
+    points = points[np.any(points != np.roll(points, -1, axis=0), axis=1)]  # a vertex given twice counts once
     x, y = points[:, 0], points[:, 1]
     area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
     if area == 0.0:
         raise ValueError("a polygon needs an area")
     if area < 0.0:
         points = points[::-1]
-    count = len(points)
-    if all(_turn(points[k - 1], points[k], points[(k + 1) % count]) >= 0.0 for k in range(count)):
+    cross, turned = _turning(points)
+    if abs(turned - 2.0 * np.pi) > 1e-6:
+        raise ValueError("a polygon may not cross itself: its sides must turn once around")
+    if np.all(cross >= 0.0):
         return [points]
-    rest, pieces = list(range(count)), []
+    rest, pieces = list(range(len(points))), []
     while len(rest) > 3:
         ear = next((k for k in range(len(rest)) if _is_ear(points, rest, k)), None)
         if ear is None:
@@ -31,6 +34,14 @@ def triangles(vertices: Matrix) -> list[Matrix]:
         pieces.append(points[[rest[ear - 1], rest[ear], rest[(ear + 1) % len(rest)]]])
         del rest[ear]
     return [*pieces, points[rest]]
+
+
+def _turning(points: Matrix) -> tuple[Floats, float]:
+    """Cross products of successive sides, and by how much the sides turn in all (rad)."""
+    sides = np.roll(points, -1, axis=0) - points
+    following = np.roll(sides, -1, axis=0)
+    cross = sides[:, 0] * following[:, 1] - sides[:, 1] * following[:, 0]
+    return cross, float(np.arctan2(cross, np.sum(sides * following, axis=1)).sum())
 
 
 def _turn(a: Matrix, b: Matrix, c: Matrix) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -12,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from ompl_ext.arrays import Floats
+from ompl_ext.fingerprint import fingerprint
 from ompl_ext.jit import inlined
 
+MOST_MANOEUVRES = 32  # they are rolled out together as lanes
 derivative = inlined  # the decorator that a vehicle's functions carry
 
 
@@ -140,10 +141,11 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
                 problems.append(f"{kind} names {name!r}, which is not a state component")
     if not (vehicle.top_speed > 0 and math.isfinite(vehicle.top_speed)):
         problems.append(f"top_speed must be positive and finite, got {vehicle.top_speed}")
-    if not vehicle.controls:
-        problems.append("controls are empty")
+    problems += [] if vehicle.controls else ["controls are empty"]
     if (vehicle.actuation is None) != (not vehicle.inputs):
         problems.append("actuation and the names of its outputs, inputs, go together")
+    if len(vehicle.manoeuvres) > MOST_MANOEUVRES:
+        problems.append(f"there are {len(vehicle.manoeuvres)} manoeuvres, at most {MOST_MANOEUVRES} are possible")
     if not vehicle.manoeuvres:
         problems.append("manoeuvres are empty: a vehicle needs a way to stop")
     if vehicle.stop is None and len(vehicle.manoeuvres) > 1:
@@ -152,12 +154,9 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
 
 
 def _source_of(vehicle: Vehicle) -> str:
-    """Source text of the files that define the vehicle's functions, empty if there is none (a notebook cell)."""
-    texts = []
-    for function in (vehicle.derivative, vehicle.actuation, vehicle.stop):
-        if function is not None:
-            try:
-                texts.append(inspect.getsource(inspect.getmodule(getattr(function, "py_func", function))))  # type: ignore[arg-type]
-            except (OSError, TypeError):  # defined at a prompt: compiled afresh, never cached
-                return ""
-    return "\n".join(dict.fromkeys(texts))
+    """Everything that the vehicle's functions depend on, empty if there is no source (a function from a prompt)."""
+    functions = [f for f in (vehicle.derivative, vehicle.actuation, vehicle.stop) if f is not None]
+    try:
+        return "\n".join(fingerprint(function) for function in functions)
+    except OSError:  # compiled afresh, never cached
+        return ""

@@ -12,6 +12,7 @@ from ompl_ext.plan import Plan
 from ompl_ext.solver import Dirt
 
 TOLERANCE = 1e-6  # of FCL's distances (m)
+FINE = 16  # parts that a step between samples is divided into
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,16 @@ def _too_close(dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: 
 
 def _between_samples(dirt: Dirt, plan: Plan, clearance: Floats) -> list[str]:
     """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is halved."""
-    poses = _poses(dirt, plan.trajectory)
-    motion = _motion(poses[:-1], poses[1:], dirt.vehicle.footprint.reach)
     problems = []
     ends = np.cumsum(plan.durations)
-    for k in np.flatnonzero(clearance[:-1] + clearance[1:] <= motion):
+    for k in range(len(plan.times) - 1):
         edge = min(int(np.searchsorted(ends, plan.times[k] + 1e-9, side="right")), len(ends) - 1)
-        fine = dirt.fine(plan.trajectory[k], plan.controls[edge], float(plan.times[k + 1] - plan.times[k]))
-        if not dirt.exact.distances(_poses(dirt, fine)).min() > 0.0:
+        fine = dirt.fine(plan.trajectory[k], plan.controls[edge], float(plan.times[k + 1] - plan.times[k]), FINE)
+        poses = _poses(dirt, fine)
+        travelled = _motion(poses[:-1], poses[1:], dirt.vehicle.footprint.reach).sum()
+        if clearance[k] + clearance[k + 1] > travelled:
+            continue
+        if not dirt.exact.distances(poses[1:-1]).min() > 0.0:
             problems.append(f"plan: collides between t = {plan.times[k]:.3f} and {plan.times[k + 1]:.3f} s")
     return problems
 

@@ -242,7 +242,7 @@ def test_a_start_that_faces_away_from_the_goal_is_turned_round(seed: int) -> Non
     # A U-turn 1.4 m wide in the middle of an empty room: every edge of it first leads away from the goal.
     dirt = Dirt(BENCHMARK, Workspace(ROOM), Goal((3.5, 2.0), 0.25), NO_SAFETY, capacity=20_000)
     dirt.start(np.array([2.0, 2.0, math.pi, 0.0]), seed)
-    dirt.grow(iterations=5000)
+    dirt.grow(iterations=20_000)
     plan = dirt.plan()
     assert plan is not None
     assert plan.reaches_goal
@@ -465,12 +465,12 @@ def test_walls_alone_let_the_vehicle_through() -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [Settings(blossom=33), Settings(blossom=1024), Settings(blossom=-1), Settings(steps=0), Settings(quantum=3.0)],
+    [{"blossom": 33}, {"blossom": 1024}, {"blossom": -1}, {"steps": 0}, {"quantum": 3.0}],
     ids=["33-lanes", "1024-lanes", "minus-1-lane", "no-steps", "quantum-beyond-longest"],
 )
-def test_settings_that_the_lanes_cannot_hold_are_refused(settings: Settings) -> None:
+def test_settings_that_the_lanes_cannot_hold_are_refused(settings: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"blossom|steps|quantum"):
-        Dirt(BENCHMARK, TURNS, GOAL, NO_SAFETY, settings, capacity=10)
+        Settings(**settings)  # type: ignore[arg-type]
 
 
 def test_more_manoeuvres_than_lanes_are_refused() -> None:

@@ -186,8 +186,26 @@ def test_a_selected_node_holds_the_sample_or_is_the_nearest(seed: int) -> None:
             assert distance[node] == pytest.approx(distance[still].min())
 
 
-def test_each_node_whose_region_holds_the_sample_is_selected_equally_often() -> None:
+def test_the_least_visited_node_whose_region_holds_the_sample_is_selected() -> None:
     tree = grown(1200)
+    rng = np.random.default_rng(1)
+    f, radius = column(tree, at.F), column(tree, at.RADIUS)
+    listed = np.array(sorted(listed_by_region(tree)))
+    contested = 0
+    for _ in range(200):
+        q = tree.hot[rng.choice(listed), :4] + rng.uniform(-0.01, 0.01, 4)
+        distance = np.linalg.norm(tree.hot[listed, :4] - q, axis=1)
+        holding = listed[(f[listed] < tree.best[0]) & (distance <= radius[listed])]
+        visits = tree.link[holding, at.VISITS]
+        contested += len(set(visits.tolist())) > 1
+        if len(holding):
+            assert tree.link[select(tree, q), at.VISITS] == visits.min()
+    assert contested > 20
+
+
+def test_of_equally_visited_nodes_each_is_selected_equally_often() -> None:
+    tree = grown(1200)
+    tree.link[:, at.VISITS] = 0
     rng, draws = np.random.default_rng(0), 4000
     f, radius = column(tree, at.F), column(tree, at.RADIUS)
     listed = np.array(sorted(listed_by_region(tree)))

@@ -1,0 +1,59 @@
+"""What a compiled function depends on, as text: its own source and everything that it refers to.
+
+A kernel kept on disk is stale when any of it changes: the function, a helper it calls, a constant that it reads from
+its module, another module, or an enclosing function.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from types import CodeType, ModuleType
+from typing import Any
+
+import numpy as np
+
+_COVERED = ("ompl_ext.", "numpy.", "math.", "numba.")  # this package's sources and numba's version are in every key
+
+
+def fingerprint(function: Callable[..., Any]) -> str:
+    """Text that differs whenever the machine code of `function` may.
+
+    Raises:
+        OSError: there is no source, for a function defined at a prompt.
+    """
+    return "\n".join(_parts(function, set()))
+
+
+def _parts(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
+    plain = getattr(function, "py_func", function)
+    if id(plain) in seen:
+        return
+    seen.add(id(plain))
+    yield inspect.getsource(plain)
+    cells = plain.__closure__ or ()
+    values = dict(zip(plain.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True))
+    names = sorted(_names(plain.__code__))
+    values.update((name, plain.__globals__[name]) for name in names if name in plain.__globals__)
+    for name, value in values.items():
+        yield from _value(name, value, names, seen)
+
+
+def _value(name: str, value: Any, names: list[str], seen: set[int]) -> Iterator[str]:
+    if isinstance(value, ModuleType):
+        if not f"{value.__name__}.".startswith(_COVERED):
+            for attribute in names:  # module.attribute: which of them, the byte code does not say
+                if hasattr(value, attribute):
+                    yield from _value(f"{name}.{attribute}", getattr(value, attribute), names, seen)
+    elif hasattr(getattr(value, "py_func", value), "__code__"):
+        if not f"{value.__module__}.".startswith(_COVERED):
+            yield from _parts(value, seen)
+    elif isinstance(value, np.ndarray):
+        yield f"{name} = {value.dtype} {value.shape} {value.tobytes().hex()}"
+    else:
+        yield f"{name} = {value!r}"
+
+
+def _names(code: CodeType) -> set[str]:
+    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
+    return set(code.co_names).union(*(_names(part) for part in inner))
