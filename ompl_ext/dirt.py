@@ -122,15 +122,29 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
 
 
 @helper
-def any_lane(tree: Tree, work: Lanes, lanes: int, start: float, bound: float) -> int:
-    """One of the free lanes with f below `bound`, each equally likely; -1 if there is none."""
-    lane, seen = -1, 0
+def detour_lane(tree: Tree, node: int, work: Lanes, lanes: int, start: float, added: int) -> int:
+    """In turn, the free lane that ends farthest from the node and one by lot; -1 if there is none."""
+    chosen, seen, farthest = -1, 0, -1.0
     for i in range(lanes):
-        if work.slack[i] >= 0.0 and work.togo[i] < UNREACHABLE and start + work.duration[i] + work.togo[i] < bound:
-            seen += 1
-            if uniform(tree.random) * seen < 1.0:  # reservoir sampling
-                lane = i
-    return lane
+        f = start + work.duration[i] + work.togo[i]
+        if work.slack[i] < 0.0 or work.togo[i] >= UNREACHABLE or f >= tree.best[0]:
+            continue
+        d2 = 0.0
+        for k in range(Q_DIM):
+            difference = work.end[k * LANE_WIDTH + i] - tree.hot[node, k]
+            d2 += difference * difference
+        seen += 1
+        if (added % 2 == 0 and d2 > farthest) or (added % 2 == 1 and uniform(tree.random) * seen < 1.0):
+            chosen, farthest = i, d2
+    return chosen
+
+
+@helper
+def goes_on(tree: Tree, node: int, child: int, detour: bool) -> bool:
+    """Whether a child is visited next: it is nearer to the goal than its parent, or goes on with a detour."""
+    if tree.link[child, AT_GOAL] == 1:
+        return False
+    return tree.hot[child, TOGO] < tree.hot[node, TOGO] or (detour and uniform(tree.random) < 0.5)
 
 
 @helper
@@ -179,29 +193,23 @@ def asks_safety(problem: Problem, start: float, lane: int, work: Lanes) -> bool:
 
 @inlined
 def visit(
-    tree: Tree,
-    problem: Problem,
-    work: Lanes,
-    brake: Lanes,
-    q: Floats,
-    propagate: Propagate,
-    check: Check,
-    safe: Safe,
+    tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, propagate: Propagate, check: Check, safe: Safe
 ) -> None:
     """One iteration: select a node, propagate a blossom from it, add the best candidate that passes every check.
 
-    Where no candidate comes nearer to the goal, or a later visit explores, a few others are added by lot: the best
-    alone would stand still wherever the way on first leads away from the goal.
+    A *detour* is made where no candidate comes nearer to the goal, or a later visit explores: a few candidates are
+    added that are not the best, and every other time the first of them is visited next.  The best alone would stand
+    still wherever the way on first leads away from the goal.
     """
     tree.count[ITERATIONS] += 1
-    node, exploring = tree.count[NEXT], False
+    node, detour = tree.count[NEXT], False
     tree.count[NEXT] = -1
     if node < 0:
-        exploring = sample_configuration(tree, problem, q)
+        detour = sample_configuration(tree, problem, q)
         node = select(tree, q)  # Alg. 1, l. 10
         if node < 0:
             return
-    exploring = exploring and tree.link[node, VISITS] > 0
+    detour = detour and tree.link[node, VISITS] > 0
     tree.link[node, VISITS] += 1
     lanes, start = problem.option[BLOSSOM], tree.hot[node, COST]
     sample_edges(tree, problem, work, lanes)  # l. 11
@@ -209,26 +217,25 @@ def visit(
     for lane in range(lanes):
         work.slack[lane] = check(lane, start, problem, work)  # l. 14, 18
     tree.count[EDGES] += lanes
-    added = 0
-    wanted = problem.option[INSERTIONS]
+    lane = best_lane(work, lanes, start, tree.best[0])
+    detour = detour or (lane >= 0 and work.togo[lane] >= tree.hot[node, TOGO])
+    added, wanted = 0, DETOURS if detour else problem.option[INSERTIONS]
     while added < wanted:
-        lane = best_lane(work, lanes, start, tree.best[0])
+        if detour:
+            lane = detour_lane(tree, node, work, lanes, start, added)
         if lane < 0:
             return
-        if exploring or work.togo[lane] >= tree.hot[node, TOGO]:
-            wanted = DETOURS
-            lane = any_lane(tree, work, lanes, start, tree.best[0])
         if asks_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
             tree.count[UNSAFE] += 1
         else:
             child = insert(tree, problem, node, lane, work)  # l. 15, 19
             if child < 0:
                 return
-            closer = tree.hot[child, TOGO] < tree.hot[node, TOGO]
-            if added == 0 and problem.option[CHILD_EXTENSION] == 1 and closer and tree.link[child, AT_GOAL] == 0:
+            if added == 0 and problem.option[CHILD_EXTENSION] == 1 and goes_on(tree, node, child, detour):
                 tree.count[NEXT] = child
             added += 1
         work.slack[lane] = -1.0  # taken, or not safe
+        lane = best_lane(work, lanes, start, tree.best[0])
 
 
 @inlined

@@ -67,7 +67,7 @@ class Settings:
     child_extension: bool = True
     pruning: bool = False
     goal_bias: float = 0.05
-    exploration: float = 0.2
+    exploration: float = 0.1
     beyond: float = 1.0
     shortest: float = 0.5
     longest: float = 1.0
