@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +18,12 @@ from benchmarks.effort import SMOKE
 from benchmarks.exact import Body, Disc, Rectangle, Star
 from benchmarks.judge import judge
 from benchmarks.ompl_log import DATABASE
-from benchmarks.random_scenes import random_scene
+from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
+from ompl_ext.plan import Plan
+from ompl_ext.query import Safety
+from ompl_ext.solver import Dirt
 from ompl_ext.vehicle import Footprint
 
 
@@ -84,28 +89,52 @@ def test_a_random_scene_is_the_same_every_time() -> None:
     assert np.array_equal(one.start, other.start)
 
 
-def test_the_judge_finds_a_plan_through_an_obstacle_and_a_falsified_trajectory() -> None:
-    query = scene("turns")
-    dirt = query.dirt(capacity=5000)
-    dirt.start(query.start)
+@cache
+def planned() -> tuple[RandomScene, Plan]:
+    """Turns as the judge wants it, without solids, and a plan with a contingency."""
+    given = scene("turns")
+    dirt = Dirt(given.vehicle, given.workspace, given.goal, Safety(), capacity=5000)
+    dirt.start(given.start)
     dirt.grow(iterations=1000)
     plan = dirt.plan()
     assert plan is not None
-    middle = plan.trajectory[len(plan.trajectory) // 2]
-    blocked = random_scene(0).__class__(
-        number=0,
-        vehicle=query.vehicle,
-        workspace=query.workspace,
-        solids=(Disc((float(middle[0]), float(middle[1])), 0.05),),
-        start=query.start,
-        goal=query.goal,
-        safety=dirt.safety,
-        settings=dirt.settings,
-        iterations=0,
+    query = RandomScene(
+        0, given.vehicle, given.workspace, (), given.start, given.goal, dirt.safety, dirt.settings, iterations=0
     )
-    assert judge(blocked, query.start, plan).collides
-    assert not judge(blocked, query.start, plan).differs
-    assert judge(blocked, query.start + 0.01, plan).differs
+    return query, plan
+
+
+def test_the_judge_finds_nothing_wrong_where_there_is_nothing() -> None:
+    query, plan = planned()
+    judgement = judge(query, query.start, plan)
+    assert not any(getattr(judgement, fault) for fault in safety.FAULTS)
+    assert judgement.integration_error < 1e-4
+
+
+def test_the_judge_finds_collisions_of_plans_and_contingencies() -> None:
+    query, plan = planned()
+    assert plan.contingency is not None
+    x, y = plan.trajectory[len(plan.trajectory) // 2, :2].tolist()
+    assert judge(replace(query, solids=(Disc((x, y), 0.05),)), query.start, plan).collides
+    x, y = plan.contingency.states[-1, :2].tolist()
+    assert judge(replace(query, solids=(Disc((x, y), 0.05),)), query.start, plan).contingency_collides
+
+
+def test_the_judge_finds_too_little_clearance() -> None:
+    query, plan = planned()
+    far_enough = replace(query, solids=(Disc((1.0, -1.5), 0.5),))
+    assert not judge(far_enough, query.start, plan).too_close
+    assert judge(replace(far_enough, safety=Safety(delta=0.4)), query.start, plan).too_close
+    assert judge(replace(far_enough, safety=Safety(delta=5.0)), query.start, plan).contingency_too_close
+
+
+def test_the_judge_finds_falsified_plans() -> None:
+    query, plan = planned()
+    assert plan.contingency is not None
+    assert judge(query, query.start + 0.01, plan).differs
+    assert judge(query, query.start, replace(plan, contingency=None)).no_contingency
+    short = replace(plan.contingency, states=plan.contingency.states[:-1], times=plan.contingency.times[:-1])
+    assert judge(query, query.start, replace(plan, contingency=short)).no_contingency
 
 
 @pytest.mark.parametrize(
