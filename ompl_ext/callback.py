@@ -22,7 +22,7 @@ from ompl_ext.kernel_types import LANE_WIDTH, Lanes, Problem
 from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
 from ompl_ext.rng import generator
-from ompl_ext.tree import add_root, new_tree, path_to, prune, reset
+from ompl_ext.tree_memory import add_root, new_tree, path_to, prune, reset
 
 
 @dataclass(frozen=True)

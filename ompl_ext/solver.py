@@ -20,7 +20,7 @@ from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem
 from ompl_ext.rng import generator
 from ompl_ext.specialise import kernels
-from ompl_ext.tree import add_root, new_tree, path_to, prune, reset
+from ompl_ext.tree_memory import add_root, new_tree, path_to, prune, reset
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between looks at the clock until a solution is found

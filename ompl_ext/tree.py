@@ -18,100 +18,27 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from ompl_ext.arrays import Bools, Floats, Ints, Words, int64
+from ompl_ext.arrays import Floats, int64
 from ompl_ext.jit import helper, inlined
 from ompl_ext.kernel_types import (
-    AT_GOAL,
-    BEST,
     CELL_NEXT,
-    CLOSEST,
-    COST,
-    COUNTS,
-    FULL,
-    LANE_WIDTH,
     LEVEL_COLUMNS,
     LEVEL_COUNT,
     LEVEL_ROWS,
     LEVEL_START,
-    NEXT,
-    PARENT,
     Q_DIM,
     RADIUS,
     REGION_LEVEL,
     REGION_NEXT,
     REGION_PREVIOUS,
-    SIZE,
-    TOGO,
     VISITS,
     F,
-    Lanes,
     Tree,
 )  # fmt: skip
 from ompl_ext.rng import uniform
 
-REGION_CELL = 0.01  # cell size of the finest level (m)
-POSITION_CELL = 0.02  # size of a cell (m)
 BLOCK = 8  # cells along a block's side
 NODES_AT_FULL_RESOLUTION = 20_000.0
-MOST_CELLS = 250_000  # in either index: larger workspaces get larger cells
-
-
-def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
-    """Empty tree for `capacity` nodes of `nx` states and `nu` controls over a workspace with `bounds`.
-
-    Call `reset` before use.
-    """
-    (x_low, x_high), (y_low, y_high) = bounds
-    width, height = x_high - x_low, y_high - y_low
-    smallest = math.sqrt(width * height / MOST_CELLS)
-    start, size = 0, max(REGION_CELL, smallest)
-    levels: list[list[int]] = []
-    sizes: list[float] = []
-    while not levels or levels[-1][LEVEL_COLUMNS] * levels[-1][LEVEL_ROWS] > 1:
-        columns, rows = math.floor(width / size) + 1, math.floor(height / size) + 1
-        levels.append([start, columns, rows, 0])
-        sizes.append(size)
-        start, size = start + columns * rows, size * 2
-    cell = max(POSITION_CELL, smallest)
-    blocks = [math.floor(extent / (BLOCK * cell)) + 1 for extent in (width, height)]
-    cells = blocks[0] * blocks[1] * BLOCK * BLOCK
-    return Tree(
-        state=np.zeros((capacity, nx)),
-        edge=np.zeros((capacity, nu + 1)),
-        hot=np.zeros((capacity, 8)),
-        link=np.zeros((capacity, 7), np.int64),
-        region_head=np.full(start, -1, np.int32),
-        level=np.array(levels),
-        level_cell=np.array(sizes),
-        cell_head=np.full(cells, -1, np.int32),
-        cell_best=np.full(cells, math.inf),
-        block_best=np.full(blocks[0] * blocks[1], math.inf),
-        block_shape=np.array(blocks),
-        frame=np.array([x_low, y_low, cell]),
-        count=np.zeros(COUNTS, np.int64),
-        best=np.full(2, math.inf),
-        random=np.zeros(1, np.uint64),
-    )
-
-
-def reset(tree: Tree, random: Words) -> None:
-    """Empty the tree for a new query; its memory is reused."""
-    tree.count[:] = 0
-    tree.count[[BEST, CLOSEST, NEXT]] = -1
-    tree.best[:] = math.inf
-    tree.random[:] = random
-    reset_indices(tree)
-
-
-def reset_indices(tree: Tree) -> None:
-    """Empty both indices."""
-    tree.region_head[:] = -1
-    tree.level[:, LEVEL_COUNT] = 0
-    tree.cell_head[:] = -1
-    tree.cell_best[:] = math.inf
-    tree.block_best[:] = math.inf
 
 
 @inlined
@@ -342,72 +269,3 @@ def add_to_indices(tree: Tree, node: int, limit: float, closed: float) -> None:
 def closed_radius(resolution: float, size: int) -> float:
     """Radius (m) below which a node is closed in a tree of `size` nodes."""
     return resolution * min(1.0, math.sqrt(NODES_AT_FULL_RESOLUTION / size))
-
-
-@helper
-def relist(tree: Tree, closed: float) -> None:
-    """List every node anew, after nodes have moved in memory; regions keep their radii."""
-    for node in range(tree.count[SIZE]):
-        if tree.hot[node, RADIUS] >= closed:
-            list_node(tree, node)
-
-
-def add_root(tree: Tree, work: Lanes) -> None:
-    """Make the end of lane 0, which starts and ends in `work.source`, a root; its region is the whole workspace."""
-    node = int(tree.count[SIZE])
-    tree.state[node] = work.source
-    tree.edge[node] = 0.0
-    tree.hot[node, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]
-    tree.hot[node, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
-    tree.link[node] = -1
-    tree.link[node, AT_GOAL] = work.at_goal[0]
-    tree.link[node, VISITS] = 0
-    if work.at_goal[0]:
-        tree.best[0], tree.count[BEST] = 0.0, node
-    tree.count[SIZE] += 1
-    list_node(tree, node)
-
-
-def prune(tree: Tree, closed: float) -> int:
-    """Forget the nodes that can neither be selected again nor lead to a better plan, and return how many.
-
-    These are the closed ones and those with f at or above the best cost, unless they lead to a node that is kept.
-    """
-    size = int(tree.count[SIZE])
-    f, radius, parent = tree.hot[:size, F], tree.hot[:size, RADIUS], tree.link[:size, PARENT]
-    keep = (f < tree.best[0]) & (radius >= closed)
-    keep[parent < 0] = True
-    for special in (BEST, CLOSEST, NEXT):
-        if tree.count[special] >= 0:
-            keep[tree.count[special]] = True
-    _keep_ancestors(keep, parent)
-    place = np.cumsum(keep) - 1
-    kept = int(place[-1]) + 1
-    for array in (tree.state, tree.edge, tree.hot, tree.link):
-        array[:kept] = array[:size][keep]
-    parents = tree.link[:kept, PARENT]
-    tree.link[:kept, PARENT] = np.where(parents >= 0, place[parents], -1)
-    for special in (BEST, CLOSEST, NEXT):
-        if tree.count[special] >= 0:
-            tree.count[special] = place[tree.count[special]]
-    tree.count[SIZE] = kept
-    tree.count[FULL] = 0
-    reset_indices(tree)
-    relist(tree, closed)
-    return size - kept
-
-
-@helper
-def _keep_ancestors(keep: Bools, parent: Ints) -> None:
-    for node in range(len(keep) - 1, 0, -1):  # children stand behind their parents
-        if keep[node] and parent[node] >= 0:
-            keep[parent[node]] = True
-
-
-def path_to(tree: Tree, node: int) -> list[int]:
-    """Nodes from the root to `node`."""
-    path = []
-    while node >= 0:
-        path.append(node)
-        node = int(tree.link[node, PARENT])
-    return path[::-1]

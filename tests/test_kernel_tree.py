@@ -14,7 +14,8 @@ from ompl_ext import kernel_types as at
 from ompl_ext.kernel_types import Tree
 from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import Dirt
-from ompl_ext.tree import closed_radius, nearest_better, prune, select
+from ompl_ext.tree import closed_radius, nearest_better, select
+from ompl_ext.tree_memory import prune
 
 RESOLUTION = Settings().resolution
 SETTINGS = [Settings(), Settings(blossom=4, insertions=3), Settings(child_extension=False, heading_weight=0.3)]
