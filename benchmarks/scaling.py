@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import gc
+import sys
 import time
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,7 +22,6 @@ from ompl_ext.specialise import kernels
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 SMALL, LARGE = SIZES[0], SIZES[-1]
 NEAR = 0.1  # a window counts for a size if its tree is this near, relatively
-SMALLEST_LEAK = 16  # bytes of the smallest object; less per cycle are Python's and numpy's caches that fill up
 ITERATIONS = 500  # of a cycle
 
 
@@ -53,7 +52,6 @@ def run(effort: Effort) -> Report:
         rows += memory(scene(name), effort.cycles)
     notes = [
         "An endless search has a goal that nothing meets: no bound ever turns a candidate away.",
-        f"A leak would keep {SMALLEST_LEAK} bytes a cycle or more; less are caches of Python and numpy that fill up.",
         "Kernels are compiled without numba's memory runtime: within a call of one, nothing can be allocated.",
     ]
     return Report("scaling", rows, {"Time of an iteration (us, median)": table}, notes)
@@ -97,30 +95,16 @@ def cost_at(windows: list[Window], size: int) -> float:
 def memory(query: Scene, cycles: int) -> list[Row]:
     """Memory that stays taken per cycle of starting anew, planning, and reading the plan."""
     dirt = query.dirt(capacity=10 * ITERATIONS)
+    several(query, dirt, cycles)  # what is taken once, is taken now
+    gc.collect()
+    blocks, resident = sys.getallocatedblocks(), resident_bytes()
     several(query, dirt, cycles)
-    resident = resident_bytes()
-    several(query, dirt, cycles)
-    resident = resident_bytes() - resident
-    kept = Target(SMALLEST_LEAK - 1)
+    gc.collect()
+    blocks, resident = sys.getallocatedblocks() - blocks, resident_bytes() - resident
     return [
-        row(f"{query.name}: Python memory kept per cycle", "bytes", [traced(query, dirt, cycles)], kept),
+        row(f"{query.name}: Python memory blocks kept per cycle", "blocks", [round(blocks / cycles)], Target(0)),
         row(f"{query.name}: resident memory grown in {cycles:,} cycles", "bytes", [resident]),
     ]
-
-
-def traced(query: Scene, dirt: Dirt, cycles: int) -> int:
-    """Bytes that Python and numpy hold more after a cycle than before it, on average, rounded."""
-    tracemalloc.start()
-    try:
-        several(query, dirt, cycles)  # what is taken once, is taken now
-        gc.collect()
-        before, _ = tracemalloc.get_traced_memory()
-        several(query, dirt, cycles)
-        gc.collect()
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    return round((after - before) / cycles)
 
 
 def several(query: Scene, dirt: Dirt, cycles: int) -> None:

@@ -54,7 +54,7 @@ def test_scaling_times_windows_of_both_sizes_and_keeps_no_memory() -> None:
     windows = scaling.grow(endless(scene("turns")), 3000, seed=0)
     assert scaling.cost_at(windows, 1000) > 0
     assert scaling.cost_at(windows, 3000) > 0
-    assert abs(scaling.memory(scene("turns"), cycles=1)[0].median) < 1e6
+    assert scaling.memory(scene("turns"), cycles=1)[1].median < 1e7
 
 
 def test_an_endless_search_has_no_solution() -> None:
