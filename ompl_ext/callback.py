@@ -168,7 +168,7 @@ class CallbackSearch:
         path, control = oc.PathControl(self._si), self._si.allocControl()
         nodes = path_to(self._tree, node)
         for before, after in pairwise(nodes):
-            self._control.write(self._tree.edge[after, :-1], control)
+            self._control.write(self._tree.edge[after, :-1].tolist(), control)
             path.append(self.state_of(before), control, float(self._tree.edge[after, -1]))
         path.append(self.state_of(node))
         return path, exact
@@ -180,9 +180,10 @@ class CallbackSearch:
         start_place = int(source[0])
         self._start = self._states[start_place]
         last = int(problem.option[at.STEPS]) * LANE_WIDTH
-        for lane in range(lanes):
-            self._control.write(work.control[lane::LANE_WIDTH], self._edge_control)
-            steps, place = int(work.steps[lane]), self._lane_state[lane]
+        rows = work.control.reshape(-1, LANE_WIDTH)[:, :lanes].T.tolist()
+        for lane, steps in enumerate(work.steps[:lanes].tolist()):
+            self._control.write(rows[lane], self._edge_control)
+            place = self._lane_state[lane]
             done = self._si.propagateWhileValid(self._start, self._edge_control, steps, self._states[place])
             work.slack[lane], work.togo[lane] = -1.0, math.inf
             if done == steps:
@@ -200,7 +201,7 @@ class CallbackSearch:
     def _safe(self, lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lanes) -> int:
         """SAFETY where an edge leaves the cycle: propagate up to there once more and ask the checker."""
         assert self._safety is not None
-        self._control.write(work.control[lane::LANE_WIDTH], self._edge_control)
+        self._control.write(work.control[lane::LANE_WIDTH].tolist(), self._edge_control)
         steps = min(math.ceil((self._settings.cycle - start_time) / self._step - 1e-9), int(work.steps[lane]))
         self._si.propagate(self._start, self._edge_control, steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1

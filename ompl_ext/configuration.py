@@ -8,8 +8,6 @@ import numpy as np
 from ompl import base as ob
 from ompl import control as oc
 
-from ompl_ext.arrays import Floats
-
 Configuration = Callable[[ob.State], tuple[float, float]]
 Bounds = tuple[tuple[float, float], tuple[float, float]]
 
@@ -93,15 +91,15 @@ class ControlLayout:
                 f"DIRT samples real-vector control spaces and compounds of them, not {type(space).__name__}"
             )
 
-    def write(self, values: Floats, control: oc.Control) -> None:
-        """Write a row, shape (dimension,), into OMPL's control."""
+    def write(self, values: list[float], control: oc.Control) -> None:
+        """Write a row into OMPL's control."""
         k = 0
         for place, count in self._leaves:
             leaf = control
             for index in place:
                 leaf = leaf[index]
             for component in range(count):
-                leaf[component] = float(values[k])
+                leaf[component] = values[k]
                 k += 1
 
     def read(self, control: oc.Control) -> list[float]:

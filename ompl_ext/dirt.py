@@ -219,7 +219,7 @@ def visit(
     tree.count[EDGES] += lanes
     lane = best_lane(work, lanes, start, tree.best[0])
     detour = detour or (lane >= 0 and work.togo[lane] >= tree.hot[node, TOGO])
-    added, wanted = 0, DETOURS if detour else problem.option[INSERTIONS]
+    added, wanted = int64(0), DETOURS if detour else problem.option[INSERTIONS]
     while added < wanted:
         if detour:
             lane = detour_lane(tree, node, work, lanes, start, added)
