@@ -10,8 +10,8 @@ they hold.  A search for the nearest better node walks outward over rings of blo
 that holds none.
 
 *Closed nodes.*  A node whose region has shrunk below the tree's resolution has a better node right beside it.  It stays
-in the tree but leaves both indices, which keeps their lists short.  The resolution falls with the square root of the
-number of nodes, so no region of positive size stays closed off as the tree grows.
+in the tree but leaves both indices, which keeps their lists short.  In large trees the resolution falls with the root
+of the number of nodes, so no region of positive size stays closed off as the tree grows.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from ompl_ext.kernel_types import (
 from ompl_ext.rng import uniform
 
 BLOCK = 8  # cells along a block's side
-NODES_AT_FULL_RESOLUTION = 20_000.0
+NODES_AT_FULL_RESOLUTION = 100_000.0
 
 
 @inlined
