@@ -92,7 +92,7 @@ def random_solid(rng: np.random.Generator, bounds: tuple[tuple[float, float], tu
     if kind < 0.75:
         return Disc(center, float(rng.uniform(0.05, 0.45)))
     corners = int(rng.integers(3, 9))
-    turns = 2 * math.pi * (np.arange(corners) + rng.uniform(0.0, 0.8, corners)) / corners
+    turns = 2 * math.pi * (np.arange(corners) + rng.uniform(0.0, 0.4, corners)) / corners  # less than pi apart
     radii = rng.uniform(0.1, 0.6, corners)
     return Star(center, np.column_stack([radii * np.cos(turns), radii * np.sin(turns)]) + np.array(center))
 

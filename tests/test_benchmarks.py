@@ -83,6 +83,14 @@ def test_random_scenes_are_planned_in_and_judged() -> None:
     assert found["plans in collision"] == 0
 
 
+def test_the_judges_polygons_are_counter_clockwise_around_their_centre() -> None:
+    stars = [solid for number in range(200) for solid in random_scene(number).solids if isinstance(solid, Star)]
+    assert len(stars) > 100
+    for star in stars:
+        a, b = star.corners - star.center, np.roll(star.corners, -1, axis=0) - star.center
+        assert np.all(a[:, 0] * b[:, 1] > a[:, 1] * b[:, 0])
+
+
 def test_a_random_scene_is_the_same_every_time() -> None:
     one, other = random_scene(5), random_scene(5)
     assert one.solids[-1] == other.solids[-1]
