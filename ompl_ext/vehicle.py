@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -76,14 +77,11 @@ class Vehicle:
     manoeuvres: tuple[str, ...] = ("coast",)
     rest: tuple[str, ...] = ("v",)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    source: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         problems = [*_shape_problems(self)]
         if problems:
             raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
-        if not self.source:
-            object.__setattr__(self, "source", _source_of(self))
 
     def with_parameters(self, values: Mapping[str, float]) -> Vehicle:
         """The same vehicle with some parameters replaced; unknown names are a `KeyError`."""
@@ -95,6 +93,15 @@ class Vehicle:
     def index(self, component: str) -> int:
         """Index of a state component by name, -1 if the vehicle has none of that name."""
         return self.state.index(component) if component in self.state else -1
+
+    @cached_property
+    def source(self) -> str:
+        """Everything that the functions depend on, as text; empty if there is no source (functions from a prompt)."""
+        functions = [f for f in (self.derivative, self.actuation, self.stop) if f is not None]
+        try:
+            return "\n".join(fingerprint(function) for function in functions)
+        except OSError:  # compiled afresh, never cached
+            return ""
 
     @property
     def hash(self) -> str:
@@ -151,12 +158,3 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
     if vehicle.stop is None and len(vehicle.manoeuvres) > 1:
         problems.append("several manoeuvres need a stop(x, p, k) function")
     return problems
-
-
-def _source_of(vehicle: Vehicle) -> str:
-    """Everything that the vehicle's functions depend on, empty if there is no source (a function from a prompt)."""
-    functions = [f for f in (vehicle.derivative, vehicle.actuation, vehicle.stop) if f is not None]
-    try:
-        return "\n".join(fingerprint(function) for function in functions)
-    except OSError:  # compiled afresh, never cached
-        return ""

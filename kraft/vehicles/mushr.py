@@ -7,6 +7,8 @@ when commanded straight phi_diff (rad), speed at full throttle v_delta (m/s).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ompl_ext.trigonometry import atan, cos, sin, tan
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
@@ -67,16 +69,9 @@ MUSHR = Vehicle(
     top_speed=0.6228,
 )
 
-MUSHR_LAG = Vehicle(
+MUSHR_LAG = replace(
+    MUSHR,
     name="mushr-lag",
     derivative=lagging,
-    actuation=actuation,
-    inputs=("target_speed", "cos_beta", "sin_beta", "curvature"),
-    stop=stop,
-    manoeuvres=TURNS,
-    state=("x", "y", "theta", "v"),
-    controls={"throttle": (0.0, 1.0), "steering": (-STEERING_MAX, STEERING_MAX)},
     parameters={"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228, "tau": 1.0103},
-    footprint=Footprint(0.40, 0.28),
-    top_speed=0.6228,
 )
