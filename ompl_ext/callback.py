@@ -59,6 +59,7 @@ class CallbackSearch:
         self._edge_control = si.allocControl()
         self._states: list[ob.State] = []
         self._distance: list[float] = []  # of each state from the goal, in the goal's measure
+        self._is_region = isinstance(goal, ob.GoalRegion)  # whose distance alone decides
         self._step = si.getPropagationStepSize()
         self._rate = settings.top_speed
         self._problem = self._make_problem(bounds)
@@ -210,14 +211,16 @@ class CallbackSearch:
         """Configuration, cost-to-go and goal of a state, as the end of a lane."""
         state, work = self._states[place], self._work
         work.end[lane], work.end[LANE_WIDTH + lane] = self._configuration(state)
-        work.togo[lane] = self._distance[place] / self._rate if self._rate > 0.0 else 0.0
-        work.at_goal[lane] = 1 if self._goal.isSatisfied(state) else 0
+        work.togo[lane] = max(0.0, self._distance[place]) / self._rate if self._rate > 0.0 else 0.0
+        inside = self._distance[place] < 0.0 if self._is_region else self._goal.isSatisfied(state)
+        work.at_goal[lane] = 1 if inside else 0
 
     def _goal_distance(self, state: ob.State) -> float:
+        """Distance from the goal's threshold, negative inside."""
         if not hasattr(self._goal, "distanceGoal"):
             return 0.0  # a goal that only says yes or no
         threshold = self._goal.getThreshold() if hasattr(self._goal, "getThreshold") else 0.0
-        return max(0.0, float(self._goal.distanceGoal(state)) - threshold)
+        return float(self._goal.distanceGoal(state)) - threshold
 
     def _new_state(self) -> int:
         self._states.append(self._si.allocState())
