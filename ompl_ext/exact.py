@@ -61,13 +61,12 @@ def _prisms(obstacle: Polygon | Circle | OccupancyGrid) -> list[fcl.CollisionObj
         return [_prism(corners) for corners in triangles(obstacle.vertices)]
     x, y, yaw = obstacle.origin
     c, s = math.cos(yaw), math.sin(yaw)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    boxes = []
-    for row, column, rows, columns in obstacle.rectangles():
-        middle = np.array([column + columns / 2, row + rows / 2, 0.0]) * obstacle.resolution
-        shape = fcl.Box(columns * obstacle.resolution, rows * obstacle.resolution, HEIGHT)
-        boxes.append(fcl.CollisionObject(shape, fcl.Transform(turn, turn @ middle + np.array([x, y, 0.0]))))
-    return boxes
+    turn = np.array([[c, -s], [s, c]])
+    prisms = []
+    for row, column, rows, columns in obstacle.rectangles():  # not fcl.Box: two boxes side by side mislead FCL
+        cells = np.array([[column, row], [column + columns, row], [column + columns, row + rows], [column, row + rows]])
+        prisms.append(_prism(cells * obstacle.resolution @ turn.T + np.array([x, y])))
+    return prisms
 
 
 def _prism(corners: Matrix) -> fcl.CollisionObject:
