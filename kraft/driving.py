@@ -1,0 +1,90 @@
+"""What passes between sensing, estimation, replanning and control while a vehicle drives.
+
+Times are seconds of the trial, 0 when the first plan is committed.  States are those of the vehicle's model; poses
+are (x, y, theta) in the frame of the map (m, rad).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Matrix
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A pose as the camera measured it at `time`; it arrives at `arrival`, later by the latency."""
+
+    time: float
+    arrival: float
+    x: float
+    y: float
+    theta: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """State (nx,) that the vehicle is believed to be in at `time`.
+
+    `age` is how old the newest observation behind it is (s), infinite before the first one.
+    """
+
+    time: float
+    state: Floats
+    age: float
+
+
+class Kind(StrEnum):
+    """What a reference is: part of a plan, or a contingency manoeuvre."""
+
+    PLAN = "plan"
+    CONTINGENCY = "contingency"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The trajectory to track: states (m, nx) predicted at `times` (m,), ascending, in seconds of the trial.
+
+    `controls` (m - 1, nu) are held from each time to the next, and `rest` (nu,) after the last one.
+    """
+
+    kind: Kind
+    times: Floats
+    states: Matrix
+    controls: Matrix
+    rest: Floats
+
+    @property
+    def start(self) -> float:
+        """When it begins, s."""
+        return float(self.times[0])
+
+    @property
+    def end(self) -> float:
+        """When it is over, s."""
+        return float(self.times[-1])
+
+    def state_at(self, time: float) -> Floats:
+        """State (nx,) at `time` by linear interpolation; the first before it begins and the last after it ends."""
+        k, share = self._place(time)
+        if share == 0.0:
+            return self.states[k].copy()
+        return (1.0 - share) * self.states[k] + share * self.states[k + 1]
+
+    def control_at(self, time: float) -> Floats:
+        """Control (nu,) held at `time`."""
+        if time >= self.times[-1] or len(self.controls) == 0:
+            return self.rest.copy()
+        return self.controls[self._place(time)[0]].copy()
+
+    def _place(self, time: float) -> tuple[int, float]:
+        """Index of the sample before `time` and the share of the interval that has passed."""
+        if time <= self.times[0] or len(self.times) == 1:
+            return 0, 0.0
+        if time >= self.times[-1]:
+            return len(self.times) - 1, 0.0
+        k = int(np.searchsorted(self.times, time, side="right")) - 1
+        return k, float((time - self.times[k]) / (self.times[k + 1] - self.times[k]))

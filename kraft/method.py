@@ -1,0 +1,163 @@
+"""A method: planning mode, cycle, budget, safety, estimator and controller, composed in a YAML file.
+
+One file of `configs/methods/` is one row of a results table; a new row is a new file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, PrivateAttr, StringConstraints, model_validator
+
+from kraft import resources
+from kraft.file_model import FileModel, NonNegative, Positive, Probability, refuse
+from kraft.source import Source
+from kraft.validation import read_model
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
+Seconds = Annotated[float, Field(gt=0, le=1000)]
+Rate = Annotated[float, Field(gt=0, le=500)]
+Gain = Annotated[float, Field(ge=-1000, le=1000)]
+
+
+class Clearance(FileModel):
+    """SAFETY's clearance: delta(v) = delta + delta_per_speed |v|."""
+
+    delta: NonNegative = 0.05
+    """clearance at rest, m"""
+    delta_per_speed: NonNegative = 0.25
+    """clearance added per unit of speed, m per m/s"""
+
+
+class Planner(FileModel):
+    """When and how long to plan."""
+
+    mode: Literal["one-shot", "replanning"]
+    """`one-shot` plans once before it drives, `replanning` in every cycle"""
+    cycle: Seconds = 1.0
+    """duration of a replanning cycle, s"""
+    lead: NonNegative = 0.1
+    """how long before a cycle ends its plan is checked again and sent, s"""
+    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 2000
+    """planning budget of a cycle, or of the one plan, in iterations"""
+    safety: Clearance | None = None
+    """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
+    vehicle: str | None = None
+    """model to plan with instead of the scenario's: a name, a YAML file or code"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.lead >= self.cycle:
+            raise refuse(f"is {self.lead:g}, not less than the cycle", f"expected less than {self.cycle:g}", ("lead",))
+        return self
+
+
+class OpenLoop(FileModel):
+    """Sends the planned controls as they are."""
+
+    kind: Literal["open_loop"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+
+
+class Geometric(FileModel):
+    """Steers with a PID towards a point of the path a fixed length ahead of the nearest one."""
+
+    kind: Literal["geometric"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    lookahead: Positive = 0.6
+    """length of path between the nearest point and the point aimed at, m"""
+    window: Annotated[int, Field(ge=1, le=100_000)] = 50
+    """samples of the path around the last nearest point among which the next one is searched"""
+    gains: tuple[Gain, Gain, Gain] = (1.0, 1.5, -0.25)
+    """proportional, integral and derivative gain on the direction to the point aimed at"""
+
+
+class Kinodynamic(FileModel):
+    """Stanley on the planned trajectory, with speed and steering fed forward."""
+
+    kind: Literal["kinodynamic"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    k_path: Gain = 5.0
+    """gain on the cross-track error, 1/s"""
+    k_heading: Gain = 1.0
+    """gain on the heading error"""
+    k_along: Gain = 1.0
+    """throttle per metre that the vehicle is behind its trajectory, 1/m"""
+    softening: Positive = 0.3
+    """speed added where the law divides by the speed, m/s"""
+    look: NonNegative = 0.0
+    """how far ahead of the present time the law looks, to make up for the actuators' lag, s"""
+
+
+Controller = Annotated[OpenLoop | Geometric | Kinodynamic, Field(discriminator="kind")]
+
+
+class Latest(FileModel):
+    """The newest observed pose, predicted forward with the model; the speed is the one last commanded."""
+
+    kind: Literal["latest"]
+    """which estimator"""
+
+
+class Filter(FileModel):
+    """A Kalman filter over the model and all observed poses, which doubts outliers."""
+
+    kind: Literal["filter"]
+    """which estimator"""
+    position_noise: Positive = 0.05
+    """standard deviation of an observed position, m"""
+    heading_noise_deg: Positive = 5.0
+    """standard deviation of an observed heading, degrees"""
+    drift: Positive = 0.05
+    """standard deviation of the position that the model loses in one second, m"""
+    heading_drift_deg: Positive = 5.0
+    """standard deviation of the heading that the model loses in one second, degrees"""
+    speed_drift: Positive = 0.1
+    """standard deviation of the speed that the model loses in one second, m/s"""
+    confidence: Annotated[Probability, Field(gt=0.5, lt=1)] = 0.997
+    """an observation that is farther off than this share of them is given less weight"""
+
+
+Estimator = Annotated[Latest | Filter, Field(discriminator="kind")]
+
+
+class Method(FileModel):
+    """A method file."""
+
+    name: Name
+    """short name of letters, digits, - and _"""
+    title: str
+    """name in a results table"""
+    description: str = ""
+    """one sentence for `kraft list methods`"""
+    planner: Planner
+    """when and how long to plan"""
+    estimator: Estimator = Latest(kind="latest")
+    """where the vehicle is believed to be"""
+    controller: Controller
+    """how a plan is tracked"""
+
+    _source: Source = PrivateAttr(default_factory=Source)
+
+    @property
+    def source(self) -> Source:
+        """Where each value was written."""
+        return self._source
+
+
+def load_method(name_or_path: str | Path) -> Method:
+    """Load a bundled method (``kraft``) or a method file.
+
+    Raises:
+        InputError: with every problem of the file, or if there is no such name or file.
+    """
+    method, document = read_model(resources.find("method", name_or_path), Method)
+    method._source = document.source  # frozen fields stay as they are; this is where they came from
+    return method
