@@ -88,3 +88,20 @@ class Reference:
             return len(self.times) - 1, 0.0
         k = int(np.searchsorted(self.times, time, side="right")) - 1
         return k, float((time - self.times[k]) / (self.times[k + 1] - self.times[k]))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Predicted states (n + 1, nx) at `times` (n + 1,) s.
+
+    `slack` is a lower bound of the clearance beyond what is asked for (m), negative if the motion may collide.
+    """
+
+    times: Floats
+    states: Matrix
+    slack: float
+
+    @property
+    def end(self) -> Floats:
+        """The last state."""
+        return self.states[-1]
