@@ -1,0 +1,1 @@
+"""The simulated world: MuJoCo, and all that the planner does not know. The only room that reads `Scenario.truth`."""
