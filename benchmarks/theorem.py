@@ -85,7 +85,7 @@ def episode(number: int) -> Episode:
     model = Model(vehicle)
     kind = OpenLoop(kind="open_loop") if number // 4 % 2 else Kinodynamic(kind="kinodynamic")
     settings = Planner(mode="replanning", lead=0.0, iterations=ITERATIONS)
-    replanner = Replanner(dirt, settings, make_controller(kind, model, vehicle), number, period=PERIOD)
+    replanner = Replanner(dirt, settings, make_controller(kind, model), number, period=PERIOD)
     body = Body(scene.solids, vehicle.footprint)
     start = random_start(rng, vehicle, scene.workspace.bounds, body, replace(safety, delta=2 * DELTA))
     start[3] = 0.0

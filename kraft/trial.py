@@ -15,6 +15,7 @@ from kraft.estimation import make_estimator
 from kraft.model import Model
 from kraft.replanner import Replanner, dirt_of
 from kraft.simulation.camera import MarkerCamera
+from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
 from kraft.workspace import start_state, workspace_of
@@ -91,10 +92,10 @@ class _Trial:
     def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
         scenario, method, vehicle = spec.scenario, spec.method, spec.vehicle
         self.world = World(scenario)
-        self._camera = MarkerCamera(scenario.sensing, spec.seed)
+        self._camera = MarkerCamera(scenario.sensing, MARKER_HEIGHT, spec.seed)
         model, start = Model(vehicle), start_state(scenario.task(), vehicle)
         self._estimator = make_estimator(method.estimator, model, start)
-        self._controller = make_controller(method.controller, model, vehicle)
+        self._controller = make_controller(method.controller, model)
         period = 1.0 / method.controller.rate_hz
         self._replanner = Replanner(
             dirt_of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,

@@ -41,7 +41,7 @@ def replanner(seed: int = 0, task: Task | None = None, tracking: bool = False, *
     planner = Planner(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
     kind = Kinodynamic(kind="kinodynamic") if tracking else OpenLoop(kind="open_loop")
     vehicle = mushr()
-    controller = make_controller(kind, Model(vehicle), vehicle)
+    controller = make_controller(kind, Model(vehicle))
     return Replanner(dirt_of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30)
 
 
