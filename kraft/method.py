@@ -43,6 +43,8 @@ class Planner(FileModel):
     """planning budget of a cycle, or of the one plan, in iterations"""
     patience: Seconds = 0.5
     """how old the newest observation may be when a plan is committed, s"""
+    margin: NonNegative = 0.0
+    """distance that every part of a plan keeps from obstacles: the footprint is planned that much larger, m"""
     goal_margin: NonNegative = 0.0
     """how much smaller than the goal region the region is that the planner aims for, m"""
     safety: Clearance | None = None

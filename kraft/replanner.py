@@ -72,7 +72,9 @@ def dirt_of(task: Task, vehicle: Vehicle, settings: Planner) -> Dirt:
         delta_per_speed=margin.delta_per_speed if margin else 0.0,
     )
     goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
-    return Dirt(vehicle, workspace_of(task, vehicle), goal, safety, settings_of(task), settings.capacity)
+    shape = vehicle.footprint
+    larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
+    return Dirt(replace(vehicle, footprint=larger), workspace_of(task, vehicle), goal, safety, settings_of(task), settings.capacity)
 
 
 class Replanner:
