@@ -25,6 +25,7 @@ def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
     option.impratio = 10.0
     # a world that blows up must be an error, not silently its own start
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # boxes that nobody has touched cost nothing
     add_scene(spec, scenario, frame)
     add_car(spec, scenario.truth.vehicle)
     return spec.compile()

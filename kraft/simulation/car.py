@@ -24,6 +24,9 @@ from kraft.simulation.drivetrain import (
     WHEELBASE,
 )
 
+POSITION: Final = int(mujoco.mjtCtrlInput.mjINPUT_POS)
+"""The servos take an angle; by default MuJoCo's would take an angular velocity as well."""
+
 CAR: Final = "car"
 MARKER: Final = "marker"
 DRIVE: Final = "drive"
@@ -68,6 +71,7 @@ def add_car(spec: Any, gap: VehicleGap) -> Any:
     """Add the car at the origin of the world; returns its body."""
     body = spec.worldbody.add_body(name=CAR)
     body.add_freejoint(name=CAR)
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a car that stands must still hear a command
     mass = CHASSIS_MASS * gap.mass_scale
     a, b, c = CHASSIS_BODY
     body.explicitinertial = True
@@ -89,7 +93,7 @@ def add_car(spec: Any, gap: VehicleGap) -> Any:
     _add_motor(spec)
     for name in STEERED:
         servo = spec.add_actuator(name=f"{name} servo", target=f"{name} steering", trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_pid(kp=SERVO_STIFFNESS, kv=SERVO_DAMPING, slewmax=STEERING_RATE)
+        servo.set_to_pid(kp=SERVO_STIFFNESS, kv=SERVO_DAMPING, slewmax=STEERING_RATE, ctrlspec=POSITION)
     return body
 
 

@@ -49,4 +49,6 @@ def _lean(angle: float, uphill: float) -> Matrix:
     """Rotation that lifts the direction `uphill` (rad from +x) by `angle` (rad), (3, 3)."""
     axis = np.array([math.sin(uphill), -math.cos(uphill), 0.0])
     cross = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross  # Rodrigues
+    # Rodrigues' formula
+    rotation: Matrix = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    return rotation

@@ -112,7 +112,8 @@ def _geoms(spec: Any, name: str, shape: Box | Circle | Polygon) -> list[dict[str
 def _prism(spec: Any, name: str, corners: Matrix, height: float) -> dict[str, Any]:
     """An upright prism over convex corners (n, 2); the mesh's own frame is its inertia's, MuJoCo puts it back."""
     low = np.column_stack([corners, np.zeros(len(corners))])
-    spec.add_mesh(name=name, uservert=np.vstack([low, low + [0.0, 0.0, height]]).ravel())
+    high = np.column_stack([corners, np.full(len(corners), height)])
+    spec.add_mesh(name=name, uservert=np.vstack([low, high]).ravel())
     return {"type": MESH, "meshname": name}
 
 
@@ -123,6 +124,7 @@ def _add_movable(spec: Any, i: int, box: MovableBox, frame: FloorFrame) -> None:
     place = frame.to_world(np.array([*box.center, height / 2]))
     body = spec.worldbody.add_body(name=f"movable {i}", pos=place, quat=quaternion(upright))
     body.add_freejoint(name=f"movable {i}")
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_INIT  # it stands still until something touches it
     body.add_geom(
         name=f"movable {i}",
         type=BOX,

@@ -58,8 +58,9 @@ class World:
         self._body = self.data.body(CAR)
         self._marker = self.data.site(MARKER)
         self._movable = [self.data.body(f"movable {i}") for i in range(len(scenario.truth.movable_boxes))]
-        self._motor = self.model.actuator(DRIVE).id
-        self._servos = [self.model.actuator(f"{name} servo").id for name in STEERED]
+        inputs = self.model.actuator_ctrladr
+        self._motor = inputs[self.model.actuator(DRIVE).id]
+        self._servos = [inputs[self.model.actuator(f"{name} servo").id] for name in STEERED]
         self._collision: Collision | None = None
         self._steps = 0
         self.reset()
