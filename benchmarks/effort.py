@@ -18,6 +18,7 @@ class Effort:
         processes: `kraft plan` processes.
         first_run: whether to compile all kernels anew, in an empty cache.
         scenes: random scenes.
+        episodes: drives in the test of Theorem 1.
         jobs: processes that share the random scenes; everything else runs alone.
     """
 
@@ -29,13 +30,34 @@ class Effort:
     processes: int
     first_run: bool
     scenes: int
+    episodes: int
     jobs: int
 
 
 FULL = Effort(
-    seeds=100, repeats=10, seconds=2.0, nodes=100_000, cycles=1000, processes=10, first_run=True, scenes=2000, jobs=2
+    seeds=100,
+    repeats=10,
+    seconds=2.0,
+    nodes=100_000,
+    cycles=1000,
+    processes=10,
+    first_run=True,
+    scenes=2000,
+    episodes=2000,
+    jobs=2,
 )
 QUICK = Effort(
-    seeds=20, repeats=3, seconds=0.5, nodes=100_000, cycles=100, processes=3, first_run=True, scenes=60, jobs=2
+    seeds=20,
+    repeats=3,
+    seconds=0.5,
+    nodes=100_000,
+    cycles=100,
+    processes=3,
+    first_run=True,
+    scenes=60,
+    episodes=100,
+    jobs=2,
 )
-SMOKE = Effort(seeds=1, repeats=1, seconds=0.02, nodes=3_000, cycles=3, processes=1, first_run=False, scenes=2, jobs=1)
+SMOKE = Effort(
+    seeds=1, repeats=1, seconds=0.02, nodes=3_000, cycles=3, processes=1, first_run=False, scenes=2, episodes=4, jobs=1
+)

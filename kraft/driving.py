@@ -70,15 +70,16 @@ class Reference:
     def state_at(self, time: float) -> Floats:
         """State (nx,) at `time` by linear interpolation; the first before it begins and the last after it ends."""
         k, share = self._place(time)
-        if share == 0.0:
-            return self.states[k].copy()
-        return (1.0 - share) * self.states[k] + share * self.states[k + 1]
+        after = min(k + 1, len(self.states) - 1)
+        state: Floats = (1.0 - share) * self.states[k] + share * self.states[after]
+        return state
 
     def control_at(self, time: float) -> Floats:
         """Control (nu,) held at `time`."""
         if time >= self.times[-1] or len(self.controls) == 0:
             return self.rest.copy()
-        return self.controls[self._place(time)[0]].copy()
+        held: Floats = self.controls[self._place(time)[0]]
+        return held.copy()
 
     def _place(self, time: float) -> tuple[int, float]:
         """Index of the sample before `time` and the share of the interval that has passed."""
@@ -88,3 +89,20 @@ class Reference:
             return len(self.times) - 1, 0.0
         k = int(np.searchsorted(self.times, time, side="right")) - 1
         return k, float((time - self.times[k]) / (self.times[k + 1] - self.times[k]))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Predicted states (n + 1, nx) at `times` (n + 1,) s.
+
+    `slack` is a lower bound of the clearance beyond what is asked for (m), negative if the motion may collide.
+    """
+
+    times: Floats
+    states: Matrix
+    slack: float
+
+    @property
+    def end(self) -> Floats:
+        """The last state."""
+        return self.states[-1]

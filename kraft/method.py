@@ -39,12 +39,23 @@ class Planner(FileModel):
     """duration of a replanning cycle, s"""
     lead: NonNegative = 0.1
     """how long before a cycle ends its plan is checked again and sent, s"""
-    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 2000
+    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
     """planning budget of a cycle, or of the one plan, in iterations"""
+    patience: Seconds = 0.5
+    """how old the newest observation may be when a plan is committed, s"""
+    margin: NonNegative = 0.0
+    """distance that every part of a plan keeps from obstacles: the footprint is planned that much larger, m"""
+    goal_margin: NonNegative = 0.0
+    """how much smaller than the goal region the region is that the planner aims for, m"""
     safety: Clearance | None = None
     """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
     vehicle: str | None = None
     """model to plan with instead of the scenario's: a name, a YAML file or code"""
+
+    @property
+    def capacity(self) -> int:
+        """Nodes that the tree has memory for."""
+        return max(10_000, min(200_000, 4 * self.iterations))
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from kraft.driving import Observation, Reference
+from kraft.driving import Motion, Observation, Reference
 from kraft.method import Method
 from kraft.scenario import Scenario
 from ompl_ext.arrays import Floats
@@ -53,8 +53,8 @@ class Cycle:
     """One replanning cycle: what was committed at `time`, why, and what it cost to find.
 
     `cost_to_goal` is the predicted time to the goal (s) of the committed plan, infinite without one that leads there;
-    `clearance` the smallest distance to an obstacle that it predicts within the cycle (m).  `planning_ms` is measured
-    and everything else repeats.  `tree` is kept only when asked for.
+    `predicted` is what the robot expects to do within the cycle and `clearance` the smallest distance to an obstacle
+    that it passes (m).  `planning_ms` is measured and everything else repeats.  `tree` is kept only when asked for.
     """
 
     number: int
@@ -71,6 +71,7 @@ class Cycle:
     missed: bool
     reference: Reference
     contingency: Reference | None
+    predicted: Motion
     tree: TreeView | None = None
 
 

@@ -25,6 +25,8 @@ class Sensing(FileModel):
     """age of a pose when it arrives, s"""
     dropout: Probability | None = None
     """fraction of poses that never arrive; the preset's own if not given"""
+    noise_scale: Annotated[float, Field(ge=0, le=100)] = 1.0
+    """factor on all of the preset's errors"""
     communication_delay: Delay = 0.0
     """time between a command and its effect, s"""
 

@@ -1,0 +1,21 @@
+"""Sends the planned controls as they are: the paper's baseline without feedback."""
+
+from __future__ import annotations
+
+from kraft.driving import Estimate, Reference
+from kraft.model import Model
+from ompl_ext.arrays import Floats
+
+
+class OpenLoopController:
+    """Blindly executes the plan."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) that the reference holds at the estimate's time."""
+        return self._model.clamped(reference.control_at(estimate.time))
+
+    def reset(self) -> None:
+        """Nothing is remembered."""

@@ -1,0 +1,18 @@
+"""What every controller can do."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from kraft.driving import Estimate, Reference
+from ompl_ext.arrays import Floats
+
+
+class Controller(Protocol):
+    """Tracks a reference; a new one may come with any call."""
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) to send at the estimate's time, within the actuators' bounds."""
+
+    def reset(self) -> None:
+        """Forget what came before, as at the beginning of a trial."""

@@ -1,0 +1,19 @@
+"""Where the vehicle is believed to be: estimators over late, noisy poses and the commands that were sent."""
+
+from __future__ import annotations
+
+from kraft.estimation.latest import LatestPose
+from kraft.estimation.pose_filter import PoseFilter
+from kraft.estimation.protocol import Estimator
+from kraft.method import Filter, Latest
+from kraft.model import Model
+from ompl_ext.arrays import Floats
+
+__all__ = ["Estimator", "LatestPose", "PoseFilter", "make_estimator"]
+
+
+def make_estimator(settings: Latest | Filter, model: Model, start_state: Floats) -> Estimator:
+    """The estimator that a method names; the vehicle is known to be in `start_state` (nx,) at time 0."""
+    if isinstance(settings, Filter):
+        return PoseFilter(settings, model, start_state)
+    return LatestPose(model, start_state)

@@ -1,0 +1,41 @@
+"""The newest pose, predicted forward to now: the estimator of the paper's experiments."""
+
+from __future__ import annotations
+
+import math
+
+from kraft.driving import Estimate, Observation
+from kraft.estimation.dead_reckoning import DeadReckoning
+from kraft.model import Model
+from ompl_ext.arrays import Floats
+
+
+class LatestPose:
+    """Takes the newest pose at its word.
+
+    What a pose does not tell, the speed above all, is what the commands lead to by the model (Sec. V: "the robot's
+    current velocity is the commanded desired velocity from the previous timestep").
+    """
+
+    def __init__(self, model: Model, start_state: Floats) -> None:
+        self._model = model
+        self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
+        self._seen = -math.inf
+
+    def observe(self, observation: Observation) -> None:
+        """Predict from this pose on, unless a newer one is known."""
+        if observation.time <= self._seen or observation.time < self._reckoning.time:
+            return
+        self._seen = observation.time
+        state, model = self._reckoning.at(observation.time), self._model
+        state[model.x], state[model.y] = observation.x, observation.y
+        state[model.theta] += math.remainder(observation.theta - state[model.theta], math.tau)  # no jump of a turn
+        self._reckoning.anchor(observation.time, state)
+
+    def commanded(self, time: float, control: Floats) -> None:
+        """Note that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
+        self._reckoning.command(time, control)
+
+    def estimate(self, time: float) -> Estimate:
+        """State at `time` (s)."""
+        return Estimate(time, self._reckoning.at(time), time - self._seen)

@@ -1,0 +1,153 @@
+"""The robot's model of itself, one state at a time: for predicting, estimating and controlling a car.
+
+The planner's own compiled derivative and Runge-Kutta step are called here, so that what is predicted is what was
+planned.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from typing import Final
+
+import numpy as np
+
+from kraft.errors import InputError
+from ompl_ext.arrays import Floats
+from ompl_ext.specialise import kernels
+from ompl_ext.vehicle import Vehicle
+
+STEP: Final = 0.05
+"""Longest integration step, s."""
+SETTLING: Final = 20.0
+"""Time after which the response to a constant control counts as steady, s."""
+CONTROLS: Final = ("throttle", "steering")
+ROWS: Final = 65  # of a table of steady responses
+
+
+class Model:
+    """Dynamics of a car whose controls are throttle and steering, and its steady responses to them.
+
+    `x`, `y`, `theta`, `v` are places in a state (nx,), `throttle` and `steering` places in a control (nu,); `low` and
+    `high` (nu,) bound a control.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Load the vehicle's compiled step and tabulate its steady speeds and curvatures.
+
+        Raises:
+            InputError: if the vehicle is not such a car.
+        """
+        check_car(vehicle)
+        self.vehicle = vehicle
+        self._step = kernels(vehicle).advance
+        self._parameters = vehicle.parameter_array
+        names = list(vehicle.controls)
+        self.x, self.y, self.theta = (vehicle.index(name) for name in ("x", "y", "theta"))
+        self.v = vehicle.rest_indices[0]
+        self._pose = [self.x, self.y, self.theta]
+        self.throttle, self.steering = (names.index(name) for name in CONTROLS)
+        self.low, self.high = vehicle.control_bounds[:, 0].copy(), vehicle.control_bounds[:, 1].copy()
+        self.rest = self.clamped(np.zeros(len(names)))
+        self._throttles, self._speeds = self._steady_speeds()
+        self._steerings, self._curvatures, self._slips = self._steady_turns()
+
+    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
+        """State (nx,) after a control (nu,) was held for `duration` s; not above 0 the state itself, copied."""
+        result = np.array(state, dtype=np.float64)
+        if duration <= 0.0:
+            return result
+        steps = math.ceil(duration / STEP - 1e-9)
+        held = np.ascontiguousarray(control, dtype=np.float64)
+        for _ in range(steps):
+            self._step(result, held, self._parameters, duration / steps, result)
+        return result
+
+    def clamped(self, control: Floats) -> Floats:
+        """The control (nu,) within its bounds."""
+        inside: Floats = np.minimum(np.maximum(control, self.low), self.high)
+        return inside
+
+    def command(self, throttle: float, steering: float) -> Floats:
+        """The control (nu,) of a throttle and a steering, clamped to their bounds."""
+        control = self.rest.copy()
+        control[self.throttle] = min(max(throttle, self.low[self.throttle]), self.high[self.throttle])
+        control[self.steering] = min(max(steering, self.low[self.steering]), self.high[self.steering])
+        return control
+
+    def steady_speed(self, throttle: float) -> float:
+        """Speed that a throttle leads to, m/s."""
+        return float(np.interp(throttle, self._throttles, self._speeds))
+
+    def throttle_for(self, speed: float) -> float:
+        """Throttle that leads to a speed (m/s), the nearest there is."""
+        return _inverse(speed, self._speeds, self._throttles)
+
+    def curvature(self, steering: float) -> float:
+        """Curvature of the path that a steering leads to, 1/m, positive to the left."""
+        return float(np.interp(steering, self._steerings, self._curvatures))
+
+    def steering_for(self, curvature: float) -> float:
+        """Steering that leads to a curvature (1/m), the nearest there is."""
+        return _inverse(curvature, self._curvatures, self._steerings)
+
+    def slip(self, steering: float) -> float:
+        """Direction in which the car moves while it turns with a steering, relative to its heading, rad."""
+        return float(np.interp(steering, self._steerings, self._slips))
+
+    @property
+    def wheelbase(self) -> float:
+        """Change of steering per change of curvature where the car drives straight, m: of a bicycle, its wheelbase."""
+        reach = 0.1 * max(abs(self._curvatures[0]), abs(self._curvatures[-1]))
+        return (self.steering_for(reach) - self.steering_for(-reach)) / (2.0 * reach)
+
+    def _steady_speeds(self) -> tuple[list[float], list[float]]:
+        throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], ROWS)
+        speeds = [float(self._settled(self.command(u, 0.0))[self.v]) for u in throttles]
+        return list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
+
+    def _steady_turns(self) -> tuple[list[float], list[float], list[float]]:
+        steerings = np.linspace(self.low[self.steering], self.high[self.steering], ROWS)
+        throttle = self.throttle_for(0.5 * self._speeds[-1])
+        curvatures, slips = [], []
+        for steering in steerings:
+            control = self.command(throttle, float(steering))
+            before = self._settled(control)
+            dx, dy, turn = (float(d) for d in self.advance(before, control, STEP)[self._pose])  # from the origin
+            curvatures.append(turn / (STEP * float(before[self.v])))
+            slips.append(math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau))
+        return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures))), slips
+
+    def _settled(self, control: Floats) -> Floats:
+        """State that holding a control from standstill leads to, at the origin."""
+        state = self.advance(np.zeros(len(self.vehicle.state)), control, SETTLING)
+        state[self._pose] = 0.0
+        return state
+
+
+def check_car(vehicle: Vehicle) -> None:
+    """Refuse a vehicle that is not a car with a throttle and a steering.
+
+    Raises:
+        InputError: with what it lacks.
+    """
+    missing = [name for name in ("x", "y", "theta") if vehicle.index(name) < 0]
+    if tuple(sorted(vehicle.controls)) != tuple(sorted(CONTROLS)):
+        has = ", ".join(vehicle.controls)
+        raise InputError.of(
+            vehicle.name, f"has the controls {has}", "expected throttle and steering: the car that drives takes these"
+        )
+    if missing or not vehicle.rest:
+        lacks = f"has no {' and no '.join(missing)} in its state" if missing else "names no speed among what rests"
+        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed")
+
+
+def _inverse(value: float, values: list[float], arguments: list[float]) -> float:
+    """Argument at which an ascending table takes a value, linear between its rows, clamped to its ends."""
+    k = bisect_left(values, value)
+    if k == 0:
+        return arguments[0]
+    if k == len(values):
+        return arguments[-1]
+    share = (value - values[k - 1]) / (values[k] - values[k - 1])
+    return arguments[k - 1] + share * (arguments[k] - arguments[k - 1])

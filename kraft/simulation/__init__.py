@@ -1,0 +1,5 @@
+"""The simulated world: MuJoCo, and all that the planner does not know. The only room that reads `Scenario.truth`."""
+
+from kraft.simulation.world import Collision, World
+
+__all__ = ["Collision", "World"]

@@ -1,0 +1,31 @@
+"""From a scenario to a compiled MuJoCo model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+
+from kraft.scenario import Scenario
+from kraft.simulation.car import GRAVITY, add_car
+from kraft.simulation.floor_frame import FloorFrame
+from kraft.simulation.scene import add_scene
+
+
+def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
+    """Compile the world of a scenario; returns a `mujoco.MjModel`."""
+    spec = mujoco.MjSpec()
+    spec.modelname = scenario.name
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = timestep
+    option.gravity = [0.0, 0.0, -GRAVITY]
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = 10.0
+    # a world that blows up must be an error, not silently its own start
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # boxes that nobody has touched cost nothing
+    add_scene(spec, scenario, frame)
+    add_car(spec, scenario.truth.vehicle)
+    return spec.compile()

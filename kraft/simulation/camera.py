@@ -1,0 +1,85 @@
+"""The camera that sees the marker on the car's roof, and what a system makes of it that takes the floor for flat."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kraft.driving import Observation
+from kraft.errors import InputError
+from kraft.scenario import Sensing
+from kraft.simulation.noise import PRESETS, PoseNoise
+from ompl_ext.arrays import Floats, Matrix
+
+HALF_MARKER = 0.075
+"""Half the side of the marker, m."""
+
+
+class MarkerCamera:
+    """Measures the pose of a marker; what it returns is all that the robot learns of the truth.
+
+    The true line of sight is followed to where it meets the plane in which the marker moves on a flat, level floor.
+    There the marker is taken to be.  On a floor that leans, or on a bump, that is the wrong place, by geometry.
+    """
+
+    def __init__(self, sensing: Sensing, marker_height: float, seed: int) -> None:
+        """Set up the camera of one trial.
+
+        Args:
+            sensing: preset, place and rate of the camera.
+            marker_height: of the marker above a flat floor, m.
+            seed: of the errors; the same seed and exposures give the same observations.
+
+        Raises:
+            InputError: if the camera is not above the marker.
+        """
+        if sensing.camera[2] <= marker_height:
+            raise InputError.of(
+                "sensing.camera",
+                f"is {sensing.camera[2]:g} m high",
+                f"expected more than the marker's {marker_height:g} m",
+            )
+        preset = PRESETS[sensing.preset]
+        misses = preset.misses if sensing.dropout is None else sensing.dropout
+        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0xCA3E7A])))
+        self.camera = np.array(sensing.camera)
+        self.latency = sensing.latency
+        self.marker_height = marker_height
+        self._noise = PoseNoise(preset, misses, sensing.noise_scale, generator)
+
+    def expose(self, time: float, position: Floats, rotation: Matrix) -> Observation | None:
+        """What a frame taken at `time` (s, ascending) shows, None if the marker is not detected.
+
+        `position` (3,) m and `rotation` (3, 3) of the marker are true, in the world's frame with z vertical; the
+        marker's x axis points forward.
+        """
+        towards = self._on_plane(position)
+        error = self._noise.draw(time, float(np.linalg.norm(position - self.camera)), self._sight(position))
+        if towards is None or error is None:
+            return None
+        front = self._on_plane(position + HALF_MARKER * rotation[:, 0])
+        rear = self._on_plane(position - HALF_MARKER * rotation[:, 0])
+        if front is None or rear is None:
+            return None
+        heading = math.atan2(front[1] - rear[1], front[0] - rear[0]) + error[2]
+        return Observation(
+            time=time,
+            arrival=time + self.latency,
+            x=towards[0] + error[0],
+            y=towards[1] + error[1],
+            theta=math.remainder(heading, math.tau),
+        )
+
+    def _on_plane(self, point: Floats) -> tuple[float, float] | None:
+        """Where the line of sight to a point meets the assumed plane, m; None if the camera is not above the point."""
+        x, y, z = (float(value) for value in self.camera)
+        below = z - float(point[2])
+        if below <= 0.0:
+            return None
+        share = (z - self.marker_height) / below
+        return x + share * (float(point[0]) - x), y + share * (float(point[1]) - y)
+
+    def _sight(self, point: Floats) -> float:
+        """Direction of the line of sight on the floor, rad."""
+        return math.atan2(float(point[1] - self.camera[1]), float(point[0] - self.camera[0]))

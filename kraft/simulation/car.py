@@ -1,0 +1,147 @@
+"""The MuSHR as MuJoCo sees it: a sprung chassis, four wheels, Ackermann steering, one motor.
+
+The body frame lies midway between the axles on the floor, x forward, z up: the point that the planner's model moves.
+Dimensions and masses are the real car's. The collision box (0.439 x 0.265) reaches a little further than the
+footprint that the planner takes (0.40 x 0.28) in front and behind, and a little less to the sides.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import mujoco
+
+from kraft.scenario.truth import VehicleGap
+from kraft.simulation import contacts
+from kraft.simulation.drivetrain import (
+    ROLLING_FRICTION,
+    ROTOR_INERTIA,
+    STEERING_RATE,
+    TRACK,
+    WHEEL_DAMPING,
+    WHEEL_RADIUS,
+    WHEELBASE,
+)
+
+POSITION: Final = int(mujoco.mjtCtrlInput.mjINPUT_POS)
+"""The servos take an angle; by default MuJoCo's would take an angular velocity as well."""
+
+CAR: Final = "car"
+MARKER: Final = "marker"
+DRIVE: Final = "drive"
+WHEELS: Final = ("front left", "front right", "rear left", "rear right")
+STEERED: Final = WHEELS[:2]
+
+WHEEL_WIDTH: Final = 0.041
+WHEEL_MASS: Final = 0.5
+CHASSIS_MASS: Final = 3.54
+CENTRE_OF_MASS: Final = (0.0, 0.0, 0.08)
+CHASSIS_BODY: Final = (0.42, 0.24, 0.12)
+"""The block (m) that has the chassis' moments of inertia."""
+
+REAR, FRONT, SIDE, BOTTOM, TOP = -0.22475, 0.21415, 0.1325, 0.045, 0.221
+"""Limits of the collision box, m. It is 0.045 m above the floor: a real car's ground clearance."""
+
+MARKER_HEIGHT: Final = 0.2
+"""Height of the marker above the floor while the car stands, m."""
+
+STIFFNESS: Final = 900.0
+"""Of each wheel's spring, N/m: the chassis bounces at 5 Hz and sits 10 mm deep, as small cars with soft springs do."""
+SUSPENSION_DAMPING: Final = 28.0
+TRAVEL: Final = 0.015
+GRAVITY: Final = 9.81
+
+SERVO_STIFFNESS, SERVO_DAMPING, SERVO_INERTIA = 20.0, 0.4, 0.002
+"""Of the steering servo at each front wheel, N m/rad, N m s/rad, kg m^2: it lags 20 ms behind its own rate limit."""
+
+
+def wheel_place(name: str) -> tuple[float, float, float]:
+    """Centre of a wheel in the body frame, m."""
+    x = WHEELBASE / 2 if name in STEERED else -WHEELBASE / 2
+    return x, TRACK / 2 if name.endswith("left") else -TRACK / 2, WHEEL_RADIUS
+
+
+def sag(gap: VehicleGap) -> float:
+    """How much deeper than the nominal car this one sits, m."""
+    return (gap.mass_scale - 1.0) * CHASSIS_MASS * GRAVITY / 4 / STIFFNESS
+
+
+def add_car(spec: Any, gap: VehicleGap) -> Any:
+    """Add the car at the origin of the world; returns its body."""
+    body = spec.worldbody.add_body(name=CAR)
+    body.add_freejoint(name=CAR)
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a car that stands must still hear a command
+    mass = CHASSIS_MASS * gap.mass_scale
+    a, b, c = CHASSIS_BODY
+    body.explicitinertial = True
+    body.mass, body.ipos = mass, CENTRE_OF_MASS
+    body.inertia = [mass / 12 * (b * b + c * c), mass / 12 * (a * a + c * c), mass / 12 * (a * a + b * b)]
+    body.add_geom(
+        name="chassis",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[(FRONT + REAR) / 2, 0.0, (TOP + BOTTOM) / 2],
+        size=[(FRONT - REAR) / 2, SIDE, (TOP - BOTTOM) / 2],
+        friction=contacts.friction(contacts.CAR_FRICTION),
+        group=3,
+        mass=0.0,
+        **contacts.settings(**contacts.CHASSIS),
+    )
+    body.add_site(name=MARKER, pos=[0.0, 0.0, MARKER_HEIGHT])
+    for name in WHEELS:
+        _add_wheel(body, name)
+    _add_motor(spec)
+    for name in STEERED:
+        servo = spec.add_actuator(name=f"{name} servo", target=f"{name} steering", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_pid(kp=SERVO_STIFFNESS, kv=SERVO_DAMPING, slewmax=STEERING_RATE, ctrlspec=POSITION)
+    return body
+
+
+def _add_wheel(body: Any, name: str) -> None:
+    wheel = body.add_body(name=name, pos=wheel_place(name))
+    nominal_load = CHASSIS_MASS * GRAVITY / 4
+    wheel.add_joint(
+        name=f"{name} suspension",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0.0, 0.0, 1.0],
+        stiffness=[STIFFNESS, 0.0, 0.0],
+        damping=[SUSPENSION_DAMPING, 0.0, 0.0],
+        springref=-nominal_load / STIFFNESS,
+        range=[-TRAVEL, TRAVEL],
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+    )
+    if name in STEERED:
+        wheel.add_joint(
+            name=f"{name} steering", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0], armature=SERVO_INERTIA
+        )
+    wheel.add_joint(
+        name=f"{name} spin",
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[0.0, 1.0, 0.0],
+        armature=ROTOR_INERTIA,
+        damping=WHEEL_DAMPING,
+        frictionloss=ROLLING_FRICTION,
+    )
+    wheel.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,  # a cylinder's edge would chatter
+        size=[WHEEL_RADIUS, WHEEL_WIDTH / 2, WHEEL_RADIUS],
+        mass=WHEEL_MASS,
+        friction=contacts.friction(0.0),
+        group=3,
+        **contacts.settings(**contacts.WHEEL),
+    )
+
+
+def _add_motor(spec: Any) -> None:
+    """One motor whose torque the differentials share out equally among the wheels, however fast each turns."""
+    shaft = spec.add_tendon(name=DRIVE)
+    for name in WHEELS:
+        shaft.wrap_joint(f"{name} spin", 1.0)
+    motor = spec.add_actuator(name=DRIVE, target=DRIVE, trntype=mujoco.mjtTrn.mjTRN_TENDON)
+    motor.set_to_motor()
+
+
+def upright(x: float, y: float, heading: float) -> tuple[list[float], list[float]]:
+    """Position (m) and quaternion (w, x, y, z) of a pose in the plane."""
+    return [x, y, 0.0], [math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)]

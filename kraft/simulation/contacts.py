@@ -1,0 +1,43 @@
+"""Who can touch whom, as MuJoCo's contact bits, and how slippery it is, as its priorities.
+
+Two geoms can touch if the type of one shares a bit with the affinity of the other. The friction of a contact is that
+of the geom with the higher priority, and the larger of both at equal priority. So wheels, which have the lowest
+priority, take the friction of what they stand on, and a patch on the floor takes precedence over the floor.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+GROUND: Final = 1
+SOLID: Final = 2
+RIDGE: Final = 4
+LOOSE: Final = 8
+
+FLOOR_PRIORITY: Final = 1
+PATCH_PRIORITY: Final = 2
+
+CONTACT_TIME: Final = 0.01
+"""Time constant of contacts, s: half of MuJoCo's own, so that wheels sink in by 0.1 mm, far less than a patch rises."""
+
+CAR_FRICTION: Final = 0.3
+"""Of the body and of cardboard; contacts with static obstacles end a trial, so theirs does not matter."""
+
+WHEEL: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": 0}
+CHASSIS: Final = {"contype": SOLID | RIDGE | LOOSE, "conaffinity": 0}
+FLOOR: Final = {"contype": 0, "conaffinity": GROUND, "priority": FLOOR_PRIORITY}
+PATCH: Final = {"contype": 0, "conaffinity": GROUND, "priority": PATCH_PRIORITY}
+BUMP: Final = {"contype": 0, "conaffinity": RIDGE, "priority": FLOOR_PRIORITY}
+OBSTACLE: Final = {"contype": 0, "conaffinity": SOLID}
+MOVABLE: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": LOOSE}
+LOOKS: Final = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
+
+
+def friction(sliding: float) -> list[float]:
+    """MuJoCo's three coefficients; contacts here have three dimensions, so that only sliding counts."""
+    return [sliding, 0.005, 0.0001]
+
+
+def settings(**given: Any) -> dict[str, Any]:
+    """What every geom that touches has in common, and what is given."""
+    return {"condim": 3, "solref": [CONTACT_TIME, 1.0], **given}

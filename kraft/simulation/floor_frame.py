@@ -1,0 +1,54 @@
+"""The floor's frame, in which maps and plans are drawn, within the world's, in which gravity is vertical."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kraft.scenario import Bounds
+from kraft.scenario.truth import Tilt
+from ompl_ext.arrays import Floats, Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class FloorFrame:
+    """`rotation` (3, 3) and `origin` (3,), m, of the floor's frame in the world's; the same frames without a tilt."""
+
+    rotation: Matrix
+    origin: Floats
+
+    @classmethod
+    def of(cls, bounds: Bounds, tilt: Tilt | None) -> FloorFrame:
+        """Turn the floor about the centre of the bounds, which stays where it is, at height 0."""
+        if tilt is None:
+            return cls(np.eye(3), np.zeros(3))
+        rotation = _lean(tilt.slope, tilt.uphill)
+        pivot = np.array([sum(bounds.x) / 2, sum(bounds.y) / 2, 0.0])
+        return cls(rotation, pivot - rotation @ pivot)
+
+    @property
+    def normal(self) -> Floats:
+        """The floor's normal in the world's frame, (3,)."""
+        upwards: Floats = self.rotation[:, 2]
+        return upwards
+
+    def to_world(self, point: Floats) -> Floats:
+        """A point (3,) of the floor's frame in the world's, m."""
+        seen: Floats = self.origin + self.rotation @ point
+        return seen
+
+    def to_floor(self, point: Floats) -> Floats:
+        """A point (3,) of the world's frame in the floor's, m."""
+        seen: Floats = self.rotation.T @ (point - self.origin)
+        return seen
+
+
+def _lean(angle: float, uphill: float) -> Matrix:
+    """Rotation that lifts the direction `uphill` (rad from +x) by `angle` (rad), (3, 3)."""
+    axis = np.array([math.sin(uphill), -math.cos(uphill), 0.0])
+    cross = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    # Rodrigues' formula
+    rotation: Matrix = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    return rotation

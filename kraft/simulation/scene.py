@@ -1,0 +1,135 @@
+"""Floor, obstacles and everything that the planner is not told, as MuJoCo geoms in the floor's frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Polygon, Scenario
+from kraft.scenario.truth import FrictionPatch, MovableBox, SpeedBump
+from kraft.simulation import contacts
+from kraft.simulation.floor_frame import FloorFrame
+from ompl_ext.arrays import Matrix
+from ompl_ext.triangulate import triangles
+
+BOX, CYLINDER, MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH
+
+STATIC: Final = "obstacles"
+FLOOR: Final = "floor"
+PATCH_RISE: Final = 0.001
+"""Height of a friction patch above the floor (m), so that a wheel on it does not touch the floor as well."""
+PATCH_DEPTH: Final = 0.05
+
+
+def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> None:
+    """Add all that stands on the floor, and the floor; obstacle i is the geoms "obstacle i part j"."""
+    ground = spec.worldbody.add_body(name=FLOOR, pos=frame.origin, quat=quaternion(frame.rotation))
+    truth = scenario.truth
+    grip = contacts.friction(truth.floor_friction)
+    ground.add_geom(
+        name=FLOOR,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 0.05],
+        friction=grip,
+        **contacts.settings(**contacts.FLOOR),
+    )
+    for i, patch in enumerate(truth.friction_patches):
+        _add_patch(ground, i, patch)
+    for i, bump in enumerate(truth.speed_bumps):
+        _add_bump(ground, i, bump, grip)
+    for i, obstacle in enumerate(scenario.obstacles):
+        _add_obstacle(spec, ground, i, obstacle)
+    for i, box in enumerate(truth.movable_boxes):
+        _add_movable(spec, i, box, frame)
+
+
+def quaternion(rotation: Matrix) -> Any:
+    """Unit quaternion (w, x, y, z) of a rotation (3, 3)."""
+    result = np.empty(4)
+    mujoco.mju_mat2Quat(result, rotation.ravel())
+    return result
+
+
+def turn(yaw: float) -> list[float]:
+    """Quaternion of a rotation about the vertical, rad."""
+    return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+
+
+def _add_patch(ground: Any, i: int, patch: FrictionPatch) -> None:
+    (x0, x1), (y0, y1) = patch.x, patch.y
+    ground.add_geom(
+        name=f"patch {i}",
+        type=BOX,
+        pos=[(x0 + x1) / 2, (y0 + y1) / 2, PATCH_RISE - PATCH_DEPTH],
+        size=[(x1 - x0) / 2, (y1 - y0) / 2, PATCH_DEPTH],
+        friction=contacts.friction(patch.friction),
+        **contacts.settings(**contacts.PATCH),
+    )
+
+
+def _add_bump(ground: Any, i: int, bump: SpeedBump, grip: list[float]) -> None:
+    """A slice of a cylinder that lies along the longer side, deep enough that the slice has the bump's size."""
+    across, along = sorted(bump.size)
+    height = min(bump.height, across / 2)  # a half cylinder is as steep as it gets
+    radius = ((across / 2) ** 2 + height**2) / (2 * height)
+    yaw = bump.yaw + (0.0 if bump.size[0] >= bump.size[1] else math.pi / 2)
+    lying = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # the cylinder's axis is its own z
+    c, s = math.cos(yaw), math.sin(yaw)
+    ground.add_geom(
+        name=f"bump {i}",
+        type=CYLINDER,
+        pos=[*bump.center, height - radius],
+        quat=quaternion(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ lying),
+        size=[radius, along / 2, 0.0],
+        friction=grip,
+        **contacts.settings(**contacts.BUMP),
+    )
+
+
+def _add_obstacle(spec: Any, ground: Any, i: int, obstacle: Obstacle) -> None:
+    shapes = obstacle.boxes() if isinstance(obstacle, OccupancyMap) else (obstacle,)
+    parts = [geom for shape in shapes for geom in _geoms(spec, f"obstacle {i}", shape)]
+    for j, geom in enumerate(parts):
+        ground.add_geom(name=f"obstacle {i} part {j}", **geom, **contacts.settings(**contacts.OBSTACLE))
+
+
+def _geoms(spec: Any, name: str, shape: Box | Circle | Polygon) -> list[dict[str, Any]]:
+    half = shape.height / 2
+    match shape:
+        case Box():
+            size = [shape.size[0] / 2, shape.size[1] / 2, half]
+            return [{"type": BOX, "pos": [*shape.center, half], "quat": turn(shape.yaw), "size": size}]
+        case Circle():
+            return [{"type": CYLINDER, "pos": [*shape.center, half], "size": [shape.radius, half, 0.0]}]
+        case Polygon():
+            pieces = triangles(np.array(shape.vertices))
+            return [_prism(spec, f"{name} piece {k}", corners, shape.height) for k, corners in enumerate(pieces)]
+
+
+def _prism(spec: Any, name: str, corners: Matrix, height: float) -> dict[str, Any]:
+    """An upright prism over convex corners (n, 2); the mesh's own frame is its inertia's, MuJoCo puts it back."""
+    low = np.column_stack([corners, np.zeros(len(corners))])
+    high = np.column_stack([corners, np.full(len(corners), height)])
+    spec.add_mesh(name=name, uservert=np.vstack([low, high]).ravel())
+    return {"type": MESH, "meshname": name}
+
+
+def _add_movable(spec: Any, i: int, box: MovableBox, frame: FloorFrame) -> None:
+    length, width, height = box.size
+    c, s = math.cos(box.yaw), math.sin(box.yaw)
+    upright = frame.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    place = frame.to_world(np.array([*box.center, height / 2]))
+    body = spec.worldbody.add_body(name=f"movable {i}", pos=place, quat=quaternion(upright))
+    body.add_freejoint(name=f"movable {i}")
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_INIT  # it stands still until something touches it
+    body.add_geom(
+        name=f"movable {i}",
+        type=BOX,
+        size=[length / 2, width / 2, height / 2],
+        mass=box.mass,
+        friction=contacts.friction(contacts.CAR_FRICTION),
+        **contacts.settings(**contacts.MOVABLE),
+    )

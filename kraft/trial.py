@@ -1,0 +1,171 @@
+"""One trial: a robot with a model of itself drives in a world that is different.
+
+`run_trial` is the main path of the package; read it, then `kraft.replanner.Replanner.step`, then `ompl_ext.dirt`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from kraft.control import make_controller
+from kraft.driving import Observation, Reference
+from kraft.estimation import make_estimator
+from kraft.model import Model
+from kraft.replanner import Replanner, dirt_of
+from kraft.simulation.camera import MarkerCamera
+from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.world import World
+from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
+from kraft.workspace import start_state, workspace_of
+from ompl_ext.exact import ExactClearance
+
+OnCycle = Callable[[Cycle], None]
+OnStep = Callable[[World, Step], None]
+
+
+def run_trial(
+    spec: TrialSpec, on_cycle: OnCycle | None = None, on_step: OnStep | None = None, keep_trees: bool = False
+) -> TrialResult:
+    """Drive until the goal, a collision or the time limit.
+
+    Args:
+        spec: scenario, method, model and seed; the result depends on nothing else (unless it is `realtime`).
+        on_cycle: is shown each cycle as it is committed.
+        on_step: is shown the world after each tick of the controller.
+        keep_trees: keep a copy of the planner's tree in each cycle.
+
+    Raises:
+        InputError: if the model is not one of a car with throttle and steering.
+        Defect: if a plan fails its verification.
+    """
+    trial = _Trial(spec, keep_trees)
+    log = _Log(on_cycle, on_step)
+    while (outcome := trial.outcome) is None:
+        trial.see(log)
+        trial.replan(log)
+        trial.control(log)
+        trial.world.step(trial.next_event - trial.world.steps)
+    world = trial.world
+    return TrialResult(
+        scenario=spec.scenario.name,
+        method=spec.method.name,
+        seed=spec.seed,
+        outcome=outcome,
+        time=world.time,
+        obstacle=world.collision.obstacle if world.collision else None,
+        min_clearance=log.clearance,
+        cycles=tuple(log.cycles),
+        steps=tuple(log.steps),
+        observations=tuple(log.observations),
+    )
+
+
+@dataclass
+class _Log:
+    """What is kept, and who is shown it."""
+
+    on_cycle: OnCycle | None
+    on_step: OnStep | None
+    cycles: list[Cycle] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
+    observations: list[Observation] = field(default_factory=list)
+    clearance: float = math.inf
+
+
+class _Ticks:
+    """Events at a rate, each at the physics step nearest to its time."""
+
+    def __init__(self, rate: float, dt: float) -> None:
+        self._period, self.number = 1.0 / (rate * dt), 0
+
+    @property
+    def due(self) -> int:
+        """Physics step of the next event."""
+        return round(self.number * self._period)
+
+
+class _Trial:
+    """World, camera and robot, and when which of them is due."""
+
+    def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
+        scenario, method, vehicle = spec.scenario, spec.method, spec.vehicle
+        self.world = World(scenario)
+        self._camera = MarkerCamera(scenario.sensing, MARKER_HEIGHT, spec.seed)
+        model, start = Model(vehicle), start_state(scenario.task(), vehicle)
+        self._estimator = make_estimator(method.estimator, model, start)
+        self._controller = make_controller(method.controller, model)
+        period = 1.0 / method.controller.rate_hz
+        self._replanner = Replanner(
+            dirt_of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
+            period=period, realtime=spec.realtime, keep_trees=keep_trees,
+        )  # fmt: skip
+        self._reference = self._replanner.begin(start)
+        self._sent: list[tuple[float, Reference]] = []
+        self._in_flight: list[Observation] = []
+        self._ticks = _Ticks(method.controller.rate_hz, self.world.dt)
+        self._frames = _Ticks(scenario.sensing.rate_hz, self.world.dt)
+        self._delay = scenario.sensing.communication_delay
+        once = method.planner.mode == "one-shot"
+        self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
+        self._exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the trial has ended, by what is true; None while it goes on."""
+        if self.world.collision is not None:
+            return Outcome.COLLISION
+        if self.world.in_goal:
+            return Outcome.SUCCESS
+        return Outcome.TIMEOUT if self.world.time >= self._limit - 1e-9 else None
+
+    @property
+    def next_event(self) -> int:
+        """Physics step at which somebody is due next."""
+        times = min(self._replanner.next_step, self._limit)
+        due = min(self._ticks.due, self._frames.due, math.ceil(times / self.world.dt - 1e-6))
+        return max(due, self.world.steps + 1)
+
+    def see(self, log: _Log) -> None:
+        """Expose a frame if one is due, and take in what has arrived."""
+        now = self.world.time
+        if self.world.steps >= self._frames.due:
+            self._frames.number += 1
+            observation = self._camera.expose(now, *self.world.marker)
+            if observation is not None:
+                self._in_flight.append(observation)
+                log.observations.append(observation)
+        arrived = [o for o in self._in_flight if o.arrival <= now + 1e-9]
+        self._in_flight = [o for o in self._in_flight if o.arrival > now + 1e-9]
+        for observation in arrived:
+            self._estimator.observe(observation)
+
+    def replan(self, log: _Log) -> None:
+        """Let the replanner decide when it is due; what it commits is sent and arrives after the delay."""
+        now = self.world.time
+        if now < self._replanner.next_step - 1e-9:
+            return
+        cycle = self._replanner.step(self._estimator.estimate(now), self._reference)
+        self._sent.append((max(cycle.time, now + self._delay), cycle.reference))
+        log.cycles.append(cycle)
+        if log.on_cycle is not None:
+            log.on_cycle(cycle)
+
+    def control(self, log: _Log) -> None:
+        """Send a command if one is due."""
+        now, world = self.world.time, self.world
+        if world.steps < self._ticks.due:
+            return
+        self._ticks.number += 1
+        while self._sent and self._sent[0][0] <= now + 1e-9:
+            self._reference = self._sent.pop(0)[1]
+        estimate = self._estimator.estimate(now)
+        command = self._controller.command(estimate, self._reference)
+        world.apply(float(command[0]), float(command[1]))
+        self._estimator.commanded(now, command)
+        log.clearance = min(log.clearance, self._exact.distance(*map(float, world.pose)))
+        step = Step(now, tuple(map(float, world.pose)), world.speed, estimate.state, command, len(log.cycles) - 1)
+        log.steps.append(step)
+        if log.on_step is not None:
+            log.on_step(world, step)

@@ -1,0 +1,259 @@
+"""Every decision of the replanner: what it commits, and why."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from kraft.control import make_controller
+from kraft.driving import Estimate, Kind, Reference
+from kraft.errors import Defect
+from kraft.method import Clearance, Kinodynamic, OpenLoop, Planner
+from kraft.model import Model
+from kraft.replanner import Replanner, dirt_of
+from kraft.scenario import Task, load_scenario
+from kraft.stopping import emergency, plan_reference, stop_control
+from kraft.trial_result import Cycle
+from kraft.vehicle import load_vehicle
+from kraft.workspace import start_state
+from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
+from ompl_ext.verify import Verification
+
+MARGIN = Clearance(delta=0.05, delta_per_speed=0.25)
+
+
+@cache
+def turns() -> Task:
+    return load_scenario("turns").task()
+
+
+@cache
+def mushr() -> Vehicle:
+    return load_vehicle("mushr")
+
+
+def replanner(seed: int = 0, task: Task | None = None, tracking: bool = False, **settings: object) -> Replanner:
+    planner = Planner(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
+    kind = Kinodynamic(kind="kinodynamic") if tracking else OpenLoop(kind="open_loop")
+    vehicle = mushr()
+    controller = make_controller(kind, Model(vehicle))
+    return Replanner(dirt_of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30)
+
+
+def start() -> Floats:
+    return start_state(turns(), mushr())
+
+
+def drive(subject: Replanner, cycles: int, error: Floats | None = None) -> list[Cycle]:
+    """Cycles of a vehicle that is, up to `error`, where it is predicted to be."""
+    current, state, time = subject.begin(start()), start(), 0.0
+    found: list[Cycle] = []
+    for _ in range(cycles):
+        believed = state if error is None or not found else state + error
+        found.append(subject.step(Estimate(time, believed, 0.0), current))
+        current, time = found[-1].reference, subject.next_step
+        predicted = found[-1].predicted
+        state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
+    return found
+
+
+def test_the_first_cycle_executes_the_plan_made_before_the_clock_ran() -> None:
+    first = drive(replanner(), 1)[0]
+    assert (first.number, first.time, first.kind) == (0, 0.0, Kind.PLAN)
+    assert first.reference.start == 0.0
+    np.testing.assert_array_equal(first.reference.states[0], start())
+    assert first.reference.end == pytest.approx(first.cost_to_goal)
+
+
+@pytest.mark.parametrize("tracking", [False, True])
+@pytest.mark.parametrize("safety", [None, MARGIN])
+def test_a_vehicle_that_is_where_it_was_predicted_reaches_the_goal_without_a_contingency(
+    safety: Clearance | None, tracking: bool
+) -> None:
+    cycles = drive(replanner(safety=safety, tracking=tracking), 9)
+    assert [cycle.kind for cycle in cycles] == [Kind.PLAN] * 9
+    costs = [cycle.cost_to_goal for cycle in cycles]
+    assert all(later < sooner for sooner, later in zip(costs, costs[1:], strict=False))
+    assert min(cycle.clearance for cycle in cycles) > 0.0
+
+
+def test_each_cycle_begins_where_the_last_one_is_predicted_to_end() -> None:
+    cycles = drive(replanner(), 4)
+    for before, after in zip(cycles, cycles[1:], strict=False):
+        assert after.time == pytest.approx(before.predicted.times[-1])
+        np.testing.assert_allclose(after.predicted.states[0], before.predicted.end, atol=2e-3)
+
+
+def test_what_is_left_of_the_last_plan_is_kept() -> None:
+    cycles = drive(replanner(), 3)
+    assert cycles[0].retained == 0
+    assert cycles[1].retained > 0
+    assert cycles[2].retained > 0
+
+
+def test_a_step_is_due_its_lead_before_the_cycle() -> None:
+    subject = replanner(lead=0.25)
+    subject.begin(start())
+    assert subject.next_step == 0.0
+    drive(subject, 1)
+    assert subject.next_step == pytest.approx(0.75)
+
+
+def test_one_shot_plans_once() -> None:
+    subject = replanner(mode="one-shot")
+    first = drive(subject, 1)[0]
+    assert first.kind is Kind.PLAN
+    assert subject.next_step == math.inf
+
+
+def test_a_plan_that_is_unsafe_from_the_latest_estimate_is_not_committed() -> None:
+    towards_the_wall = np.array([0.9, 0.0, 0.0, 0.0])  # the corridor's inner half width is 1.2 m
+    cycles = drive(replanner(safety=MARGIN), 2, towards_the_wall)
+    assert cycles[1].kind is Kind.CONTINGENCY
+    assert "from the latest estimate" in cycles[1].reason
+    assert cycles[1].contingency is cycles[1].reference
+
+
+def test_a_plan_is_committed_without_clearance_if_none_is_asked_for() -> None:
+    assert drive(replanner(), 2, np.array([0.02, 0.0, 0.0, 0.0]))[1].kind is Kind.PLAN
+
+
+@pytest.mark.parametrize("age", [0.6, math.inf])
+def test_an_old_or_missing_observation_stops_the_vehicle(age: float) -> None:
+    subject = replanner(patience=0.5)
+    current = subject.begin(start())
+    first = subject.step(Estimate(0.0, start(), math.inf), current)
+    assert first.kind is Kind.PLAN  # where it stands at the start is known
+    late = subject.step(Estimate(0.9, first.predicted.states[-3], age), first.reference)
+    assert late.kind is Kind.CONTINGENCY
+    assert "newest observation" in late.reason
+
+
+def test_an_observation_that_is_late_but_not_too_late_does_not_stop_it() -> None:
+    subject = replanner(patience=0.5)
+    first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    assert subject.step(Estimate(0.9, first.predicted.states[-4], 0.4), first.reference).kind is Kind.PLAN
+
+
+def test_without_a_plan_the_vehicle_stops() -> None:
+    subject = replanner(safety=Clearance(delta=0.5))  # more than the start has to the near wall
+    cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    assert cycle.kind is Kind.CONTINGENCY
+    assert "edges may be executed" in cycle.reason
+    np.testing.assert_allclose(cycle.predicted.end[:2], start()[:2], atol=1e-6)
+
+
+def test_a_prediction_in_collision_stops_the_vehicle_one_cycle_later() -> None:
+    subject = replanner()
+    first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    fast = np.array([1.0, 0.7, math.pi / 2, 0.6])  # 10 cm from the first box's level and heading past it
+    into = np.array([0.45, 0.6, math.pi / 2, 0.6])  # 0.2 m before the first box
+    stopped = subject.step(Estimate(0.9, into, 0.0), first.reference)
+    assert stopped.kind is Kind.CONTINGENCY
+    assert subject.step(Estimate(1.9, fast, 0.0), stopped.reference).reason != ""
+
+
+def test_an_estimate_in_collision_is_moved_to_the_nearest_free_state() -> None:
+    subject = replanner()
+    inside = np.array([0.5, 0.85, math.pi / 2, 0.0])  # its front is 5 cm inside the first box
+    cycle = subject.step(Estimate(0.0, inside, 0.0), subject.begin(start()))
+    assert subject.dirt.exact.distance(*cycle.predicted.states[0][:3]) > 0.0
+    assert math.dist(cycle.predicted.states[0][:2], inside[:2]) < 0.12
+
+
+def test_every_contingency_ends_at_standstill() -> None:
+    for cycle in drive(replanner(safety=MARGIN), 8):
+        assert cycle.contingency is not None
+        assert abs(cycle.contingency.states[-1][3]) <= 0.01
+        assert cycle.contingency.rest[0] == 0.0
+
+
+def test_the_contingency_in_hand_is_used_when_none_is_safe_from_the_estimate() -> None:
+    subject = replanner(safety=MARGIN)
+    first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    doomed = np.array([0.5, 0.78, math.pi / 2, 0.6])  # no manoeuvre keeps its distance from here
+    second = subject.step(Estimate(1.0, doomed, 0.0), first.reference)
+    assert second.kind is Kind.CONTINGENCY
+    assert second.reference is first.contingency
+
+
+def test_a_contingency_goes_on_when_no_other_is_safe() -> None:
+    subject = replanner(safety=MARGIN)
+    first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    doomed = np.array([0.5, 0.78, math.pi / 2, 0.6])
+    second = subject.step(Estimate(1.0, doomed, 0.0), first.reference)
+    third = subject.step(Estimate(1.9, doomed, 0.0), second.reference)
+    assert third.reference is second.reference
+
+
+def test_an_emergency_takes_the_manoeuvre_that_keeps_the_most_distance() -> None:
+    subject = replanner()
+    subject.begin(start())
+    state = np.array([0.93, 0.7, math.pi / 2, 0.6])  # the free half of the corridor is on the right
+    reference = emergency(subject.dirt, state, 3.0)
+    assert (reference.kind, reference.start) == (Kind.CONTINGENCY, 3.0)
+    assert reference.states[-1][2] < math.pi / 2
+    assert abs(reference.states[-1][3]) < 0.05
+
+
+def test_a_plan_that_fails_its_verification_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kraft.replanner.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
+    with pytest.raises(Defect, match=r"cycle 0 fails verification: plan: collides"):
+        replanner().begin(start())
+
+
+def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = replanner(cycle=0.2, lead=0.0)
+    subject._realtime = True
+    subject.begin(start())
+    late = iter([0.0, 5.0])
+    monkeypatch.setattr("kraft.replanner.clock.perf_counter", lambda: next(late))
+    monkeypatch.setattr(subject.dirt, "grow", lambda **_: subject.dirt.progress)
+    proposal = subject._propose(start(), None)
+    assert proposal.missed
+    assert proposal.plan is None
+    assert "longer than there was time" in proposal.reason
+
+
+def test_the_same_seed_drives_the_same_way() -> None:
+    once, again = drive(replanner(seed=5), 5), drive(replanner(seed=5), 5)
+    for first, second in zip(once, again, strict=True):
+        assert first.reference.states.tobytes() == second.reference.states.tobytes()
+    other = drive(replanner(seed=6), 5)
+    assert any(
+        first.reference.states.shape != second.reference.states.shape
+        or not np.array_equal(first.reference.states, second.reference.states)
+        for first, second in zip(once, other, strict=True)
+    )
+
+
+def test_a_reference_interpolates_states_and_holds_controls() -> None:
+    reference = Reference(
+        Kind.PLAN, np.array([1.0, 2.0, 4.0]), np.array([[0.0], [1.0], [5.0]]), np.array([[0.1], [0.2]]), np.zeros(1)
+    )
+    assert [float(reference.state_at(t)[0]) for t in (0.0, 1.0, 1.5, 3.0, 4.0, 9.0)] == [0.0, 0.0, 0.5, 3.0, 5.0, 5.0]
+    assert [float(reference.control_at(t)[0]) for t in (0.0, 1.0, 2.0, 3.9, 4.0)] == [0.1, 0.1, 0.2, 0.2, 0.0]
+
+
+def test_a_plan_becomes_a_reference_with_the_control_of_each_step() -> None:
+    subject = replanner()
+    subject.begin(start())
+    plan = subject.dirt.plan()
+    assert plan is not None
+    reference = plan_reference(plan, 2.0, np.zeros(2))
+    ends = np.cumsum(plan.durations)
+    for k, end in enumerate(ends):
+        np.testing.assert_array_equal(reference.control_at(2.0 + end - 1e-6), plan.controls[k])
+    np.testing.assert_array_equal(reference.control_at(2.0 + plan.cost + 1e-6), np.zeros(2))
+
+
+def test_a_vehicle_without_a_stop_function_stops_with_zero_control() -> None:
+    coasting = replace(mushr(), stop=None, manoeuvres=("coast",))
+    np.testing.assert_array_equal(stop_control(coasting, start(), 0), np.zeros(2))
+    np.testing.assert_array_equal(stop_control(mushr(), start(), 3), [0.0, 0.38])
+
