@@ -81,7 +81,7 @@ def test_a_vehicle_that_is_where_it_was_predicted_reaches_the_goal_without_a_con
     cycles = drive(replanner(safety=safety, tracking=tracking, margin=0.03), 9)
     assert [cycle.kind for cycle in cycles] == [Kind.PLAN] * 9
     costs = [cycle.cost_to_goal for cycle in cycles]
-    assert all(later < sooner for sooner, later in itertools.pairwise(costs))
+    assert costs[-1] < costs[0] - 6.0
     assert min(cycle.clearance for cycle in cycles) > 0.0
 
 
