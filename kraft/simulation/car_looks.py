@@ -47,9 +47,7 @@ def add_car_looks(spec: Any, body: Any) -> None:
         wheel = spec.body(name)
         across = [math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0]
         size = [WHEEL_RADIUS, WHEEL_WIDTH / 2, 0.0]
-        wheel.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, quat=across, material="tyre", **contacts.LOOKS
-        )
+        wheel.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, quat=across, material="tyre", **contacts.LOOKS)
         _dress(wheel, "rim", "rim")
 
 

@@ -28,9 +28,9 @@ ROTOR_INERTIA: Final = 0.01
 """Reflected inertia of the drive at each wheel, kg m^2."""
 ROLLING_FRICTION: Final = 0.001
 """Torque at each wheel that does not depend on its speed, N m."""
-WHEEL_DAMPING: Final = (0.0361, -0.00218, 0.0000611)
+WHEEL_DAMPING: Final = (0.0363, -0.00219, 0.0000614)
 """Torque over speed w of each wheel is d0 + d1 |w| + d2 w^2, in N m s, N m s^2, N m s^3 (per rad)."""
-FULL_TORQUE: Final = 0.264
+FULL_TORQUE: Final = 0.265
 """Torque at each wheel at full throttle, N m."""
 THROTTLE: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0)
 TORQUE: Final = (0.0, 0.153, 0.362, 0.593, 0.803, 1.0)
