@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from ompl import base as ob
@@ -17,6 +14,7 @@ from benchmarks.effort import Effort
 from benchmarks.report import number
 from benchmarks.scenes import SCENES, Scene, scene
 from benchmarks.search import costs_over_time
+from kraft.planner_arena import make_database, silenced
 from ompl_ext.planner import DIRT
 from ompl_ext.system import SimpleSetup
 
@@ -56,10 +54,7 @@ def write_log(effort: Effort, out: Path) -> list[str]:
         logs.append(out / f"{name}.log")
         benchmark_scene(scene(name), effort, logs[-1])
     database = out / DATABASE
-    database.unlink(missing_ok=True)
-    with silenced():
-        tools.readBenchmarkLog(str(database), [str(log) for log in logs], False)
-        tools.computeViews(str(database), False)
+    make_database(database, logs)
     return [f"OMPL benchmark logs and {DATABASE} in {out}:", *(f"  {line}" for line in contents(database))]
 
 
@@ -118,16 +113,3 @@ def contents(database: Path) -> list[str]:
         f"mean duration {number(duration or float('nan'))} s, {number(round(states))} states, {points} progress points"
         for scene_name, planner, runs, solved, duration, states, points in rows
     ]
-
-
-@contextmanager
-def silenced() -> Iterator[None]:
-    """Send what OMPL's tools print, from C++ and from Python, nowhere."""
-    saved, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 1)
-        os.close(saved)
-        os.close(nowhere)

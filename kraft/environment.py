@@ -36,7 +36,7 @@ REQUIRED: Final[dict[str, str]] = {
 """Each package that kraft requires, and what to import to see that it loads."""
 
 OPTIONAL: Final[dict[str, tuple[str, str]]] = {
-    "ray": ("ray", "spreads `kraft eval` over a cluster"),
+    "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
     "rosbags": ("rosbags", "reads ROS logs for `kraft sysid`"),
 }
 """Each package that few need: what to import, and what for."""

@@ -49,6 +49,8 @@ class Planner(FileModel):
     """how much smaller than the goal region the region is that the planner aims for, m"""
     safety: Clearance | None = None
     """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
+    recover: bool = False
+    """a vehicle that rests nearer to an obstacle than `safety` allows may leave with the clearance that it has"""
     vehicle: str | None = None
     """model to plan with instead of the scenario's: a name, a YAML file or code"""
 

@@ -10,16 +10,16 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel
 
 from kraft.atomic_file import check_writable, write_whole
 from kraft.errors import InputError
+from kraft.plain import plain_hash
 from kraft.plan_file_reader import SCHEMA, plan_from, read_object
 from kraft.planning import PlanResult
 from kraft.previous import Previous
@@ -86,7 +86,7 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
     content = {
         "schema": SCHEMA,
         "scenario": {"name": task.name, "reference": origin.scenario, "sha256": task_hash(task)},
-        "vehicle": _vehicle(vehicle, origin.vehicle),
+        "vehicle": vehicle_content(vehicle, origin.vehicle),
         "planner": task.planning.planner,
         "seed": result.seed,
         "iterations": result.progress.iterations,
@@ -115,7 +115,20 @@ def versions() -> dict[str, str]:
 def task_hash(task: Task) -> str:
     """Hash over what the planner is told: geometry, start, goal, settings; not names of files or comments."""
     told = {f.name: getattr(task, f.name) for f in fields(Task) if f.name not in ("source", "vehicle")}
-    return hashlib.sha256(json.dumps(_plain(told), sort_keys=True).encode()).hexdigest()
+    return plain_hash(told)
+
+
+def vehicle_content(vehicle: Vehicle, reference: str) -> dict[str, Any]:
+    """A vehicle as plain data; `reference` is how it was named."""
+    return {
+        "name": vehicle.name,
+        "reference": reference,
+        "state": list(vehicle.state),
+        "controls": {name: list(bounds) for name, bounds in vehicle.controls.items()},
+        "parameters": dict(vehicle.parameters),
+        "footprint": asdict(vehicle.footprint),
+        "top_speed": vehicle.top_speed,
+    }
 
 
 def dumps(content: Mapping[str, Any]) -> str:
@@ -131,18 +144,6 @@ def _indented(value: Any, indent: str) -> str:
     if isinstance(value, list) and value and isinstance(value[0], list):
         return "[\n" + ",\n".join(inner + json.dumps(row, allow_nan=False) for row in value) + f"\n{indent}]"
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
-
-
-def _vehicle(vehicle: Vehicle, reference: str) -> dict[str, Any]:
-    return {
-        "name": vehicle.name,
-        "reference": reference,
-        "state": list(vehicle.state),
-        "controls": {name: list(bounds) for name, bounds in vehicle.controls.items()},
-        "parameters": dict(vehicle.parameters),
-        "footprint": asdict(vehicle.footprint),
-        "top_speed": vehicle.top_speed,
-    }
 
 
 def _planning(task: Task) -> dict[str, Any]:
@@ -175,18 +176,3 @@ def _contingency(plan: Plan) -> dict[str, Any] | None:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _plain(value: Any) -> Any:
-    """A value as nested lists and dictionaries; arrays by their bytes."""
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json")
-    if isinstance(value, np.ndarray):
-        return [list(value.shape), hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()]
-    if is_dataclass(value) and not isinstance(value, type):
-        return {type(value).__name__: {f.name: _plain(getattr(value, f.name)) for f in fields(value)}}
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    return value

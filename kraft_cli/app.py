@@ -8,6 +8,7 @@ import typer
 
 from kraft.version import VERSION
 from kraft_cli.commands.doctor import doctor
+from kraft_cli.commands.eval import eval_
 from kraft_cli.commands.listing import list_
 from kraft_cli.commands.plan import plan
 from kraft_cli.commands.validate import validate
@@ -52,6 +53,7 @@ def common(
 
 
 app.command("plan")(plan)
+app.command("eval")(eval_)
 app.command("validate")(validate)
 app.command("list")(list_)
 app.command("doctor")(doctor)

@@ -1,0 +1,97 @@
+"""Trials on a Dask cluster."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+from kraft.errors import InputError, MissingDependency
+from kraft.evaluation.executor import Say, Stop
+from kraft.evaluation.job import Job, failed, perform
+from kraft.evaluation.row import TrialRow
+from kraft.evaluation.versions import versions
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+PATIENCE: Final = 10.0  # s, for the scheduler to answer
+POLL: Final = 0.1  # s, how late a request to stop is seen
+AHEAD: Final = 1  # trials that a worker has in hand besides the one it is at
+
+_alone = threading.Lock()
+
+
+class Cluster:
+    """Runs trials on the workers of the Dask scheduler at `address`."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            import distributed  # noqa: F401
+        except ImportError as error:
+            raise MissingDependency("--cluster needs the package distributed: pip install 'kraft[cluster]'") from error
+        self.address = address
+
+    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+        """See `kraft.evaluation.executor.Executor`; how many deaths are too many is the scheduler's setting."""
+        client = self._client()
+        try:
+            yield from self._collected(client, jobs, stop, say)
+        finally:
+            client.close(timeout=PATIENCE)
+
+    def _client(self) -> Client:
+        from distributed import Client
+
+        try:
+            return Client(self.address, timeout=PATIENCE, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            problem = f"no Dask scheduler answers at {self.address} ({error})"
+            raise InputError.of("--cluster", problem, "expected its address, as in tcp://192.0.2.1:8786") from error
+
+    def _collected(self, client: Client, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+        """Keep a few trials per thread of the cluster going, so that there is little to wait for when it stops."""
+        here, todo, running = versions(), list(reversed(jobs)), dict[Future, Job]()
+        told = False
+        while (todo and not stop()) or running:
+            room = 0 if stop() else self._threads(client) * (1 + AHEAD) - len(running)
+            if room <= 0 and not running and not told and not stop():
+                say(f"the cluster at {self.address} has no workers yet; waiting for one")
+                told = True
+            for job in [todo.pop() for _ in range(min(room, len(todo)))]:
+                running[client.submit(_perform, job, here, pure=False)] = job
+            ended = [future for future in running if future.done()]
+            for future in ended:
+                yield self._row(future, running.pop(future))
+            if not ended:
+                time.sleep(POLL)
+
+    def _threads(self, client: Client) -> int:
+        self._check(client)
+        return sum(client.nthreads().values())
+
+    def _check(self, client: Client) -> None:
+        if client.status != "running":
+            expected = "expected it to answer until the last trial"
+            raise InputError.of("--cluster", f"the scheduler at {self.address} went away", expected)
+
+    def _row(self, future: Future, job: Job) -> TrialRow:
+        from distributed import KilledWorker
+
+        try:
+            row: TrialRow = future.result()
+        except KilledWorker as error:
+            return failed(job, f"its worker died too often ({error})")
+        return row
+
+
+def _perform(job: Job, versions_there: Mapping[str, str]) -> TrialRow:
+    """Run a trial on a worker, alone in its process, if that would do what the others do."""
+    here = versions()
+    if here != versions_there:
+        names = sorted(name for name in {**here, **versions_there} if here.get(name) != versions_there.get(name))
+        told = ", ".join(f"{name} {here.get(name)} instead of {versions_there.get(name)}" for name in names)
+        raise InputError.of("--cluster", f"a worker has {told}", "expected the same versions everywhere")
+    with _alone:
+        return perform(job)

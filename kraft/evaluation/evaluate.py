@@ -1,0 +1,137 @@
+"""Run trials of methods in scenarios and make a table of them: `kraft eval` without a terminal."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kraft.errors import InputError
+from kraft.evaluation.cluster import Cluster
+from kraft.evaluation.executor import Executor
+from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment, MethodLike, ScenarioLike, experiment_of
+from kraft.evaluation.folder import Folder, create, reopen, write_results
+from kraft.evaluation.job import TRIAL
+from kraft.evaluation.processes import Processes
+from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.summary import Summary, summarise
+from kraft.kernel_cache import ensure_compiled
+
+
+class Watch:
+    """Is told how an evaluation goes; this one is not interested.  `stop` is asked often."""
+
+    def say(self, text: str) -> None:
+        """Something worth knowing happened."""
+
+    def begin(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
+        """Trials are about to run; `rows` were there before."""
+
+    def ended(self, row: TrialRow) -> None:
+        """A trial ended, and is on the disk."""
+
+    def stop(self) -> bool:
+        """Whether to begin no more trials."""
+        return False
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What came of it: the rows in their order, and the table unless it was stopped before the end."""
+
+    experiment: Experiment
+    folder: Path | None
+    rows: tuple[TrialRow, ...]
+    summary: Summary
+    complete: bool
+
+
+def evaluate(
+    scenarios: Sequence[ScenarioLike] = SCENARIOS,
+    methods: Sequence[MethodLike] = METHODS,
+    trials: int = TRIALS,
+    seed: int = 0,
+    jobs: int | None = None,
+    out: str | Path | None = None,
+    *,
+    vehicle: str | None = None,
+    resume: bool = False,
+    realtime: bool = False,
+    cluster: str | None = None,
+    watch: Watch | None = None,
+    arguments: Mapping[str, Any] | None = None,
+    trial: str = TRIAL,
+) -> Evaluation:
+    """Run every method in every scenario with the seeds `seed`, ... `seed + trials - 1`, the same for all.
+
+    The result does not depend on `jobs`, `cluster`, or the order in which trials end, except for what the clock says.
+    A script that calls this needs ``if __name__ == "__main__":``, because worker processes import it.
+
+    Args:
+        scenarios: names, paths, or loaded ones.
+        methods: likewise.
+        trials: of each method in each scenario.
+        seed: of the first trial.
+        jobs: worker processes, by default one for each usable core.
+        out: results folder; None keeps everything in memory.
+        vehicle: model to plan with, instead of the methods' and the scenarios'.
+        resume: go on with the folder `out`.
+        realtime: give planning its wall-clock time instead of a number of iterations; nothing repeats then.
+        cluster: address of a Dask scheduler to use instead of processes of this machine.
+        watch: is told how it goes and may stop it.
+        arguments: what to record as having been asked for.
+        trial: ``module:function`` that runs one trial.
+
+    Raises:
+        InputError: with everything that is wrong with what was given; if the folder cannot be written, or if one to go
+            on with differs.  Finished trials stay in the folder.
+        MissingError: if something this installation should have is not there.
+        Defect: if workers do not start.  A defect inside a trial fails that trial only.
+    """
+    watch = watch or Watch()
+    if jobs is not None and jobs < 1:
+        raise InputError.of("--jobs", f"is {jobs}", "expected a number of at least 1")
+    if resume and out is None:
+        raise InputError.of("--resume", "is given without --out", "expected the folder to go on with")
+    experiment = experiment_of(
+        scenarios, methods, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime, trial=trial
+    )
+    executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
+    if cluster is None:
+        for model in {cell.reference: cell.vehicle for cell in experiment.cells}.values():
+            ensure_compiled(model, watch.say)
+    if out is None:
+        return _carried_out(experiment, executor, None, watch)
+    folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
+    with closing(folder.journal):
+        return _carried_out(experiment, executor, folder, watch)
+
+
+def usable_cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _carried_out(experiment: Experiment, executor: Executor, folder: Folder | None, watch: Watch) -> Evaluation:
+    began = time.perf_counter()
+    rows = dict(folder.rows) if folder else {}
+    if folder and folder.torn:
+        watch.say(f"{folder.journal.path}: the last line is torn; its trial is repeated")
+    watch.begin(experiment, folder.path if folder else None, rows)
+    todo = [job for job in experiment.jobs() if job.key not in rows]
+    with closing(executor.run(todo, watch.stop, watch.say)) as ended:  # type: ignore[type-var]
+        for row in ended:
+            if folder:
+                folder.journal.append(row)
+            rows[row.key] = row
+            watch.ended(row)
+    ordered = tuple(rows[job.key] for job in experiment.jobs() if job.key in rows)
+    summary = summarise(experiment, rows, time.perf_counter() - began)
+    complete = len(ordered) == sum(1 for _ in experiment.jobs())
+    if folder and complete:
+        write_results(folder, experiment, rows, summary)
+    return Evaluation(experiment, folder.path if folder else None, ordered, summary, complete)

@@ -1,0 +1,181 @@
+"""What is to be run: scenarios, methods, vehicles, seeds; resolved from names, with every mistake said at once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, TypeAlias, TypeVar
+
+from kraft.errors import Diagnostic, InputError
+from kraft.evaluation.job import TRIAL, Job
+from kraft.method import Method, load_method
+from kraft.placement import check_placement
+from kraft.scenario import Scenario, load_scenario
+from kraft.vehicle import load_vehicle, vehicle_of_task
+from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
+from kraft.workspace import start_state
+from ompl_ext.vehicle import Vehicle
+
+SCENARIOS: Final = ("turns", "boxes", "slope", "slip", "bump", "movable")
+METHODS: Final = (
+    "oneshot-openloop",
+    "oneshot-geometric",
+    "oneshot-kinodynamic",
+    "replanner-openloop",
+    "cons-replanner-openloop",
+    "kraft",
+    "conservative-kraft",
+)
+TRIALS: Final = 30
+
+ScenarioLike: TypeAlias = str | Path | Scenario
+MethodLike: TypeAlias = str | Path | Method
+Loaded = TypeVar("Loaded")
+Given = TypeVar("Given")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One row of a table: a method in a scenario, with the model that it plans with."""
+
+    scenario: Scenario
+    method: Method
+    reference: str
+    vehicle: Vehicle
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Names of scenario and method."""
+        return self.scenario.name, self.method.name
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Every cell is run with the seeds `seed`, `seed + 1`, ... `seed + trials - 1`, the same for all of them."""
+
+    cells: tuple[Cell, ...]
+    trials: int
+    seed: int
+    realtime: bool = False
+    trial: str = TRIAL
+
+    @property
+    def seeds(self) -> range:
+        """Seeds of the trials."""
+        return range(self.seed, self.seed + self.trials)
+
+    def jobs(self) -> Iterator[Job]:
+        """All trials, row by row."""
+        for cell in self.cells:
+            for seed in self.seeds:
+                yield Job(cell.scenario, cell.method, cell.reference, seed, self.realtime, self.trial)
+
+
+def experiment_of(
+    scenarios: Sequence[ScenarioLike],
+    methods: Sequence[MethodLike],
+    *,
+    vehicle: str | None = None,
+    trials: int = TRIALS,
+    seed: int = 0,
+    realtime: bool = False,
+    trial: str = TRIAL,
+) -> Experiment:
+    """Load everything that is named and check that it can be driven.
+
+    The model to plan with is `vehicle`, else the method's own, else the scenario's.
+
+    Raises:
+        InputError: with every problem of the names, the files, the numbers, and of starts and goals.
+    """
+    problems = _numbers(trials, seed)
+    found_scenarios = _loaded("scenario", scenarios, _scenario, problems)
+    found_methods = _loaded("method", methods, _method, problems)
+    if vehicle is not None:
+        try:
+            vehicle = resolve_vehicle(vehicle, Path.cwd())
+            load_vehicle(vehicle)
+        except VehicleProblem as error:
+            problems.append(Diagnostic(vehicle, error.problem, error.expected))
+        except InputError as error:
+            problems += error.diagnostics
+    if problems:
+        raise InputError(problems)
+    cells = tuple(_cells(found_scenarios, found_methods, vehicle, problems))
+    if problems:
+        raise InputError(problems)
+    return Experiment(cells, trials, seed, realtime, trial)
+
+
+def _numbers(trials: int, seed: int) -> list[Diagnostic]:
+    problems = []
+    if trials < 1:
+        problems.append(Diagnostic("--trials", f"is {trials}", "expected a number of at least 1"))
+    if seed < 0:
+        problems.append(Diagnostic("--seed", f"is {seed}", "expected a number of at least 0"))
+    return problems
+
+
+def _scenario(given: ScenarioLike) -> Scenario:
+    return given if isinstance(given, Scenario) else load_scenario(given)
+
+
+def _method(given: MethodLike) -> Method:
+    return given if isinstance(given, Method) else load_method(given)
+
+
+def _loaded(
+    kind: str, given: Sequence[Given], load: Callable[[Given], Loaded], problems: list[Diagnostic]
+) -> list[Loaded]:
+    """Load each; what is wrong is added to `problems`."""
+    found: list[Loaded] = []
+    if not given:
+        problems.append(Diagnostic(f"{kind}s", "none are given", f"expected at least one {kind}"))
+    for each in given:
+        if each == "":
+            problems.append(Diagnostic(f"{kind}s", "there is an empty name", f"expected names of {kind}s"))
+            continue
+        try:
+            found.append(load(each))
+        except InputError as error:
+            problems += error.diagnostics
+    names = Counter(str(getattr(each, "name", "")) for each in found)
+    problems += [
+        Diagnostic(name, f"the {kind} is given {count} times", "expected each name once")
+        for name, count in names.items()
+        if count > 1
+    ]
+    return found
+
+
+def _cells(
+    scenarios: list[Scenario], methods: list[Method], vehicle: str | None, problems: list[Diagnostic]
+) -> Iterator[Cell]:
+    loaded: dict[str, Vehicle] = {}
+    for scenario in scenarios:
+        checked: set[str] = set()
+        for method in methods:
+            try:
+                reference = vehicle or _own(method) or scenario.vehicle
+                if reference not in loaded:
+                    given = reference == scenario.vehicle
+                    loaded[reference] = vehicle_of_task(scenario) if given else load_vehicle(reference)
+                model = loaded[reference]
+                if reference not in checked:
+                    checked.add(reference)
+                    check_placement(scenario, model, start_state(scenario, model))
+                yield Cell(scenario, method, reference, model)
+            except InputError as error:
+                problems += error.diagnostics
+
+
+def _own(method: Method) -> str | None:
+    """The vehicle that a method itself plans with; its path is relative to the method's file."""
+    if method.planner.vehicle is None:
+        return None
+    try:
+        return resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
+    except VehicleProblem as error:
+        raise InputError([method.source.diagnostic("planner.vehicle", error.problem, error.expected)]) from None

@@ -1,0 +1,82 @@
+"""One trial as work for another process: everything it needs, small enough to send."""
+
+from __future__ import annotations
+
+import importlib
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Final, TypeAlias
+
+from kraft.errors import InputError, MissingDependency, MissingError
+from kraft.evaluation.row import Key, TrialRow, reduced
+from kraft.method import Method
+from kraft.scenario import Scenario
+from kraft.trial_result import TrialResult, TrialSpec
+from kraft.vehicle import load_vehicle
+from ompl_ext.vehicle import Vehicle
+
+TRIAL: Final = "kraft.trial:run_trial"
+TrialFunction: TypeAlias = Callable[[TrialSpec], TrialResult]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A trial to run.
+
+    `vehicle` is a resolved reference (its functions are compiled where they run), `trial` names the function that
+    drives: ``module:function``.
+    """
+
+    scenario: Scenario
+    method: Method
+    vehicle: str
+    seed: int
+    realtime: bool = False
+    trial: str = TRIAL
+
+    @property
+    def key(self) -> Key:
+        """Which trial it is."""
+        return self.scenario.name, self.method.name, self.seed
+
+
+def perform(job: Job) -> TrialRow:
+    """Run a trial and keep what the tables need; whatever goes wrong inside it is recorded as its failure.
+
+    Raises:
+        InputError: if what was given cannot be driven; then neither can the other trials.
+        MissingError: if something this installation should have is not there.
+    """
+    began = time.perf_counter()
+    try:
+        drive = _function(job.trial)
+        result = drive(TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime))
+        return reduced(job.key, result, time.perf_counter() - began)
+    except (InputError, MissingError):
+        raise
+    except Exception as error:  # a defect: said, recorded, and the others go on
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return failed(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
+
+
+def failed(job: Job, error: str) -> TrialRow:
+    """The row of a trial that did not come to an end."""
+    return TrialRow(scenario=job.scenario.name, method=job.method.name, seed=job.seed, outcome="failed", error=error)
+
+
+@cache
+def _function(name: str) -> TrialFunction:
+    module, _, attribute = name.partition(":")
+    try:
+        found: TrialFunction = getattr(importlib.import_module(module), attribute)
+    except (ImportError, OSError) as error:  # OSError: a shared library does not load
+        raise MissingDependency(f"{module} does not load") from error
+    return found
+
+
+@cache
+def _vehicle(reference: str) -> Vehicle:
+    return load_vehicle(reference)

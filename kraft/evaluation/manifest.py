@@ -1,0 +1,143 @@
+"""`manifest.json`: what running the evaluation again would need, and what must be the same to go on with it."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.atomic_file import write_whole
+from kraft.errors import Diagnostic, InputError
+from kraft.evaluation.experiment import Experiment
+from kraft.evaluation.versions import versions
+from kraft.plain import plain, plain_hash
+from kraft.plan_file import vehicle_content
+from kraft.scenario import Scenario
+
+NAME: Final = "manifest.json"
+SCHEMA: Final = "kraft.eval-manifest/1"
+DESCRIPTIVE: Final = ("arguments", "began", "host")
+"""keys that may differ when an evaluation is gone on with"""
+MISSING: Final = object()
+
+
+def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of the manifest; `arguments` is what was asked for, as it was written."""
+    cells = experiment.cells
+    vehicles = {cell.reference: vehicle_content(cell.vehicle, cell.reference) for cell in cells}
+    labels = _labels({cell.reference: cell.vehicle.name for cell in cells})
+    for reference, content in vehicles.items():
+        content["code"] = next(cell.vehicle.hash for cell in cells if cell.reference == reference)
+        del content["reference"]  # where a file is does not matter, what it says does
+    return {
+        "schema": SCHEMA,
+        "arguments": dict(arguments),
+        "began": datetime.now(UTC).isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "trials": experiment.trials,
+        "seed": experiment.seed,
+        "realtime": experiment.realtime,
+        "trial": experiment.trial,
+        "rows": [
+            {"scenario": cell.scenario.name, "method": cell.method.name, "vehicle": labels[cell.reference]}
+            for cell in cells
+        ],
+        "scenarios": {cell.scenario.name: _hashed(_scenario(cell.scenario)) for cell in cells},
+        "methods": {cell.method.name: _hashed(plain(cell.method)) for cell in cells},
+        "vehicles": {labels[reference]: _hashed(content) for reference, content in vehicles.items()},
+        "versions": versions(),
+    }
+
+
+def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a manifest.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    write_whole(path, (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Read a manifest.
+
+    Raises:
+        InputError: if it is not one.
+    """
+    expected = "expected a manifest as kraft eval writes it"
+    try:
+        content = json.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        raise InputError.of(str(path), f"cannot be read: {error.strerror}", expected) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError.of(str(path), f"is not JSON: {error}", expected) from None
+    if not isinstance(content, dict) or not isinstance(content.get("schema"), str):
+        raise InputError.of(str(path), "has no schema", expected)
+    return content
+
+
+def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Check that an evaluation can be gone on with.
+
+    Raises:
+        InputError: with every field that differs.
+    """
+    differing = list(_differences(_compared(was), _compared(now)))
+    if differing:
+        raise InputError(
+            Diagnostic(
+                str(path),
+                f"was made with {_told(before)}, now it is {_told(after)}",
+                "expected the same, or another --out",
+                path=key,
+            )
+            for key, before, after in differing
+        )
+
+
+def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What must be the same, as it reads back from JSON; the order of the rows need not be."""
+    kept = {key: value for key, value in content.items() if key not in DESCRIPTIVE}
+    rows = {f"{row['scenario']}, {row['method']}": row["vehicle"] for row in kept.pop("rows", ())}
+    result: dict[str, Any] = json.loads(json.dumps({**kept, "vehicle of": rows}))
+    return result
+
+
+def _differences(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Path and both values of everything that differs; hashes only where nothing else tells."""
+    if isinstance(was, dict) and isinstance(now, dict):
+        found = [
+            difference
+            for key in {**was, **now}
+            for difference in _differences(was.get(key, MISSING), now.get(key, MISSING), f"{path}.{key}".lstrip("."))
+        ]
+        telling = [difference for difference in found if not difference[0].endswith(".sha256")]
+        yield from telling or found
+    elif was != now:
+        yield path, was, now
+
+
+def _told(value: Any) -> str:
+    if value is MISSING:
+        return "nothing"
+    return "an entry" if isinstance(value, dict) else json.dumps(value, ensure_ascii=False)
+
+
+def _labels(names: Mapping[str, str]) -> dict[str, str]:
+    """A label for each reference: the vehicle's name, or the reference where two have the same name."""
+    counts = list(names.values())
+    return {reference: name if counts.count(name) == 1 else reference for reference, name in names.items()}
+
+
+def _scenario(scenario: Scenario) -> dict[str, Any]:
+    """A scenario without its vehicle, which has a section of its own."""
+    names = (f.name for f in fields(scenario) if f.compare and f.name != "vehicle")
+    return {name: plain(getattr(scenario, name)) for name in names}
+
+
+def _hashed(content: Any) -> dict[str, Any]:
+    return {"sha256": plain_hash(content), "content": content}

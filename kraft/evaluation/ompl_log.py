@@ -1,0 +1,129 @@
+"""Trials as an OMPL benchmark: a log for each scenario, in which a method is a planner and a trial is a run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.atomic_file import write_whole
+from kraft.evaluation.experiment import Cell, Experiment
+from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.statistics import percentile
+from kraft.planner_arena import make_database
+
+DATABASE: Final = "benchmark.db"
+OUTCOMES: Final = ("success", "collision", "timeout", "failed")
+PROPERTIES: Final = (
+    "time REAL",
+    "solved BOOLEAN",
+    "outcome ENUM",
+    "correct solution BOOLEAN",
+    "trial seed INTEGER",
+    "execution time REAL",
+    "minimum clearance REAL",
+    "cycles INTEGER",
+    "contingencies INTEGER",
+    "iterations INTEGER",
+    "planning time median REAL",
+    "planning time maximum REAL",
+    "missed deadlines INTEGER",
+)
+
+
+def write_benchmark(
+    folder: Path, experiment: Experiment, rows: Mapping[Key, TrialRow], manifest: Mapping[str, Any], wall: float
+) -> None:
+    """Write the logs and the Planner Arena database.
+
+    OMPL's format has room for one scene in a file, so with one scenario the log is `benchmark.log` and with several
+    each has its `benchmark-SCENARIO.log`.
+
+    Raises:
+        InputError: if they cannot be written.
+    """
+    names = list(dict.fromkeys(cell.scenario.name for cell in experiment.cells))
+    logs = [folder / ("benchmark.log" if len(names) == 1 else f"benchmark-{name}.log") for name in names]
+    for name, log in zip(names, logs, strict=True):
+        cells = [cell for cell in experiment.cells if cell.scenario.name == name]
+        write_whole(log, ("\n".join(_log(cells, experiment, rows, manifest, wall)) + "\n").encode())
+    make_database(folder / DATABASE, logs)
+
+
+def _log(
+    cells: Sequence[Cell],
+    experiment: Experiment,
+    rows: Mapping[Key, TrialRow],
+    manifest: Mapping[str, Any],
+    wall: float,
+) -> Iterator[str]:
+    """Lines of a log, in the format that OMPL's `Benchmark::saveResultsToStream` writes."""
+    scenario = cells[0].scenario
+    yield f"OMPL version {manifest['versions']['ompl']}"
+    yield f"Experiment {scenario.name}"
+    yield f"Running on {manifest['host'] or 'localhost'}"
+    yield f"Starting at {manifest['began']}"
+    yield "<<<|"
+    yield f"kraft {manifest['versions']['kraft']}"
+    yield from json.dumps(manifest["scenarios"][scenario.name], indent=2).splitlines()
+    yield "|>>>"
+    yield f"{experiment.seed} is the random seed"
+    yield f"{max(scenario.trial.timeout, scenario.trial.oneshot_timeout):g} seconds per run"
+    yield "0 MB per run"
+    yield f"{experiment.trials} runs per planner"
+    yield f"{wall:.3f} seconds spent to collect the data"
+    yield "1 enum type"
+    yield "|".join(("outcome", *OUTCOMES))
+    yield f"{len(cells)} planners"
+    for cell in cells:
+        yield from _planner(cell, [rows[key] for key in _keys(cell, experiment) if key in rows], manifest)
+
+
+def _planner(cell: Cell, rows: Sequence[TrialRow], manifest: Mapping[str, Any]) -> Iterator[str]:
+    settings = dict(_settings(manifest["methods"][cell.method.name]["content"]))
+    yield cell.method.name
+    yield f"{len(settings)} common properties"
+    yield from (f"{name} = {value}" for name, value in settings.items())
+    yield f"{len(PROPERTIES)} properties for each run"
+    yield from PROPERTIES
+    yield f"{len(rows)} runs"
+    yield from ("; ".join([*_run(row), ""]) for row in rows)
+    yield "."
+
+
+def _run(row: TrialRow) -> list[str]:
+    """Values of the properties; `time` is that of all planning, as it is for any OMPL planner."""
+    planning = list(row.measured.planning_ms)
+    solved = row.outcome == "success"
+    return [
+        _text(sum(planning) / 1000),
+        str(int(solved)),
+        str(OUTCOMES.index(row.outcome)),
+        str(int(solved)),
+        str(row.seed),
+        _text(row.t_s),
+        _text(row.min_clearance_m),
+        str(row.cycles),
+        str(row.contingencies),
+        str(row.iterations),
+        _text(percentile(planning, 0.5), 1e-3),
+        _text(percentile(planning, 1.0), 1e-3),
+        str(row.measured.missed),
+    ]
+
+
+def _keys(cell: Cell, experiment: Experiment) -> Iterator[Key]:
+    return ((*cell.key, seed) for seed in experiment.seeds)
+
+
+def _settings(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in content.items():
+        if isinstance(value, dict):
+            yield from _settings(value, f"{prefix}{name}.")
+        elif name not in ("name", "title", "description"):
+            yield f"{prefix}{name}", json.dumps(value)
+
+
+def _text(value: float | None, scale: float = 1.0) -> str:
+    return "nan" if value is None else f"{value * scale:.9g}"

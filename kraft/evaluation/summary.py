@@ -1,0 +1,162 @@
+"""From trials to a table: the paper's columns and how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from kraft.evaluation.experiment import Experiment
+from kraft.evaluation.paper import PaperRow, paper_row
+from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.statistics import McNemar, mcnemar, percentile, wilson
+
+SCHEMA: Final = "kraft.eval/1"
+REFERENCE: Final = "kraft"
+"""the method that the others are compared with"""
+WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_deadlines")
+"""keys of the JSON object that the clock fills; everything else repeats"""
+
+
+@dataclass(frozen=True)
+class Result:
+    """One row of a table.
+
+    Attributes:
+        trials: how many there were, failed ones included.
+        interval: Wilson's 95 % interval of the success rate.
+        t_ex: mean duration of the successful trials, s.
+        contingencies: in all trials together.
+        min_clearance: smallest of all trials, m.
+        planning_p50, planning_p99: of all cycles of all trials, ms.
+        missed: cycles that took longer than there was time.
+        against: compared with the method `kraft` on the same seeds; None for itself and where it was not run.
+        paper: what the paper has.
+    """
+
+    scenario: str
+    method: str
+    title: str
+    trials: int
+    success: int
+    collision: int
+    timeout: int
+    failed: int
+    interval: tuple[float, float]
+    t_ex: float | None
+    contingencies: int
+    cycles: int
+    min_clearance: float | None
+    planning_p50: float | None
+    planning_p99: float | None
+    missed: int
+    against: McNemar | None
+    paper: PaperRow | None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All rows, in the order they were asked for; `wall` is how long the evaluation ran this time, s."""
+
+    trials: int
+    seed: int
+    realtime: bool
+    wall: float
+    results: tuple[Result, ...]
+
+    @property
+    def failed(self) -> int:
+        """Trials that did not come to an end."""
+        return sum(result.failed for result in self.results)
+
+
+def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float) -> Summary:
+    """Make the table of an experiment from the trials there are."""
+    results = []
+    for cell in experiment.cells:
+        scenario, method = cell.key
+        mine = _rows(experiment, rows, scenario, method)
+        theirs = _rows(experiment, rows, scenario, REFERENCE) if method != REFERENCE else []
+        against = mcnemar(_successes(mine), _successes(theirs)) if theirs else None
+        results.append(_result(scenario, method, cell.method.title, mine, against))
+    return Summary(experiment.trials, experiment.seed, experiment.realtime, wall, tuple(results))
+
+
+def json_content(summary: Summary) -> dict[str, Any]:
+    """Content of the ``kraft.eval/1`` object, without its schema."""
+    return {
+        "trials": summary.trials,
+        "seed": summary.seed,
+        "realtime": summary.realtime,
+        "wall_s": round(summary.wall, 3),
+        "failed": summary.failed,
+        "results": [_json(result) for result in summary.results],
+    }
+
+
+def _rows(experiment: Experiment, rows: Mapping[Key, TrialRow], scenario: str, method: str) -> list[TrialRow]:
+    keys = ((scenario, method, seed) for seed in experiment.seeds)
+    return [rows[key] for key in keys if key in rows]
+
+
+def _successes(rows: Sequence[TrialRow]) -> dict[int, bool]:
+    return {row.seed: row.outcome == "success" for row in rows}
+
+
+def _result(scenario: str, method: str, title: str, rows: Sequence[TrialRow], against: McNemar | None) -> Result:
+    outcomes = [row.outcome for row in rows]
+    success = outcomes.count("success")
+    durations = [row.t_s for row in rows if row.outcome == "success" and row.t_s is not None]
+    planning = [value for row in rows for value in row.measured.planning_ms]
+    clearances = [row.min_clearance_m for row in rows if row.min_clearance_m is not None]
+    return Result(
+        scenario=scenario,
+        method=method,
+        title=title,
+        trials=len(rows),
+        success=success,
+        collision=outcomes.count("collision"),
+        timeout=outcomes.count("timeout"),
+        failed=outcomes.count("failed"),
+        interval=wilson(success, len(rows)),
+        t_ex=sum(durations) / len(durations) if durations else None,
+        contingencies=sum(row.contingencies for row in rows),
+        cycles=sum(row.cycles for row in rows),
+        min_clearance=min(clearances, default=None),
+        planning_p50=percentile(planning, 0.5),
+        planning_p99=percentile(planning, 0.99),
+        missed=sum(row.measured.missed for row in rows),
+        against=against,
+        paper=paper_row(scenario, method),
+    )
+
+
+def _json(result: Result) -> dict[str, Any]:
+    paper, against = result.paper, result.against
+    return {
+        "scenario": result.scenario,
+        "method": result.method,
+        "trials": result.trials,
+        "success": result.success,
+        "collision": result.collision,
+        "timeout": result.timeout,
+        "failed": result.failed,
+        "success_ci95": list(result.interval),
+        "t_ex_s": result.t_ex,
+        "contingencies": result.contingencies,
+        "cycles": result.cycles,
+        "min_clearance_m": result.min_clearance,
+        "planning_ms_p50": result.planning_p50,
+        "planning_ms_p99": result.planning_p99,
+        "missed_deadlines": result.missed,
+        "mcnemar": {"gained": against.gained, "lost": against.lost, "p": against.p} if against else None,
+        "paper": {
+            "trials": paper.trials,
+            "success": paper.success,
+            "collision": paper.collision,
+            "timeout": paper.timeout,
+            "t_ex_s": paper.t_ex,
+        }
+        if paper
+        else None,
+    }

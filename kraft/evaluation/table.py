@@ -1,0 +1,102 @@
+"""The summary as tables, one for each scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from kraft.evaluation.summary import Result, Summary
+
+
+@dataclass(frozen=True)
+class Table:
+    """Heading and cells; `importance` says which columns to leave out last, the highest, where there is no room."""
+
+    title: str
+    heading: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    importance: tuple[int, ...]
+
+    def fitted(self, width: int, gap: int = 2) -> Table:
+        """The same table with as many columns as fit `width` characters."""
+        widths = [max(len(row[k]) for row in (self.heading, *self.rows)) for k in range(len(self.heading))]
+        kept = list(range(len(self.heading)))
+        while len(kept) > 1 and sum(widths[k] + gap for k in kept) - gap > width:
+            kept.remove(min(kept, key=lambda k: (self.importance[k], k)))
+        return Table(
+            self.title,
+            tuple(self.heading[k] for k in kept),
+            tuple(tuple(row[k] for k in kept) for row in self.rows),
+            tuple(self.importance[k] for k in kept),
+        )
+
+
+_COLUMNS: Final = {
+    "method": 9,
+    "succ": 9,
+    "coll": 9,
+    "timeout": 8,
+    "failed": 8,
+    "T_ex s": 7,
+    "95 % CI": 5,
+    "paper S/C/T": 6,
+    "paper T_ex": 4,
+    "p": 3,
+    "cont": 2,
+    "clear m": 1,
+    "plan ms p50/p99": 1,
+    "missed": 2,
+}
+
+
+def tables(summary: Summary) -> list[Table]:
+    """One table for each scenario.  Columns for failed trials and missed deadlines only where there can be some."""
+    left_out = {name for name, wanted in (("failed", summary.failed), ("missed", summary.realtime)) if not wanted}
+    names = [name for name in _COLUMNS if name not in left_out]
+    found = []
+    for scenario in dict.fromkeys(result.scenario for result in summary.results):
+        cells = [_cells(result) for result in summary.results if result.scenario == scenario]
+        rows = tuple(tuple(row[name] for name in names) for row in cells)
+        found.append(Table(scenario, tuple(names), rows, tuple(_COLUMNS[name] for name in names)))
+    return found
+
+
+def markdown(summary: Summary) -> str:
+    """All tables in Markdown."""
+    return "\n\n".join(
+        "\n".join(
+            [f"**{table.title}**", "", _line(table.heading), _line(["---", *["---:"] * (len(table.heading) - 1)])]
+            + [_line(row) for row in table.rows]
+        )
+        for table in tables(summary)
+    )
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _cells(result: Result) -> dict[str, str]:
+    paper, against = result.paper, result.against
+    low, high = result.interval
+    return {
+        "method": result.title,
+        "succ": str(result.success),
+        "coll": str(result.collision),
+        "timeout": str(result.timeout),
+        "failed": str(result.failed),
+        "T_ex s": _number(result.t_ex, 2),
+        "95 % CI": f"{low:.0%}-{high:.0%}".replace("%-", "-"),
+        "paper S/C/T": f"{paper.success}/{paper.collision}/{paper.timeout}" if paper else "-",
+        "paper T_ex": _number(paper.t_ex if paper else None, 2),
+        "p": f"{against.p:.2g}" if against else "-",
+        "cont": str(result.contingencies),
+        "clear m": _number(result.min_clearance, 3),
+        "plan ms p50/p99": f"{_number(result.planning_p50, 1)}/{_number(result.planning_p99, 1)}",
+        "missed": str(result.missed),
+    }
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

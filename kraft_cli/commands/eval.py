@@ -1,0 +1,84 @@
+"""`kraft eval`: run many trials and show the table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from kraft.evaluation import Evaluation
+
+Scenarios = Annotated[list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or files; all six scenes.")]
+Trials = Annotated[int | None, typer.Option(metavar="N", help="Trials of each method in each scenario (30).")]
+Methods = Annotated[str | None, typer.Option(metavar="A,B", help="Methods (kraft list methods); all seven.")]
+VehicleName = Annotated[
+    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
+]
+Seed = Annotated[int | None, typer.Option(metavar="N", help="Trial i has the seed N + i; N is 0.")]
+Jobs = Annotated[int | None, typer.Option(metavar="N", help="Worker processes; one for each core.")]
+ClusterAddress = Annotated[
+    str | None, typer.Option("--cluster", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
+]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="New results folder; results/eval-TIME-seedN.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the folder of --out.")]
+Realtime = Annotated[bool, typer.Option("--realtime", help="Plan by the clock and count missed deadlines.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def eval_(
+    context: typer.Context,
+    scenarios: Scenarios = None,
+    trials: Trials = None,
+    methods: Methods = None,
+    vehicle: VehicleName = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
+    cluster: ClusterAddress = None,
+    out: Out = None,
+    resume: Resume = False,
+    realtime: Realtime = False,
+    json: Json = False,
+) -> ExitStatus:
+    """Run methods in scenarios many times and compare them; collisions are results, not errors."""
+    from kraft.evaluation.request import Request, carry_out, complete, resume_command
+    from kraft_cli.progress import Interrupts, Progress
+
+    terminal: Terminal = context.obj
+    request = complete(
+        Request(tuple(scenarios or ()), trials, methods, vehicle, seed, jobs, cluster, out, resume, realtime)
+    )
+    with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
+        try:
+            evaluation = carry_out(request, progress)
+        except BaseException:
+            progress.close()
+            if progress.begun:
+                terminal.problem(f"every finished trial is kept; to go on: {resume_command(request)}")
+            raise
+    if not evaluation.complete:
+        terminal.problem(f"stopped; every finished trial is kept; to go on: {resume_command(request)}")
+        return ExitStatus.INTERRUPTED
+    return _show(terminal, evaluation, json)
+
+
+def _show(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
+    from kraft.evaluation.summary import SCHEMA, json_content
+    from kraft_cli.tables import show_tables
+
+    if json:
+        content = {**json_content(evaluation.summary), "folder": str(evaluation.folder)}
+        terminal.json(SCHEMA, content)
+    else:
+        show_tables(terminal, evaluation.summary)
+        terminal.say(f"results in {evaluation.folder}")
+    failed = [row for row in evaluation.rows if row.outcome == "failed"]
+    for row in failed:
+        terminal.problem(f"{row.scenario}, {row.method}, seed {row.seed}: failed: {row.error}")
+    if failed:
+        terminal.error(f"{len(failed)} of {len(evaluation.rows)} trials failed, which is a defect in kraft")
+    return ExitStatus.INTERNAL if failed else ExitStatus.DONE

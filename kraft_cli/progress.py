@@ -1,0 +1,140 @@
+"""How `kraft eval` says how it goes, and what an interrupt means while it does."""
+
+from __future__ import annotations
+
+import signal
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any
+
+from kraft.evaluation import Experiment, TrialRow, Watch
+from kraft.evaluation.row import Key
+from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
+
+
+class Interrupts:
+    """The first interrupt is a wish to stop, the second one stops at once."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        self.wished = False
+        self._terminal = terminal
+        self._before: Any = None
+
+    def __enter__(self) -> Interrupts:
+        """From now on."""
+        try:
+            self._before = signal.signal(signal.SIGINT, self._interrupted)
+        except ValueError:  # not in the main thread: then interrupts are somebody else's
+            self._before = None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """As before."""
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _interrupted(self, _: int, __: FrameType | None) -> None:
+        if self.wished:
+            raise KeyboardInterrupt
+        self.wished = True
+        self._terminal.problem("waiting for the trials that run; interrupt again to drop them")
+
+
+class Progress(Watch):
+    """Bars for the rows that run, a line for each that is done; without a terminal a line for each trial."""
+
+    def __init__(self, terminal: Terminal, interrupts: Interrupts) -> None:
+        self.begun = False
+        self._terminal, self._interrupts = terminal, interrupts
+        self._counts: dict[tuple[str, str], Counter[str]] = {}
+        self._trials = self._total = self._done = 0
+        self._bars: Bars | None = None
+        self._tasks: dict[tuple[str, str], TaskID] = {}
+
+    def __enter__(self) -> Progress:
+        """Nothing is shown before `begin`."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None) -> None:
+        """Leave the screen as it is."""
+        self.close()
+
+    def close(self) -> None:
+        """Take the bars away."""
+        if self._bars is not None:
+            self._bars.stop()
+            self._bars = None
+
+    def stop(self) -> bool:
+        """Whether somebody wished it."""
+        return self._interrupts.wished
+
+    def say(self, text: str) -> None:
+        """Print a remark above the bars."""
+        if self._bars is not None:
+            self._bars.console.print(text)
+        else:
+            self._terminal.say(text)
+
+    def begin(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
+        """Count what is there, and show the bars."""
+        self.begun = True
+        self._counts = {cell.key: Counter() for cell in experiment.cells}
+        self._trials, self._total = experiment.trials, experiment.trials * len(experiment.cells)
+        for row in rows.values():
+            self._counts[row.key[:2]][row.outcome] += 1
+        self._done = len(rows)
+        there = f", {self._done} of them there already" if rows else ""
+        self._terminal.say(f"{self._total} trials{there}; results in {folder}")
+        if self._terminal.interactive and not self._terminal.quiet:
+            self._bars = self._started()
+
+    def ended(self, row: TrialRow) -> None:
+        """Show it."""
+        self._done += 1
+        key = row.key[:2]
+        counts = self._counts[key]
+        counts[row.outcome] += 1
+        if self._bars is None:
+            self._terminal.say(f"{self._done}/{self._total}  {row.scenario} {row.method} seed {row.seed}: {_how(row)}")
+        else:
+            self._advance(self._bars, key, counts)
+
+    def _started(self) -> Bars:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bars
+
+        columns = (TextColumn("{task.description}"), BarColumn(None), MofNCompleteColumn(), TimeRemainingColumn())
+        console = Console(file=self._terminal.err, highlight=False, markup=False)
+        bars = Bars(*columns, console=console, transient=True)
+        self._tasks[("", "")] = bars.add_task("all", total=self._total, completed=self._done)
+        bars.start()
+        return bars
+
+    def _advance(self, bars: Bars, key: tuple[str, str], counts: Counter[str]) -> None:
+        bars.advance(self._tasks[("", "")])
+        text = f"{' '.join(key)}  succ {counts['success']} coll {counts['collision']} timeout {counts['timeout']}"
+        if counts["failed"]:
+            text += f" failed {counts['failed']}"
+        if counts.total() == self._trials:
+            if key in self._tasks:
+                bars.remove_task(self._tasks.pop(key))
+            bars.console.print(text)
+            return
+        if key not in self._tasks:
+            self._tasks[key] = bars.add_task(text, total=self._trials)
+        bars.update(self._tasks[key], description=text, completed=counts.total())
+
+
+def _how(row: TrialRow) -> str:
+    if row.outcome == "failed":
+        return f"failed: {row.error}"
+    hit = f" with {row.obstacle}" if row.obstacle else ""
+    return f"{row.outcome}{hit}, {row.t_s:.2f} s"

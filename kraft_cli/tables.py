@@ -1,0 +1,42 @@
+"""Tables of an evaluation on a terminal or in a pipe."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from kraft.evaluation import Summary
+    from kraft.evaluation.table import Table
+
+REMARK = "95 % CI: Wilson, of the success rate. p: exact McNemar against kraft on the same seeds."
+
+
+def show_tables(terminal: Terminal, summary: Summary) -> None:
+    """Print a table for each scenario; on a terminal with as many columns as there is room for."""
+    from kraft.evaluation import tables
+
+    for table in tables(summary):
+        if terminal.out.isatty():
+            _rich(terminal, table)
+        else:
+            terminal.data(table.title)
+            terminal.table(table.heading, table.rows)
+            terminal.data("")
+    terminal.data(REMARK)
+
+
+def _rich(terminal: Terminal, table: Table) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as Grid
+
+    console = Console(file=terminal.out, highlight=False, markup=False)
+    fitted = table.fitted(console.width - 4, gap=3)
+    grid = Grid(title=table.title, box=box.ROUNDED, border_style="dim", title_justify="left", title_style="bold")
+    for number, heading in enumerate(fitted.heading):
+        grid.add_column(heading, justify="left" if number == 0 else "right", no_wrap=True)
+    for row in fitted.rows:
+        grid.add_row(*row, style="bold" if row[0] == "KRAFT" else None)
+    console.print(grid)

@@ -1,0 +1,106 @@
+"""Trials that need no simulator: what they return is decided by scenario, method and seed alone."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from kraft.driving import Kind, Reference
+from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
+
+LEFT = "KRAFT_TEST_FOLDER"
+"""environment variable: folder in which trials leave what the next ones find"""
+
+
+def quick(spec: TrialSpec) -> TrialResult:
+    """A trial that takes no time."""
+    chance = random.Random(f"{spec.scenario.name} {spec.method.name} {spec.seed}")
+    outcome = chance.choice((Outcome.SUCCESS, Outcome.SUCCESS, Outcome.COLLISION, Outcome.TIMEOUT))
+    count = chance.randint(1, 9)
+    cycles = tuple(cycle(number, chance.choice(("plan", "plan", "contingency"))) for number in range(count))
+    steps = tuple(
+        Step(t / 30, (chance.random(), 0.0, 0.0), chance.random(), np.zeros(4), np.zeros(2), 0) for t in range(30)
+    )
+    end, clearance = chance.uniform(5, 60), chance.uniform(0, 0.3)
+    obstacle = "first box" if outcome is Outcome.COLLISION else None
+    return TrialResult(
+        spec.scenario.name, spec.method.name, spec.seed, outcome, end, obstacle, clearance, cycles, steps
+    )
+
+
+def slow(spec: TrialSpec) -> TrialResult:
+    """The same, in 0.2 s, leaving a file for each time it was begun."""
+    leave(spec, "begun")
+    time.sleep(0.2)
+    return quick(spec)
+
+
+def uneven(spec: TrialSpec) -> TrialResult:
+    """The same, sooner for later seeds."""
+    time.sleep(0.1 * (3 - spec.seed % 4))
+    return quick(spec)
+
+
+def dies_once(spec: TrialSpec) -> TrialResult:
+    """Seed 1 kills its process, the first time."""
+    if spec.seed == 1 and leave(spec, "died") == 1:
+        os.kill(os.getpid(), 9)
+    return quick(spec)
+
+
+def dies(spec: TrialSpec) -> TrialResult:
+    """Seed 1 ends its process, every time."""
+    if spec.seed == 1:
+        leave(spec, "died")
+        os._exit(7)
+    return quick(spec)
+
+
+def raises(spec: TrialSpec) -> TrialResult:
+    """Seed 1 has a defect."""
+    if spec.seed == 1:
+        raise ZeroDivisionError("no speed at all")
+    return quick(spec)
+
+
+def prints(spec: TrialSpec) -> TrialResult:
+    """The same, with words on stdout."""
+    print("a word from a library", flush=True)
+    return quick(spec)
+
+
+def threads(spec: TrialSpec) -> TrialResult:
+    """Fails if numeric libraries were allowed more than one thread."""
+    assert os.environ["OMP_NUM_THREADS"] == os.environ["NUMBA_NUM_THREADS"] == "1"
+    return quick(spec)
+
+
+def cycle(number: int, kind: str) -> Cycle:
+    """A cycle in which nothing moves."""
+    reference = Reference(Kind(kind), np.array([0.0, 1.0]), np.zeros((2, 4)), np.zeros((1, 2)), np.zeros(2))
+    fields = {
+        "number": number, "time": float(number), "speed": 0.5, "kind": kind, "reason": "because",
+        "cost_to_goal": math.inf if kind == "contingency" else 9.0, "clearance": 0.1, "iterations": 1000, "nodes": 50,
+        "retained": 3, "planning_ms": 4.0 + number, "missed": number == 3, "reference": reference, "contingency": None,
+    }  # fmt: skip
+    return Cycle(**fields)
+
+
+def leave(spec: TrialSpec, what: str) -> int:
+    """Leave a file more and return how many there are now of this trial."""
+    folder = Path(os.environ[LEFT])
+    name = f"{spec.scenario.name}-{spec.method.name}-{spec.seed}-{what}"
+    count = len(list(folder.glob(f"{name}-*"))) + 1
+    (folder / f"{name}-{count}").touch()
+    return count
+
+
+def name_of(function: Callable[[TrialSpec], TrialResult]) -> str:
+    """How `evaluate` is told of one of these."""
+    return f"{__name__}:{function.__name__}"
