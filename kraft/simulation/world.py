@@ -39,7 +39,7 @@ class World:
 
     def __init__(self, scenario: Scenario) -> None:
         truth = scenario.truth
-        self.frame: Final = FloorFrame.of(scenario.bounds, truth.tilt)
+        self.frame: Final = FloorFrame.of(truth.tilt)
         self.model: Final[Any] = build(scenario, self.frame, TIMESTEP)
         self.data: Final[Any] = mujoco.MjData(self.model)
         self._start, self._goal, self._gap = scenario.start, scenario.goal, truth.vehicle
