@@ -40,7 +40,7 @@ def write_whole(path: Path, content: bytes) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only their owner can read
+            os.chmod(temporary, file_mode())
             os.replace(temporary, path)
         except BaseException:
             os.unlink(temporary)
@@ -49,7 +49,8 @@ def write_whole(path: Path, content: bytes) -> None:
         raise InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED) from error
 
 
-def _umask() -> int:
+def file_mode() -> int:
+    """Permissions of a new file; mkstemp makes files that only their owner can read."""
     mask = os.umask(0)
     os.umask(mask)
-    return mask
+    return 0o666 & ~mask

@@ -25,6 +25,7 @@ REQUIRED: Final[dict[str, str]] = {
     "python-fcl": "fcl",
     "gtsam": "gtsam",
     "mujoco": "mujoco",
+    "av": "av",
     "typer": "typer",
     "rich": "rich",
     "pyyaml": "yaml",

@@ -1,0 +1,64 @@
+"""What is drawn on the floor: the tree, the plan, what is predicted of it, the contingency; the trail and the belief."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from kraft.driving import Kind, Reference
+from kraft.plot.frame import outlines
+from kraft.trial_result import Cycle
+from kraft.video import palette
+from kraft.video.moment import Moment, poses_of
+from kraft.video.palette import colour
+from kraft.video.pen import Pen
+from ompl_ext.arrays import Matrix
+from ompl_ext.plan import TreeView
+from ompl_ext.vehicle import Vehicle
+
+EDGES_MAX: Final = 2500
+"""A larger tree is drawn in part."""
+SWATH, TREE, TRAIL, PLAN, SAFE, BELIEF = 0.0025, 0.005, 0.006, 0.009, 0.012, 0.014
+"""Height above the ground, m: what is higher covers what is lower."""
+
+
+def draw_cycle(pen: Pen, cycle: Cycle, vehicle: Vehicle) -> None:
+    """Everything that stays the same during a cycle."""
+    if cycle.tree is not None:
+        _draw_tree(pen, cycle.tree, vehicle)
+    planned = cycle.kind == Kind.PLAN
+    predicted = poses_of(cycle.predicted.states, vehicle)[:, :2]
+    pale = palette.PREDICTED if planned else palette.CONTINGENCY_PALE
+    pen.stroke(predicted, vehicle.footprint.width, SWATH, colour(pale))
+    if planned:
+        pen.stroke(_path(cycle.reference, vehicle), 0.03, PLAN, colour(palette.PLAN))
+    if cycle.contingency is not None:
+        _draw_contingency(pen, cycle.contingency, vehicle)
+
+
+def _draw_tree(pen: Pen, tree: TreeView, vehicle: Vehicle) -> None:
+    nodes = np.flatnonzero(tree.parents >= 0)
+    if len(nodes) > EDGES_MAX:
+        nodes = nodes[np.linspace(0, len(nodes) - 1, EDGES_MAX).astype(np.int64)]
+    places = poses_of(tree.states, vehicle)[:, :2]
+    pen.hairlines(np.stack([places[tree.parents[nodes]], places[nodes]], axis=1), TREE, colour(palette.TREE, 0.35), 1.0)
+
+
+def _draw_contingency(pen: Pen, safe: Reference, vehicle: Vehicle) -> None:
+    """Its path, and the footprint where the vehicle would stand."""
+    pen.dashes(_path(safe, vehicle), 0.03, SAFE, colour(palette.CONTINGENCY))
+    corners = outlines(vehicle.footprint, poses_of(safe.states[-1:], vehicle))[0]
+    pen.outline(corners, 0.014, SAFE, colour(palette.CONTINGENCY))
+
+
+def _path(reference: Reference, vehicle: Vehicle) -> Matrix:
+    return poses_of(reference.states, vehicle)[:, :2]
+
+
+def draw_moment(pen: Pen, moment: Moment, vehicle: Vehicle) -> None:
+    """What moves: the trail, coloured by speed, and the outline of where the vehicle believes to be."""
+    speeds = (moment.trail[1:, 2] + moment.trail[:-1, 2]) / 2
+    pen.shaded(moment.trail[:, :2], 0.022, TRAIL, palette.speed_colours(speeds, vehicle.top_speed))
+    believed = outlines(vehicle.footprint, moment.estimate[None, :])[0]
+    pen.outline(believed, 0.01, BELIEF, colour(palette.ESTIMATE))

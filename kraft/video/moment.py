@@ -1,0 +1,82 @@
+"""What there is to show of a trial while it goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kraft.simulation.world import World
+from kraft.trial_result import Cycle, Step, TrialSpec
+from kraft.workspace import workspace_of
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.exact import ExactClearance
+from ompl_ext.vehicle import Vehicle
+
+TRAIL_SPACING = 0.04
+"""Distance between the places that the trail remembers, m."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One instant: truth, belief, and what the robot is about.
+
+    Poses are x, y (m) and heading (rad).  `trail` (n, 3) are x, y and speed (m/s) of where the car has been;
+    `clearance` is the true distance of its footprint to the nearest obstacle, m.
+    """
+
+    time: float
+    pose: Floats
+    speed: float
+    estimate: Floats
+    clearance: float
+    cycle: Cycle | None
+    trail: Matrix
+
+
+class Chronicle:
+    """Is told what `run_trial` tells, and says what there is to show."""
+
+    def __init__(self, spec: TrialSpec) -> None:
+        self._vehicle = spec.vehicle
+        self._exact = ExactClearance(workspace_of(spec.scenario.task(), spec.vehicle), spec.vehicle.footprint)
+        self._coming: list[Cycle] = []
+        self._cycle: Cycle | None = None
+        self._trail: list[tuple[float, float, float]] = []
+        self._estimate: Floats = np.zeros(3)
+
+    def on_cycle(self, cycle: Cycle) -> None:
+        """Take note of a cycle; it is shown from when it begins."""
+        self._coming.append(cycle)
+
+    def on_step(self, world: World, step: Step) -> Moment:
+        """Take note of a tick of the controller."""
+        self._estimate = poses_of(step.estimate[None, :], self._vehicle)[0]
+        return self.now(world)
+
+    def now(self, world: World) -> Moment:
+        """What is to be seen in the world as it is; the belief is that of the last tick."""
+        while self._coming and self._coming[0].time <= world.time + 1e-9:
+            self._cycle = self._coming.pop(0)
+        x, y, theta = map(float, world.pose)
+        here = (x, y, world.speed)
+        if not self._trail or np.hypot(x - self._trail[-1][0], y - self._trail[-1][1]) >= TRAIL_SPACING:
+            self._trail.append(here)
+        return Moment(
+            time=world.time,
+            pose=np.array([x, y, theta]),
+            speed=world.speed,
+            estimate=self._estimate,
+            clearance=self._exact.distance(x, y, theta),
+            cycle=self._cycle,
+            trail=np.array([*self._trail, here]),
+        )
+
+
+def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
+    """x, y and heading (n, 3) of states (n, nx); a vehicle without theta never turns."""
+    poses = np.zeros((len(states), 3))
+    for column, name in enumerate(("x", "y", "theta")):
+        if vehicle.index(name) >= 0:
+            poses[:, column] = states[:, vehicle.index(name)]
+    return poses

@@ -1,0 +1,87 @@
+"""An MP4 file that is there when it is complete, and not before."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import av
+import numpy as np
+from av.video.reformatter import Colorspace, ColorRange
+from numpy.typing import NDArray
+
+from kraft.atomic_file import EXPECTED, file_mode
+from kraft.errors import InputError
+
+Image: TypeAlias = NDArray[np.uint8]
+
+BT709: Final = 1
+"""Code of ITU-R BT.709 for primaries and transfer (ITU-T H.273): what players take for granted at this size."""
+SETTINGS: Final = {"preset": "veryfast", "crf": "20"}
+
+
+class Mp4Writer:
+    """H.264 in yuv420p, written beside `path` and put in its place by `finish`; `discard` leaves nothing behind."""
+
+    def __init__(self, path: Path, size: tuple[int, int], fps: int) -> None:
+        """Open the file; `size` is width and height, px, both even.
+
+        Raises:
+            InputError: if it cannot be written.
+        """
+        self._path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, self._temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+            os.close(handle)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        self._container: Any = av.open(self._temporary, "w", format="mp4", options={"movflags": "faststart"})
+        stream: Any = self._container.add_stream("libx264", rate=fps, options=SETTINGS)
+        stream.width, stream.height = size
+        stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, fps)
+        coding = stream.codec_context
+        coding.color_range, coding.colorspace = ColorRange.MPEG, Colorspace.ITU709
+        coding.color_primaries = coding.color_trc = BT709
+        self._stream, self.frames = stream, 0
+
+    def add(self, image: Image) -> None:
+        """Append a picture, uint8 (height, width, 3)."""
+        picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+        frame = picture.reformat(format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG)
+        frame.pts = self.frames
+        self.frames += 1
+        self._mux(frame)
+
+    def finish(self) -> None:
+        """Complete the file and put it in its place.
+
+        Raises:
+            InputError: if there is no room for it.
+        """
+        try:
+            self._mux(None)
+            self._container.close()
+            os.chmod(self._temporary, file_mode())
+            os.replace(self._temporary, self._path)
+        except OSError as error:
+            raise _unwritable(self._path, error) from error
+
+    def discard(self) -> None:
+        """Close and remove what has been written; does nothing after `finish`."""
+        self._container.close()
+        Path(self._temporary).unlink(missing_ok=True)
+
+    def _mux(self, frame: Any) -> None:
+        try:
+            for packet in self._stream.encode(frame):
+                self._container.mux(packet)
+        except OSError as error:
+            raise _unwritable(self._path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED)

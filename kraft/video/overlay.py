@@ -1,0 +1,110 @@
+"""Text over the picture: what is driven, what the lines mean, the numbers of the moment, and how it ended."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from PIL import Image as Pillow
+from PIL import ImageDraw
+
+from kraft.driving import Kind
+from kraft.trial_result import Outcome, TrialResult, TrialSpec
+from kraft.video import palette
+from kraft.video.legend import draw_legend
+from kraft.video.moment import Moment
+from kraft.video.mp4 import Image
+from kraft.video.type import font, wrapped
+
+BAND: Final = 84
+"""Height of the band at the foot, px."""
+COLUMN: Final = 118
+MARGIN: Final = 16
+OPACITY: Final = 0.8
+
+
+class Overlay:
+    """Draws over pictures of one trial."""
+
+    def __init__(self, spec: TrialSpec, size: tuple[int, int], map_width: int) -> None:
+        """`size` is the picture's width and height, of which the map takes `map_width` at the right; px."""
+        self._width, self._height = size[0] - map_width, size[1]
+        self._static = Pillow.new("RGBA", size, (0, 0, 0, 0))
+        draw = ImageDraw.Draw(self._static)
+        draw.rectangle((0, self._height - BAND, self._width - 1, self._height), fill=palette.PLATE)
+        draw.rectangle((self._width - 1, 0, self._width, self._height), fill=palette.PLATE)
+        self._title(draw, spec)
+        draw_legend(draw, self._width - MARGIN, MARGIN, spec.vehicle.top_speed, _plate())
+
+    def over(self, picture: Image, moment: Moment, result: TrialResult | None = None) -> Image:
+        """The picture with everything on it; with a result, how the trial ended."""
+        image = Pillow.fromarray(picture)
+        image.paste(self._static, (0, 0), self._static)
+        draw = ImageDraw.Draw(image)
+        self._numbers(draw, moment)
+        self._state(draw, moment)
+        if result is not None:
+            self._outcome(draw, result)
+        return np.asarray(image)
+
+    def _title(self, draw: ImageDraw.ImageDraw, spec: TrialSpec) -> None:
+        name, method = spec.scenario.name, spec.method.title
+        width = int(max(font(24, bold=True).getlength(name), font(15).getlength(method))) + 28
+        draw.rounded_rectangle((MARGIN, MARGIN, MARGIN + width, MARGIN + 66), 8, fill=_plate())
+        draw.text((MARGIN + 14, MARGIN + 30), name, palette.TEXT, font(24, bold=True), "ls")
+        draw.text((MARGIN + 14, MARGIN + 53), method, palette.QUIET, font(15), "ls")
+
+    def _numbers(self, draw: ImageDraw.ImageDraw, moment: Moment) -> None:
+        ahead = moment.cycle.cost_to_goal if moment.cycle else math.inf
+        left = max(0.0, ahead - (moment.time - moment.cycle.time)) if moment.cycle else math.inf
+        numbers = (
+            ("time", f"{moment.time:.1f}", "s"),
+            ("speed", f"{moment.speed:.2f}", "m/s"),
+            ("plan to goal", f"{left:.1f}" if math.isfinite(ahead) else "–", "s" if math.isfinite(ahead) else ""),
+            ("clearance", f"{100 * max(moment.clearance, 0.0):.0f}", "cm"),
+        )
+        foot = self._height - BAND
+        for column, (name, value, unit) in enumerate(numbers):
+            x = MARGIN + 4 + COLUMN * column
+            draw.text((x, foot + 27), name, palette.QUIET, font(14), "ls")
+            draw.text((x, foot + 62), value, palette.TEXT, font(28, bold=True), "ls")
+            right = x + font(28, bold=True).getlength(value) + 6
+            draw.text((right, foot + 62), unit, palette.QUIET, font(15), "ls")
+
+    def _state(self, draw: ImageDraw.ImageDraw, moment: Moment) -> None:
+        """Plan or contingency, and why."""
+        if moment.cycle is None:
+            return
+        planned = moment.cycle.kind == Kind.PLAN
+        x, foot = MARGIN + 4 * COLUMN + 12, self._height - BAND
+        text = "PLAN" if planned else "CONTINGENCY"
+        fill = palette.PLAN if planned else palette.CONTINGENCY
+        width = font(16, bold=True).getlength(text) + 28
+        top = foot + 27 if planned else foot + 10
+        draw.rounded_rectangle((x, top, x + width, top + 30), 15, fill=fill)
+        draw.text((x + width / 2, top + 15), text, palette.TEXT, font(16, bold=True), "mm")
+        for row, line in enumerate(wrapped(moment.cycle.reason, 13, self._width - x - MARGIN, 2)):
+            draw.text((x + 2, foot + 58 + 16 * row), line, palette.TEXT, font(13), "ls")
+
+    def _outcome(self, draw: ImageDraw.ImageDraw, result: TrialResult) -> None:
+        text, fill = _verdict(result)
+        middle, top = self._width / 2, 0.24 * self._height
+        half = font(34, bold=True).getlength(text) / 2 + 30
+        draw.rounded_rectangle((middle - half, top, middle + half, top + 70), 12, fill=fill)
+        draw.text((middle, top + 35), text, palette.TEXT, font(34, bold=True), "mm")
+
+
+def _verdict(result: TrialResult) -> tuple[str, str]:
+    match result.outcome:
+        case Outcome.SUCCESS:
+            return f"goal reached in {result.time:.1f} s", palette.SUCCESS
+        case Outcome.COLLISION:
+            return f"collision with {result.obstacle} at {result.time:.1f} s", palette.FAILURE
+        case Outcome.TIMEOUT:
+            return f"not at the goal after {result.time:.0f} s", palette.FAILURE
+
+
+def _plate() -> tuple[int, int, int, int]:
+    red, green, blue, opacity = (round(255 * part) for part in palette.colour(palette.PLATE, OPACITY))
+    return red, green, blue, opacity

@@ -1,0 +1,109 @@
+"""An MP4 of one trial."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+
+from kraft.atomic_file import check_writable
+from kraft.errors import InputError
+from kraft.scenario import Bounds
+from kraft.simulation.world import World
+from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+from kraft.video.gl import offscreen_context
+from kraft.video.moment import Chronicle
+from kraft.video.mp4 import Mp4Writer
+from kraft.video.overlay import BAND, Overlay
+from kraft.video.stage import Stage
+
+FPS: Final = 30
+SIZE: Final = (1280, 720)
+HOLD: Final = 1.5
+"""How long the end is shown, s."""
+
+
+def check_video(path: Path) -> None:
+    """Find out before the drive whether a video can be written at `path`.
+
+    Raises:
+        InputError: if its suffix is not .mp4 or the place is closed.
+    """
+    if path.suffix.lower() != ".mp4":
+        problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
+        raise InputError.of(str(path), f"the video's name {problem}", "expected .mp4")
+    check_writable(path)
+
+
+class VideoRecorder:
+    """Films a trial: pass `on_cycle` and `on_step` to `run_trial`, and its result to `finish`.
+
+        with VideoRecorder(Path("drive.mp4"), spec) as film:
+            film.finish(run_trial(spec, film.on_cycle, film.on_step, keep_trees=True))
+
+    A second of the video is a second of the trial.  Without `finish`, as when the trial is interrupted or fails, no
+    file is left.
+    """
+
+    def __init__(self, path: Path, spec: TrialSpec) -> None:
+        """Look whether this can be done.
+
+        Raises:
+            InputError: if the suffix is not .mp4 or the place is closed.
+            MissingDependency: if nothing can be drawn without a window here.
+        """
+        check_video(path)
+        self._spec, self._map_width = spec, map_width(spec.scenario.bounds)
+        self._gl: Any = offscreen_context(*SIZE)
+        self._chronicle = Chronicle(spec)
+        self._overlay = Overlay(spec, SIZE, self._map_width)
+        self._stage: Stage | None = None
+        self._world: World | None = None
+        self._file = Mp4Writer(path, SIZE, FPS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._file.discard()
+        if self._stage is not None:
+            self._stage.close()
+        self._gl.free()
+
+    def on_cycle(self, cycle: Cycle) -> None:
+        """For `run_trial`."""
+        self._chronicle.on_cycle(cycle)
+
+    def on_step(self, world: World, step: Step) -> None:
+        """For `run_trial`; films the world if a frame is due."""
+        if self._stage is None:
+            self._stage, self._world = Stage(world, self._spec, SIZE, self._map_width, BAND), world
+        moment = self._chronicle.on_step(world, step)
+        due = int(np.floor(world.time * FPS + 1e-6)) + 1 - self._file.frames
+        if due > 0:
+            picture = self._overlay.over(self._stage.picture(moment), moment)
+            for _ in range(due):
+                self._file.add(picture)
+
+    def finish(self, result: TrialResult) -> None:
+        """Show how it ended, and put the file in its place.
+
+        Raises:
+            InputError: if the file cannot be written.
+        """
+        assert self._stage is not None, "a trial has at least one tick"
+        assert self._world is not None, "a trial has at least one tick"
+        moment = self._chronicle.now(self._world)
+        picture = self._overlay.over(self._stage.picture(moment), moment, result)
+        for _ in range(round(HOLD * FPS)):
+            self._file.add(picture)
+        self._file.finish()
+
+
+def map_width(bounds: Bounds) -> int:
+    """Width of the map, px: what the scene needs at full height, at most half the picture; even."""
+    short, long = sorted((bounds.x[1] - bounds.x[0], bounds.y[1] - bounds.y[0]))
+    wanted = SIZE[1] * (short + 0.24) / (long + 0.24)
+    return 2 * round(min(max(wanted, 220), SIZE[0] / 2.4) / 2)
