@@ -6,12 +6,15 @@ import math
 import os
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from kraft.driving import Kind, Reference
+from kraft.driving import Kind, Motion, Reference
+from kraft.evaluation.executor import Say, Stop
+from kraft.evaluation.job import Job, perform
+from kraft.evaluation.row import TrialRow
 from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
 
 LEFT = "KRAFT_TEST_FOLDER"
@@ -88,6 +91,7 @@ def cycle(number: int, kind: str) -> Cycle:
         "number": number, "time": float(number), "speed": 0.5, "kind": kind, "reason": "because",
         "cost_to_goal": math.inf if kind == "contingency" else 9.0, "clearance": 0.1, "iterations": 1000, "nodes": 50,
         "retained": 3, "planning_ms": 4.0 + number, "missed": number == 3, "reference": reference, "contingency": None,
+        "predicted": Motion(np.array([0.0, 1.0]), np.zeros((2, 4)), 0.1),
     }  # fmt: skip
     return Cycle(**fields)
 
@@ -99,6 +103,21 @@ def leave(spec: TrialSpec, what: str) -> int:
     count = len(list(folder.glob(f"{name}-*"))) + 1
     (folder / f"{name}-{count}").touch()
     return count
+
+
+class Inline:
+    """An executor in this very process, in the order that `shuffle` makes of the jobs."""
+
+    def __init__(self, count: int = 1, shuffle: Callable[[list[Job]], None] = lambda _: None) -> None:
+        self._shuffle = shuffle
+
+    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+        order = list(jobs)
+        self._shuffle(order)
+        for job in order:
+            if stop():
+                return
+            yield perform(job)
 
 
 def name_of(function: Callable[[TrialSpec], TrialResult]) -> str:

@@ -14,6 +14,7 @@ from kraft.atomic_file import write_whole
 from kraft.errors import Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.versions import versions
+from kraft.method import Method
 from kraft.plain import plain, plain_hash
 from kraft.plan_file import vehicle_content
 from kraft.scenario import Scenario
@@ -22,6 +23,8 @@ NAME: Final = "manifest.json"
 SCHEMA: Final = "kraft.eval-manifest/1"
 DESCRIPTIVE: Final = ("arguments", "began", "host")
 """keys that may differ when an evaluation is gone on with"""
+WORDS: Final = ("title", "description")
+"""keys of scenarios and methods that nothing depends on"""
 MISSING: Final = object()
 
 
@@ -47,7 +50,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
             for cell in cells
         ],
         "scenarios": {cell.scenario.name: _hashed(_scenario(cell.scenario)) for cell in cells},
-        "methods": {cell.method.name: _hashed(plain(cell.method)) for cell in cells},
+        "methods": {cell.method.name: _hashed(_method(cell.method)) for cell in cells},
         "vehicles": {labels[reference]: _hashed(content) for reference, content in vehicles.items()},
         "versions": versions(),
     }
@@ -139,8 +142,12 @@ def _labels(names: Mapping[str, str]) -> dict[str, str]:
 
 def _scenario(scenario: Scenario) -> dict[str, Any]:
     """A scenario without its vehicle, which has a section of its own."""
-    names = (f.name for f in fields(scenario) if f.compare and f.name != "vehicle")
+    names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *WORDS))
     return {name: plain(getattr(scenario, name)) for name in names}
+
+
+def _method(method: Method) -> dict[str, Any]:
+    return method.model_dump(mode="json", exclude=set(WORDS))
 
 
 def _hashed(content: Any) -> dict[str, Any]:
