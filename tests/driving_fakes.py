@@ -7,11 +7,13 @@ import os
 import random
 import time
 from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
 
 from kraft.driving import Kind, Motion, Reference
+from kraft.errors import InputError, MissingDependency
 from kraft.evaluation.executor import Say, Stop
 from kraft.evaluation.job import Job, perform
 from kraft.evaluation.row import TrialRow
@@ -82,6 +84,27 @@ def threads(spec: TrialSpec) -> TrialResult:
     """Fails if numeric libraries were allowed more than one thread."""
     assert os.environ["OMP_NUM_THREADS"] == os.environ["NUMBA_NUM_THREADS"] == "1"
     return quick(spec)
+
+
+def refuses(spec: TrialSpec) -> TrialResult:
+    """Nothing can be driven."""
+    raise InputError.of("the car", "does not fit", "expected another")
+
+
+def missing(spec: TrialSpec) -> TrialResult:
+    """Nothing to drive in."""
+    raise MissingDependency("no simulator")
+
+
+def endless(spec: TrialSpec) -> TrialResult:
+    """Later seeds than 0 do not end."""
+    time.sleep(60.0 * (spec.seed > 0))
+    return quick(spec)
+
+
+def ends(pipe: Connection) -> None:
+    """A worker that ends before it is ready."""
+    os._exit(9)
 
 
 def cycle(number: int, kind: str) -> Cycle:
