@@ -36,6 +36,12 @@ class Dask:
         self.address: str = json.loads(self._file.read_text())["address"]
         self.workers = [self.worker(), self.worker()]
 
+    @property
+    def whole(self) -> bool:
+        """Whether the scheduler and a worker are there; workers that died are replaced."""
+        self.workers = [worker if worker.poll() is None else self.worker() for worker in self.workers]
+        return self.scheduler.poll() is None
+
     def worker(self) -> subprocess.Popen[bytes]:
         return self._start("worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1")
 
@@ -53,13 +59,22 @@ class Dask:
         )  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Dask]]:
+    """The clusters that were started; starting one takes seconds, so tests share it while it is whole."""
+    found: list[Dask] = []
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv(driving_fakes.LEFT, str(tmp_path_factory.mktemp("left")))
+        yield found
+    for each in found:
+        each.stop()
+
+
 @pytest.fixture
-def dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Dask]:
-    (tmp_path / "left").mkdir()
-    monkeypatch.setenv(driving_fakes.LEFT, str(tmp_path / "left"))
-    running = Dask(tmp_path)
-    yield running
-    running.stop()
+def dask(started: list[Dask], tmp_path: Path) -> Dask:
+    if not started or not started[-1].whole:
+        started.append(Dask(tmp_path))
+    return started[-1]
 
 
 class Killing(Stopping):

@@ -19,7 +19,6 @@ from kraft.evaluation.folder import Folder, create, reopen, write_results
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import Summary, summarise
-from kraft.kernel_cache import ensure_compiled
 
 
 class Watch:
@@ -109,9 +108,6 @@ def evaluate(
     if problems:
         raise InputError(problems)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
-    if cluster is None:
-        for model in {cell.reference: cell.vehicle for cell in experiment.cells}.values():
-            ensure_compiled(model, watch.say)
     if out is None:
         return _carried_out(experiment, executor, None, watch)
     folder = (reopen if resume else create)(Path(out), experiment, arguments or {})

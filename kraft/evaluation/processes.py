@@ -18,6 +18,8 @@ from kraft.evaluation.executor import DEATHS, Say, Stop
 from kraft.evaluation.job import Job, failed
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.worker import ONE_THREAD, Answer, serve
+from kraft.kernel_cache import ensure_compiled
+from kraft.vehicle import load_vehicle
 
 POLL: Final = 0.1  # s, how late a request to stop is seen
 FALSE_STARTS: Final = 3  # workers in a row that die before they are ready
@@ -71,6 +73,8 @@ class Processes:
         Raises:
             Defect: if workers do not start.
         """
+        for reference in dict.fromkeys(job.vehicle for job in jobs):  # once, and not by each worker in a trial
+            ensure_compiled(load_vehicle(reference), say)
         state = _State(deque(jobs))
         try:
             while True:
