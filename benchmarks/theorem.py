@@ -24,7 +24,7 @@ from kraft.driving import Estimate, Kind, Reference
 from kraft.kernel_cache import ensure_compiled
 from kraft.method import Kinodynamic, OpenLoop, Planner
 from kraft.model import Model
-from kraft.replanner import Replanner
+from kraft.replanner import Planners, Replanner
 from kraft.trial_result import Cycle
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety, Settings
@@ -85,7 +85,7 @@ def episode(number: int) -> Episode:
     model = Model(vehicle)
     kind = OpenLoop(kind="open_loop") if number // 4 % 2 else Kinodynamic(kind="kinodynamic")
     settings = Planner(mode="replanning", lead=0.0, iterations=ITERATIONS)
-    replanner = Replanner(dirt, settings, make_controller(kind, model), number, period=PERIOD)
+    replanner = Replanner(Planners(dirt, dirt), settings, make_controller(kind, model), number, period=PERIOD)
     body = Body(scene.solids, vehicle.footprint)
     start = random_start(rng, vehicle, scene.workspace.bounds, body, replace(safety, delta=2 * DELTA))
     start[3] = 0.0

@@ -10,21 +10,23 @@ from pydantic import BaseModel
 
 from kraft import resources
 from kraft.errors import Diagnostic, InputError
+from kraft.method import Method
 from kraft.placement import check_placement
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
-from kraft.validation import check
+from kraft.validation import Model, check
 from kraft.vehicle import load_vehicle, vehicle_of_task
 from kraft.vehicle_config import VehicleConfig
 from kraft.workspace import start_state
 from kraft.yaml_nodes import Document, read_document
 
-FileKind: TypeAlias = Literal["scenario", "vehicle", "map"]
+FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map"]
 
 _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "scenario": ScenarioFile,  # first: what no key gives away is checked as a scenario
     "vehicle": VehicleConfig,
+    "method": Method,
     "map": MapServerFile,
 }
 
@@ -39,7 +41,7 @@ class Checked:
 
 
 def check_file(name_or_path: str | Path) -> Checked:
-    """Check a file, or a bundled scenario or vehicle by name. Problems are returned, not raised."""
+    """Check a file, or a bundled scenario, vehicle or method by name. Problems are returned, not raised."""
     kind: FileKind | None = None
     file = str(name_or_path)
     try:
@@ -60,8 +62,10 @@ def recognise(document: Document) -> FileKind:
 
 
 def _find(name_or_path: str | Path) -> Path:
-    if name_or_path in resources.names("vehicle"):
-        return resources.find("vehicle", name_or_path)
+    kinds: tuple[resources.Kind, ...] = ("vehicle", "method")
+    for kind in kinds:
+        if name_or_path in resources.names(kind):
+            return resources.find(kind, name_or_path)
     if isinstance(name_or_path, str) and Path(name_or_path).suffix == "" and Path(name_or_path).is_file():
         return Path(name_or_path)
     return resources.find("scenario", name_or_path)
@@ -73,9 +77,29 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         vehicle = vehicle_of_task(task)
         check_placement(task, vehicle, start_state(task, vehicle))
     elif kind == "vehicle":
-        _, problems = check(VehicleConfig, document)
-        if problems:
-            raise InputError(problems)
+        _checked(VehicleConfig, document)
         load_vehicle(str(path))
+    elif kind == "method":
+        method = _checked(Method, document)
+        if method.planner.vehicle is not None:
+            _check_vehicle(method.planner.vehicle, document, path.parent)
     else:
         read_map(path, height=0.2, name=None)
+
+
+def _checked(model: type[Model], document: Document) -> Model:
+    value, problems = check(model, document)
+    if value is None:
+        raise InputError(problems)
+    return value
+
+
+def _check_vehicle(reference: str, document: Document, folder: Path) -> None:
+    """Load the vehicle that a method names; what is wrong with the reference is said at its line."""
+    try:
+        load_vehicle(reference, folder)
+    except InputError as error:
+        raise InputError(
+            document.source.diagnostic("planner.vehicle", d.problem, d.expected) if d.file == reference else d
+            for d in error.diagnostics
+        ) from error

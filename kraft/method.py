@@ -49,6 +49,8 @@ class Planner(FileModel):
     """how much smaller than the goal region the region is that the planner aims for, m"""
     safety: Clearance | None = None
     """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
+    recover: bool = False
+    """a vehicle that rests nearer to an obstacle than `safety` allows may leave with the clearance that it has"""
     vehicle: str | None = None
     """model to plan with instead of the scenario's: a name, a YAML file or code"""
 
@@ -103,7 +105,7 @@ class Kinodynamic(FileModel):
     """throttle per metre that the vehicle is behind its trajectory, 1/m"""
     softening: Positive = 0.3
     """speed added where the law divides by the speed, m/s"""
-    look: NonNegative = 0.0
+    look: NonNegative = 0.15
     """how far ahead of the present time the law looks, to make up for the actuators' lag, s"""
 
 
@@ -122,15 +124,15 @@ class Filter(FileModel):
 
     kind: Literal["filter"]
     """which estimator"""
-    position_noise: Positive = 0.05
+    position_noise: Positive = 0.1
     """standard deviation of an observed position, m"""
-    heading_noise_deg: Positive = 5.0
+    heading_noise_deg: Positive = 8.0
     """standard deviation of an observed heading, degrees"""
-    drift: Positive = 0.05
+    drift: Positive = 0.03
     """standard deviation of the position that the model loses in one second, m"""
     heading_drift_deg: Positive = 5.0
     """standard deviation of the heading that the model loses in one second, degrees"""
-    speed_drift: Positive = 0.1
+    speed_drift: Positive = 0.2
     """standard deviation of the speed that the model loses in one second, m/s"""
     confidence: Annotated[Probability, Field(gt=0.5, lt=1)] = 0.997
     """an observation that is farther off than this share of them is given less weight"""

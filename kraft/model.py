@@ -52,6 +52,10 @@ class Model:
         self._throttles, self._speeds = self._steady_speeds()
         self._steerings, self._curvatures, self._slips = self._steady_turns()
 
+    def __deepcopy__(self, memo: object) -> Model:
+        """Nothing here is ever written to: a copy is the same."""
+        return self
+
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx,) after a control (nu,) was held for `duration` s; not above 0 the state itself, copied."""
         result = np.array(state, dtype=np.float64)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time as clock
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from ompl_ext.solver import Dirt
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verify import verify
 
+LEEWAY = 0.005  # of a vehicle that leaves with the clearance it has (m)
 SMALLEST_GOAL = 0.01  # radius of the region that the planner aims for (m)
 RESERVE = 0.2
 """Share of a cycle that planning by the clock leaves unused, as the original system does."""
@@ -62,19 +64,36 @@ class Decision:
     contingency: Reference | None = None
 
 
-def dirt_of(task: Task, vehicle: Vehicle, settings: Planner) -> Dirt:
-    """The planner of a task with a method's settings; without a margin it is not asked for SAFETY."""
-    margin, goal = settings.safety, goal_of(task)
-    safety = Safety(
-        enabled=margin is not None,
-        cycle=settings.cycle,
-        delta=margin.delta if margin else 0.0,
-        delta_per_speed=margin.delta_per_speed if margin else 0.0,
-    )
-    goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
-    shape = vehicle.footprint
-    larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
-    return Dirt(replace(vehicle, footprint=larger), workspace_of(task, vehicle), goal, safety, settings_of(task), settings.capacity)
+@dataclass(frozen=True)
+class Planners:
+    """`planning` keeps the method's margin everywhere; `checking` has the vehicle as it is.
+
+    A plan is made with the margin and checked again without it, so that small errors do not turn it down.
+    """
+
+    planning: Dirt
+    checking: Dirt
+
+    @classmethod
+    def of(cls, task: Task, vehicle: Vehicle, settings: Planner) -> Planners:
+        """The planners of a task with a method's settings; without a clearance they are not asked for SAFETY."""
+        goal = goal_of(task)
+        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
+        workspace, safety, shape = workspace_of(task, vehicle), safety_of(settings), vehicle.footprint
+        checking = Dirt(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
+        if settings.margin == 0.0:
+            return cls(checking, checking)
+        larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
+        wide = replace(vehicle, footprint=larger)
+        return cls(Dirt(wide, workspace, goal, safety, settings_of(task), settings.capacity), checking)
+
+
+def safety_of(settings: Planner) -> Safety:
+    """SAFETY as a method asks for it."""
+    margin = settings.safety
+    if margin is None:
+        return Safety(enabled=False, cycle=settings.cycle)
+    return Safety(cycle=settings.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
 
 
 class Replanner:
@@ -82,7 +101,7 @@ class Replanner:
 
     def __init__(
         self,
-        dirt: Dirt,
+        planners: Planners,
         settings: Planner,
         controller: Controller,
         seed: int,
@@ -92,10 +111,12 @@ class Replanner:
         keep_trees: bool = False,
     ) -> None:
         self._settings, self._seed, self._realtime, self._keep_trees = settings, seed, realtime, keep_trees
-        self.dirt = dirt
+        self._planners, self.dirt = planners, planners.checking
         self._roll = Roller(self.dirt, controller, period)
         self._once = settings.mode == "one-shot"
-        self._at_rest = np.zeros(len(dirt.vehicle.controls))
+        self._at_rest = np.zeros(len(self.dirt.vehicle.controls))
+        self._delta = self.dirt.safety.delta
+        self._recovering = False
         self._number = 0
         self._proposal = Proposal(None, "there has been no time to plan")
         self._contingency: Reference | None = None
@@ -171,33 +192,62 @@ class Replanner:
         return Decision(reference, motion, reason, contingency=reference)
 
     def _propose(self, root: Floats, previous: Plan | None) -> Proposal:
-        """Alg. 1 from the predicted root, beginning with what is left of the plan that is being executed."""
+        """Plan from the predicted root: with the margin, else without, else perhaps with less clearance."""
         began, cycle = clock.perf_counter(), self._settings.cycle
-        if self.dirt.start(root, self._seed * 100_003 + self._number) < 0.0:
-            return Proposal(None, "the predicted start of the cycle is in collision")
-        if previous is not None and previous.cost > cycle:
-            self.dirt.retain(previous, cycle)  # ll. 1-8
-        if self._realtime:
-            progress = self.dirt.grow(seconds=cycle * (1.0 - RESERVE) - self._settings.lead)
-        else:
-            progress = self.dirt.grow(iterations=self._settings.iterations)
-        plan = self.dirt.plan()
-        reason = "" if plan is not None else self._shortfall()
-        if plan is not None:
-            self._verify(plan)
+        proposal = Proposal(None)
+        for dirt in self._attempts(root):
+            proposal = self._search(dirt, root, previous)
+            if proposal.plan is not None:
+                break
         seconds = clock.perf_counter() - began
         missed = seconds > cycle - self._settings.lead
         if self._realtime and missed:
-            plan, reason = None, f"planning took {seconds:.3f} s, longer than there was time"
-        tree = self.dirt.tree() if self._keep_trees else None
-        count = (progress.iterations, progress.nodes, progress.retained)
-        return Proposal(plan, reason, *count, seconds, missed, tree)
+            reason = f"planning took {seconds:.3f} s, longer than there was time"
+            return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
+        return replace(proposal, seconds=seconds, missed=missed)
 
-    def _shortfall(self) -> str:
-        unsafe = ", many for want of a safe contingency" if self.dirt.progress.unsafe else ""
-        return f"none of {self.dirt.progress.edges} edges may be executed{unsafe}"
+    def _attempts(self, root: Floats) -> Iterator[Dirt]:
+        """Planners to ask in turn, the first that finds a plan decides."""
+        wide, exact, delta = self._planners.planning, self._planners.checking, self._delta
+        exact.ask_for(delta)
+        if wide is not exact and self._spare(wide, root) >= 0.0:
+            yield wide
+        yield exact
+        spare = self._spare(exact, root)
+        resting = all(abs(root[k]) <= exact.safety.rest_speed for k in exact.vehicle.rest_indices)
+        self._recovering = self._settings.recover and (resting or self._recovering) and -delta < spare < 0.0
+        if self._recovering:
+            exact.ask_for(max(0.0, delta + spare - LEEWAY))
+            yield exact
 
-    def _verify(self, plan: Plan) -> None:
+    def _spare(self, dirt: Dirt, root: Floats) -> float:
+        """Clearance of a state beyond what is asked for, m."""
+        return dirt.edge(root, self._at_rest, 0.0, 0.0)[1]
+
+    def _search(self, dirt: Dirt, root: Floats, previous: Plan | None) -> Proposal:
+        """Alg. 1 from the predicted root, beginning with what is left of the plan that is being executed."""
+        if dirt.start(root, self._seed * 100_003 + self._number) < 0.0:
+            return Proposal(None, "the predicted start of the cycle is in collision")
+        if self._spare(dirt, root) < 0.0:
+            return Proposal(None, "the predicted start of the cycle lacks clearance")
+        if previous is not None and previous.cost > self._settings.cycle:
+            dirt.retain(previous, self._settings.cycle)  # ll. 1-8
+        if self._realtime:
+            progress = dirt.grow(seconds=self._settings.cycle * (1.0 - RESERVE) - self._settings.lead)
+        else:
+            progress = dirt.grow(iterations=self._settings.iterations)
+        plan = dirt.plan()
+        if plan is not None:
+            self._verify(dirt, plan)
+        reason = "" if plan is not None else self._shortfall(dirt)
+        tree = dirt.tree() if self._keep_trees else None
+        return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, tree=tree)
+
+    def _shortfall(self, dirt: Dirt) -> str:
+        unsafe = ", many for want of a safe contingency" if dirt.progress.unsafe else ""
+        return f"none of {dirt.progress.edges} edges may be executed{unsafe}"
+
+    def _verify(self, dirt: Dirt, plan: Plan) -> None:
         """FCL's judgement of the part that may be executed before there is another plan.
 
         Raises:
@@ -215,7 +265,7 @@ class Replanner:
             times=plan.times[:samples],
             trajectory=plan.trajectory[:samples],
         )
-        problems = verify(self.dirt, head).problems
+        problems = verify(dirt, head).problems
         if problems:
             raise Defect(f"the plan of cycle {self._number} fails verification: {'; '.join(problems)}")
 

@@ -13,7 +13,7 @@ from kraft.control import make_controller
 from kraft.driving import Observation, Reference
 from kraft.estimation import make_estimator
 from kraft.model import Model
-from kraft.replanner import Replanner, dirt_of
+from kraft.replanner import Planners, Replanner
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.world import World
@@ -98,7 +98,7 @@ class _Trial:
         self._controller = make_controller(method.controller, model)
         period = 1.0 / method.controller.rate_hz
         self._replanner = Replanner(
-            dirt_of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
+            Planners.of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
             period=period, realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._reference = self._replanner.begin(start)

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kraft.errors import Diagnostic, InputError
-from kraft.schema_lookup import lookup
+from kraft.schema_lookup import Known, in_file, lookup
 from kraft.source import KeyPath, Source
 from kraft.suggest import choose, nearest
 from kraft.yaml_nodes import Document, Value, read_document
@@ -25,6 +25,7 @@ _NOUNS = {
     "bool_type": "true or false",
     "tuple_type": "a list",
     "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
     "dict_type": "a mapping",
     "mapping_type": "a mapping",
 }
@@ -62,7 +63,7 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
             if _counts_bad_items_as_absent(detail) or (detail["type"] == "missing" and detail["loc"] in misspelt):
                 continue
             unknown = detail["type"] == "extra_forbidden"  # said even if its value is unusable too
-            if unknown or not _already_reported(detail["loc"], document):
+            if unknown or not _already_reported(in_file(model, detail["loc"]), document):
                 problems.append(_diagnostic(model, document, detail))
     return (None if problems else value), problems
 
@@ -118,22 +119,23 @@ def _already_reported(path: tuple[int | str, ...], document: Document) -> bool:
 
 
 def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails) -> Diagnostic:
-    path: KeyPath = detail["loc"]
+    path: KeyPath = in_file(model, detail["loc"])
     kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
     if path and path[-1] == "[key]":  # pydantic's way to say that the key itself is wrong
         return document.source.diagnostic(path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True)
     source = document.source
-    known = lookup(model, path)
+    known = lookup(model, detail["loc"])
     about = f" ({known.description})" if known.description else ""
     if kind == "kraft":
         return source.diagnostic((*path, *context["at"]), context["problem"], context["expected"])
     if kind == "extra_forbidden":
-        siblings = lookup(model, path[:-1]).keys
+        siblings = lookup(model, detail["loc"][:-1]).keys
         return source.diagnostic(path, "unknown key", choose(str(path[-1]), siblings), at_key=True)
-    if kind == "missing" and isinstance(path[-1], int):  # an item of a list of fixed length
-        return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
-    if kind == "missing":
-        return source.diagnostic(path, "the key is missing", f"expected {known.description or 'it'}")
+    if kind in ("missing", "union_tag_not_found"):
+        return _missing(source, path, known, "kind" if kind == "union_tag_not_found" else "")
+    if kind == "union_tag_invalid":
+        tags = [tag.strip(" '") for tag in context["expected_tags"].split(",")]
+        return source.diagnostic((*path, "kind"), f"is {describe(given['kind'])}", choose(context["tag"], tags))
     if kind == "too_long":
         return source.diagnostic(path, "the list is too long", f"expected {context['max_length']} items{about}")
     if kind == "too_short":
@@ -148,3 +150,14 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     if kind in _NOUNS:
         return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}")
     return source.diagnostic(path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}")
+
+
+def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) -> Diagnostic:
+    if discriminator:
+        path, expected = (*path, discriminator), "expected which one it is"
+    elif isinstance(path[-1], int):  # an item of a list of fixed length
+        about = f" ({known.description})" if known.description else ""
+        return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
+    else:
+        expected = f"expected {known.description or 'it'}"
+    return source.diagnostic(path, "the key is missing", expected)

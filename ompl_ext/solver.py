@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -224,6 +224,11 @@ class Dirt:
         slack = self._fly(np.asarray(state, dtype=float), control, duration, start_time)
         steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
         return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
+
+    def ask_for(self, delta: float) -> None:
+        """From now on ask for another clearance at rest, `delta` m, within the first cycle and of contingencies."""
+        self.safety = replace(self.safety, delta=delta)
+        self._problem.scalar[at.DELTA] = delta
 
     def pose_slack(self, x: float, y: float, theta: float) -> float:
         """Lower bound of the footprint's clearance at a pose within the workspace (m)."""

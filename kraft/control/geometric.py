@@ -14,6 +14,8 @@ from ompl_ext.arrays import Floats
 
 WINDUP: Final = 0.5
 """Largest share of the steering that the integral may come to."""
+SMOOTHING: Final = 0.25
+"""Time constant of the slope of a noisy error, s: with the paper's authors' gains it is that of the whole response."""
 
 
 class GeometricController:
@@ -29,7 +31,8 @@ class GeometricController:
         """Forget the reference and the errors so far."""
         self._guide.reset()
         self._sum = 0.0
-        self._last: tuple[float, float] | None = None
+        self._smooth = 0.0
+        self._time: float | None = None
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time; past the end of the path what the reference holds at rest."""
@@ -57,15 +60,16 @@ class GeometricController:
         return x - float(state[self._model.x]), y - float(state[self._model.y])
 
     def _pid(self, time: float, error: float) -> float:
+        """Output of the PID (rad) for an error (rad); an error of a new sign of pi has not jumped."""
         proportional, integral, derivative = self._settings.gains
-        step, slope = 0.0, 0.0
-        if self._last is not None and time > self._last[0]:
-            step = time - self._last[0]
-            slope = math.remainder(error - self._last[1], math.tau) / step
-        self._last = time, error
+        step = time - self._time if self._time is not None and time > self._time else 0.0
+        self._smooth = error if self._time is None else self._smooth
+        self._time = time
+        gap = math.remainder(error - self._smooth, math.tau)
+        self._smooth += gap * (1.0 - math.exp(-step / SMOOTHING))
         self._sum += integral * error * step
         self._sum = min(max(self._sum, -self._widest), self._widest)
-        return proportional * error + self._sum + derivative * slope
+        return proportional * error + self._sum + derivative * gap / SMOOTHING
 
     def _planned(self, path: Path, place: Place) -> float:
         """Throttle for the mean planned speed on the way to the point aimed at."""

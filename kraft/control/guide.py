@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 from kraft.control.path import Path, Place, paths_of
@@ -25,6 +26,10 @@ class Guide:
         self._reference: Reference | None = None
         self._paths: tuple[Path, ...] = ()
         self._part = self._near = 0
+
+    def __deepcopy__(self, memo: object) -> Guide:
+        """Model, reference and paths are never written to: a copy shares them."""
+        return copy.copy(self)
 
     @property
     def path(self) -> Path:

@@ -1,4 +1,4 @@
-"""The MuSHR car as a kinematic bicycle about its centre, with and without a lag of the throttle.
+"""The MuSHR car as a kinematic bicycle about its centre: prompt, with a lag of the throttle, with a drive train.
 
 State [x, y, theta, v] of the point midway between the axles (m, rad, m/s); controls [throttle, steering] with the
 throttle in [0, 1] and the steering angle in rad.  Parameters are those of the paper: wheelbase L (m), steering angle
@@ -8,6 +8,7 @@ when commanded straight phi_diff (rad), speed at full throttle v_delta (m/s).
 from __future__ import annotations
 
 from dataclasses import replace
+from math import sqrt
 
 from ompl_ext.trigonometry import atan, cos, sin, tan
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
@@ -19,6 +20,8 @@ STEERING_MAX = 0.38
 PROMPT_LAG = 0.1
 """Time constant of a speed that follows the throttle almost at once, s: short beside a planning cycle, long enough
 for the integrator's steps of 0.1 s."""
+BREAKAWAY = 0.03
+"""Speed over which friction rises from nothing, m/s: smooth, so that the integrator may step over standstill."""
 TURNS = ("straight", "left", "right", "hard-left", "hard-right")
 
 
@@ -50,6 +53,20 @@ def lagging(x: Values, u: Values, p: Values) -> Values:
 
 
 @derivative
+def driven(x: Values, u: Values, p: Values) -> Values:
+    """Derivative of the car with time constant tau and friction that takes the throttle u_0 to overcome."""
+    target, c, s, curvature = u
+    ct, st, v = cos(x[2]), sin(x[2]), x[3]
+    friction = p[2] * p[4] * v / sqrt(v * v + BREAKAWAY * BREAKAWAY)
+    return (
+        v * (ct * c - st * s),
+        v * (st * c + ct * s),
+        v * curvature,
+        ((target - friction) / (1.0 - p[4]) - v) / p[3],
+    )
+
+
+@derivative
 def stop(x: Values, p: Values, k: int) -> Values:
     """Throttle off, wheels straight, half or fully turned."""
     return 0.0, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
@@ -74,4 +91,12 @@ MUSHR_LAG = replace(
     name="mushr-lag",
     derivative=lagging,
     parameters={"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228, "tau": 1.0103},
+)
+
+MUSHR_DRIVE = replace(
+    MUSHR,
+    name="mushr-drive",
+    derivative=driven,
+    parameters={"L": 0.3405, "phi_diff": 0.0031, "v_delta": 0.6861, "tau": 0.8813, "u_0": 0.1274},
+    top_speed=0.6861,
 )
