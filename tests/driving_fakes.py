@@ -74,6 +74,13 @@ def raises(spec: TrialSpec) -> TrialResult:
     return quick(spec)
 
 
+def raises_once(spec: TrialSpec) -> TrialResult:
+    """Every trial has a defect, the first time."""
+    if leave(spec, "raised") == 1:
+        raise ZeroDivisionError("no speed at all")
+    return quick(spec)
+
+
 def prints(spec: TrialSpec) -> TrialResult:
     """The same, with words on stdout."""
     print("a word from a library", flush=True)

@@ -17,10 +17,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kraft.errors import InputError
-from kraft.evaluation import Evaluation, TrialRow, Watch, evaluate, folder, job, manifest
+from kraft.evaluation import Evaluation, TrialRow, Watch, evaluate, folder, manifest
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
 from kraft.evaluation.summary import WALL_CLOCK
+from kraft.vehicle import load_vehicle
 
 SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")
 
@@ -77,7 +78,7 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     assert content["rows"][1] == {"scenario": "turns", "method": "kraft", "vehicle": "mushr"}
     assert content["scenarios"]["slip"]["content"]["truth"]["friction_patches"]
     assert content["methods"]["kraft"]["content"]["planner"]["mode"] == "replanning"
-    assert content["vehicles"]["mushr"]["content"]["parameters"]["L"] == 0.2965
+    assert content["vehicles"]["mushr"]["content"]["parameters"] == load_vehicle("mushr").parameters
     assert {"kraft", "numba", "ompl", "mujoco", "python"} <= set(content["versions"])
 
 
@@ -268,17 +269,17 @@ def test_damage_in_the_middle_is_refused_at_its_line(tmp_path: Path) -> None:
 
 
 def test_failed_trials_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = evaluate(("turns",), ("kraft",), 3, 0, out=tmp_path / "out", trial="driving_fakes:raises")
-    assert [row.outcome for row in broken.rows].count("failed") == 1
-    assert broken.summary.failed == 1
-    monkeypatch.setattr(driving_fakes, "raises", driving_fakes.quick)
-    job._function.cache_clear()
-    watch = Stopping()
-    mended = evaluate(("turns",), ("kraft",), 3, 0, out=tmp_path / "out", trial="driving_fakes:raises", resume=True,
-                      watch=watch)  # fmt: skip
-    assert [row.seed for row in watch.rows] == [1]
+    monkeypatch.setenv(driving_fakes.LEFT, str(tmp_path))
+    broken = run(tmp_path / "out", trial="driving_fakes:raises_once")
+    assert broken.summary.failed == len(broken.rows) == 12
+    watch = Stopping(2)
+    assert not run(tmp_path / "out", trial="driving_fakes:raises_once", resume=True, watch=watch).complete
+    watch.after = 100
+    mended = run(tmp_path / "out", trial="driving_fakes:raises_once", resume=True, watch=watch)
+    assert len({row.key for row in watch.rows}) == len(watch.rows) == 12
     assert mended.summary.failed == 0
-    assert len(mended.rows) == 3
+    run(tmp_path / "whole")
+    assert kept(tmp_path / "out")[1] == kept(tmp_path / "whole")[1]
 
 
 rows = st.builds(
