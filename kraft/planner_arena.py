@@ -4,22 +4,33 @@ from __future__ import annotations
 
 import io
 import os
+import sqlite3
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
+from kraft.atomic_file import EXPECTED
+from kraft.errors import InputError
+
 
 def make_database(database: Path, logs: Sequence[Path]) -> None:
-    """Make a database of benchmark logs, in place of an earlier one."""
+    """Make a database of benchmark logs, in place of an earlier one.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
     from ompl import tools
 
-    database.unlink(missing_ok=True)
-    with silenced(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # OMPL's tool leaves its connections open
-        tools.readBenchmarkLog(str(database), [str(log) for log in logs], False)
-        tools.computeViews(str(database), False)
+    try:
+        database.unlink(missing_ok=True)
+        with silenced(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)  # OMPL's tool leaves its connections open
+            tools.readBenchmarkLog(str(database), [str(log) for log in logs], False)
+            tools.computeViews(str(database), False)
+    except (OSError, sqlite3.OperationalError) as error:
+        raise InputError.of(str(database), f"cannot be written: {error}", EXPECTED) from error
 
 
 @contextmanager
