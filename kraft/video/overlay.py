@@ -88,14 +88,15 @@ class Overlay:
             draw.text((x + 2, foot + 58 + 16 * row), line, palette.TEXT, font(13), "ls")
 
     def _outcome(self, draw: ImageDraw.ImageDraw, result: TrialResult) -> None:
-        text, fill = _verdict(result)
+        text, fill = verdict(result)
         middle, top = self._width / 2, 0.24 * self._height
         half = font(34, bold=True).getlength(text) / 2 + 30
         draw.rounded_rectangle((middle - half, top, middle + half, top + 70), 12, fill=fill)
         draw.text((middle, top + 35), text, palette.TEXT, font(34, bold=True), "mm")
 
 
-def _verdict(result: TrialResult) -> tuple[str, str]:
+def verdict(result: TrialResult) -> tuple[str, str]:
+    """How a trial ended, and in which colour to say it."""
     match result.outcome:
         case Outcome.SUCCESS:
             return f"goal reached in {result.time:.1f} s", palette.SUCCESS

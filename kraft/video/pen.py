@@ -41,7 +41,7 @@ class Pen:
         if len(path) > 1:
             self._bands(segments(self._surface.raised(path, rise)), width, colours)
 
-    def dashes(self, path: Matrix, width: float, rise: float, colour: Colour, length: float = 0.06) -> None:
+    def dashes(self, path: Matrix, width: float, rise: float, colour: Colour, length: float = 0.045) -> None:
         """A band in dashes of `length` with gaps a little shorter."""
         if len(path) > 1:
             places = self._surface.raised(resampled(path, length / 3), rise)

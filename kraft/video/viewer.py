@@ -1,0 +1,161 @@
+"""A window on a trial while it is driven, in real time: MuJoCo's passive viewer with our drawings in it."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import threading
+import time as clock
+from types import TracebackType
+from typing import Any, Final, Self
+
+import mujoco
+import numpy as np
+
+from kraft.errors import MissingDependency
+from kraft.simulation.surface import Surface
+from kraft.simulation.world import World
+from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+from kraft.video.camera import AHEAD, DISTANCE, LOWEST
+from kraft.video.drawing import draw_cycle, draw_moment
+from kraft.video.moment import Chronicle, Moment
+from kraft.video.overlay import verdict
+from kraft.video.pen import Pen
+
+HOLD: Final = 2.0
+"""How long the end is shown, s."""
+LATE: Final = 0.05
+"""From this delay on a picture is left out, s, but not ten of them in a row."""
+INSTEAD: Final = "`--video FILE.mp4` needs no screen"
+
+
+def check_view() -> None:
+    """Find out before the drive whether a window can be opened.
+
+    Raises:
+        MissingDependency: if there is no screen, or nothing to open a window with.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise MissingDependency(f"--view needs a screen, and DISPLAY is not set; {INSTEAD}")
+    try:
+        import glfw
+        import mujoco.viewer  # noqa: F401 - looks for what it needs
+    except (ImportError, RuntimeError) as error:
+        raise MissingDependency(f"--view needs MuJoCo's viewer: {error}; {INSTEAD}") from error
+    # the viewer opens its window in a thread and would wait forever if that failed
+    if not glfw.init() or not _can_open(glfw):
+        raise MissingDependency(f"--view cannot open a window with OpenGL on this screen; {INSTEAD}")
+
+
+def _can_open(glfw: Any) -> bool:
+    glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+    window = glfw.create_window(16, 16, "kraft", None, None)
+    if window:
+        glfw.destroy_window(window)
+    glfw.default_window_hints()
+    return bool(window)
+
+
+class LiveView:
+    """Shows a trial: pass `on_cycle` and `on_step` to `run_trial`, and its result to `finish`.
+
+    The trial waits for the clock, so that a second of it takes a second.  What the spectator does in the window
+    changes nothing; if it is closed, the trial goes on without it, as fast as it can.
+    """
+
+    def __init__(self, spec: TrialSpec) -> None:
+        """Look whether there is a screen.
+
+        Raises:
+            MissingDependency: if a window cannot be opened.
+        """
+        check_view()
+        self._spec, self._chronicle = spec, Chronicle(spec)
+        self._window: Any = None
+        self._data: Any = None
+        self._pen: Pen | None = None
+        self._threads: list[threading.Thread] = []
+        self._kept, self._cycle = 0, -1
+        self._began = self._shown = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._window is not None:
+            self._window.close()
+            for thread in self._threads:
+                thread.join()  # or it would still draw while the process takes GLFW down
+
+    def on_cycle(self, cycle: Cycle) -> None:
+        """For `run_trial`."""
+        self._chronicle.on_cycle(cycle)
+
+    def on_step(self, world: World, step: Step) -> None:
+        """For `run_trial`; shows the world when the clock says so."""
+        moment = self._chronicle.on_step(world, step)
+        if self._window is None:
+            self._open(world)
+        if self._window.is_running():
+            early = self._began + world.time - clock.monotonic()
+            clock.sleep(max(0.0, early))
+            if early > -LATE or clock.monotonic() > self._shown + 10 * LATE:  # a slow screen must not slow the trial
+                self._show(world, moment)
+                self._shown = clock.monotonic()
+
+    def finish(self, result: TrialResult) -> None:
+        """Show for a moment how it ended."""
+        if self._window is not None and self._window.is_running():
+            self._window.set_texts(_text(verdict(result)[0], ""))
+            self._window.sync()
+            clock.sleep(HOLD)
+
+    def _open(self, world: World) -> None:
+        """Open the window on a copy of the world's state: the viewer writes into what it shows."""
+        self._data = mujoco.MjData(world.model)
+        mujoco.mj_copyData(self._data, world.model, world.data)
+        viewer: Any = mujoco.viewer
+        before = set(threading.enumerate())
+        self._window = viewer.launch_passive(world.model, self._data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        self._pen = Pen(self._window.user_scn, Surface.of(self._spec.scenario, world.frame))
+        with self._window.lock():
+            self._window.opt.geomgroup[3] = 0  # what only touches
+            camera = self._window.cam
+            camera.distance, camera.elevation = DISTANCE, -math.degrees(LOWEST)
+            camera.azimuth = math.degrees(float(world.pose[2]))
+        self._began = clock.monotonic() - world.time
+
+    def _show(self, world: World, moment: Moment) -> None:
+        """Draw; the camera moves with the car, and from where it looks is the spectator's choice."""
+        assert self._pen is not None, "it is made with the window"
+        x, y, theta = moment.pose
+        ahead = np.array([x + AHEAD * math.cos(theta), y + AHEAD * math.sin(theta), 0.08])
+        with self._window.lock():
+            mujoco.mj_copyData(self._data, world.model, world.data)
+            scene = self._window.user_scn
+            scene.ngeom = self._kept
+            if moment.cycle is not None and moment.cycle.number != self._cycle:
+                scene.ngeom, self._cycle = 0, moment.cycle.number
+                draw_cycle(self._pen, moment.cycle, self._spec.vehicle)
+                self._kept = scene.ngeom
+            draw_moment(self._pen, moment, self._spec.vehicle)
+            self._window.cam.lookat[:] = world.frame.to_world(ahead)
+        self._window.set_texts(_state(moment))
+        self._window.sync()
+
+
+def _state(moment: Moment) -> Any:
+    rows = [
+        ("time", f"{moment.time:.1f} s"),
+        ("speed", f"{moment.speed:.2f} m/s"),
+        ("clearance", f"{100 * max(moment.clearance, 0.0):.0f} cm"),
+    ]
+    if moment.cycle is not None:
+        rows.append((str(moment.cycle.kind), moment.cycle.reason or " "))
+    return _text("\n".join(name for name, _ in rows), "\n".join(value for _, value in rows))
+
+
+def _text(left: str, right: str) -> Any:
+    return mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_TOPLEFT, left, right
