@@ -11,6 +11,7 @@ from kraft.evaluation.experiment import Experiment, experiment_of
 from kraft.kernel_cache import ensure_compiled
 from kraft.run_folder import check_target, write_run
 from kraft.trial_result import Cycle, TrialResult, TrialSpec
+from kraft.watching import NOTHING, Wanted, Watchers
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Request:
     vehicle: str | None = None
     seed: int = 0
     out: Path | None = None
+    wanted: Wanted = NOTHING
 
 
 @dataclass(frozen=True)
@@ -38,17 +40,22 @@ def carry_out(request: Request, say: Callable[[str], None], on_cycle: Callable[[
 
     Raises:
         InputError: with what is wrong with the request or the files it names, before anything is driven.
+        MissingDependency: if a video or a window is asked for and nothing can be drawn here.
         Defect: if a plan does not stand up to exact verification.
     """
     experiment = _experiment(request)
     if request.out is not None:
         check_target(request.out)
+    request.wanted.check()
     cell = experiment.cells[0]
     ensure_compiled(cell.vehicle, say)
     from kraft.trial import run_trial  # loads the simulator
 
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
-    run = Run(request, spec, run_trial(spec, on_cycle))
+    with Watchers(request.wanted, spec, on_cycle) as watchers:
+        result = run_trial(spec, watchers.on_cycle, watchers.on_step, keep_trees=watchers.keep_trees)
+        watchers.finish(result)
+    run = Run(request, spec, result)
     if request.out is not None:
         from kraft.run_report import json_content
 

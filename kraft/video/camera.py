@@ -29,7 +29,7 @@ SOLID: Final = np.array([1, 1, 0, 0, 0, 0], np.uint8)
 
 @dataclass(frozen=True)
 class Aim:
-    """A camera in the world's frame.  `half` is half the picture's height: its tangent, or metres without perspective."""
+    """A camera in the world's frame; `half` is half the picture's height: a tangent, or metres without perspective."""
 
     position: Floats
     forward: Floats

@@ -1,4 +1,4 @@
-"""What is drawn on the floor: the tree, the plan, what is predicted of it, the contingency; the trail and the belief."""
+"""What is drawn on the floor: tree, plan, what is predicted of it, contingency; the trail, the belief, the crash."""
 
 from __future__ import annotations
 
@@ -54,6 +54,11 @@ def _draw_contingency(pen: Pen, safe: Reference, vehicle: Vehicle) -> None:
 
 def _path(reference: Reference, vehicle: Vehicle) -> Matrix:
     return poses_of(reference.states, vehicle)[:, :2]
+
+
+def draw_crash(pen: Pen, point: tuple[float, float, float]) -> None:
+    """Where the vehicle first touched an obstacle, in the floor's frame, m."""
+    pen.ball(np.array(point), 0.035, colour(palette.FAILURE))
 
 
 def draw_moment(pen: Pen, moment: Moment, vehicle: Vehicle) -> None:

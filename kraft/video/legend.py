@@ -26,7 +26,10 @@ def draw_legend(
         ("predicted", lambda d, x, y: d.rectangle((x, y - 5, x + SAMPLE, y + 5), palette.PREDICTED)),
         ("contingency", _dashes),
         ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.QUIET, 1)),
-        ("believed pose", lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=palette.ESTIMATE, width=2)),
+        (
+            "believed pose",
+            lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=palette.ESTIMATE, width=2),
+        ),
         (f"driven, 0 to {top_speed:.2g} m/s", _speeds),
     ]
     width = SAMPLE + 34 + int(max(font(TYPE).getlength(name) for name, _ in rows))

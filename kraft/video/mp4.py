@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 
 import av
 import numpy as np
-from av.video.reformatter import Colorspace, ColorRange
+from av.video.reformatter import ColorRange, Colorspace
 from numpy.typing import NDArray
 
 from kraft.atomic_file import EXPECTED, file_mode

@@ -1,8 +1,7 @@
-"""Draws into a MuJoCo scene on the ground of a world: strokes, dashes, discs and outlines, in the map's coordinates."""
+"""Draws into a MuJoCo scene on the ground of a world: strokes, dashes, outlines and lines, in the map's coordinates."""
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final, TypeAlias
 
 import mujoco
@@ -19,9 +18,8 @@ SPACING: Final = 0.05
 THICKNESS: Final = 0.002
 STAGGER: Final = 2e-5
 """Each piece lies this much above the one before it, m: where they overlap one of them is in front."""
-ROUND: Final = 48
 
-LINE, BOX, CYLINDER = mujoco.mjtGeom.mjGEOM_LINE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+LINE, BOX, SPHERE = mujoco.mjtGeom.mjGEOM_LINE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
 
 
 class Pen:
@@ -55,16 +53,10 @@ class Pen:
         for side in segments(closed):
             self.stroke(side, width, rise, colour)
 
-    def ring(self, centre: Floats, radius: float, width: float, rise: float, colour: Colour) -> None:
-        """A circular band around a centre (2,)."""
-        turn = np.linspace(0.0, math.tau, ROUND + 1)
-        self.stroke(centre + radius * np.column_stack([np.cos(turn), np.sin(turn)]), width, rise, colour)
-
-    def disc(self, centre: Floats, radius: float, rise: float, colour: Colour) -> None:
-        """A flat disc."""
-        place = self._surface.to_world(self._surface.raised(centre[None, :], rise))[0]
-        half = np.array([radius, THICKNESS / 2, 0.0])
-        self._add(CYLINDER, half, place, self._surface.frame.rotation, np.array(colour))
+    def ball(self, centre: Floats, radius: float, colour: Colour) -> None:
+        """A ball around a point (3,) of the floor's frame."""
+        place = self._surface.to_world(centre[None, :])[0]
+        self._add(SPHERE, np.full(3, radius), place, np.eye(3), np.array(colour))
 
     def hairlines(self, pieces: Floats, rise: float, colour: Colour, pixels: float) -> None:
         """Straight lines (n, 2, 2), `pixels` wide however far they are."""

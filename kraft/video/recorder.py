@@ -8,11 +8,10 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from kraft.atomic_file import check_writable
-from kraft.errors import InputError
 from kraft.scenario import Bounds
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+from kraft.video.available import check_video
 from kraft.video.gl import offscreen_context
 from kraft.video.moment import Chronicle
 from kraft.video.mp4 import Mp4Writer
@@ -23,18 +22,6 @@ FPS: Final = 30
 SIZE: Final = (1280, 720)
 HOLD: Final = 1.5
 """How long the end is shown, s."""
-
-
-def check_video(path: Path) -> None:
-    """Find out before the drive whether a video can be written at `path`.
-
-    Raises:
-        InputError: if its suffix is not .mp4 or the place is closed.
-    """
-    if path.suffix.lower() != ".mp4":
-        problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
-        raise InputError.of(str(path), f"the video's name {problem}", "expected .mp4")
-    check_writable(path)
 
 
 class VideoRecorder:

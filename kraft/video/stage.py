@@ -12,7 +12,7 @@ from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, TrialSpec
 from kraft.video.camera import Aim, ChaseCamera, map_aim
-from kraft.video.drawing import draw_cycle, draw_moment
+from kraft.video.drawing import draw_crash, draw_cycle, draw_moment
 from kraft.video.moment import Moment
 from kraft.video.mp4 import Image
 from kraft.video.pen import Pen
@@ -98,9 +98,14 @@ class Stage:
         if moment.cycle is not None and moment.cycle.number != self._cycle:
             self._begin(moment.cycle)
         for view, aim in ((self._chase, self._camera.aim(self._world)), (self._map, self._above)):
-            view.render(self._context, aim, lambda pen: draw_moment(pen, moment, self._spec.vehicle))
+            view.render(self._context, aim, lambda pen: self._draw(pen, moment))
         mujoco.mjr_readPixels(self._image, None, self._whole, self._context)
         return smoothed(np.ascontiguousarray(self._image[::-1]))
+
+    def _draw(self, pen: Pen, moment: Moment) -> None:
+        draw_moment(pen, moment, self._spec.vehicle)
+        if self._world.collision is not None:
+            draw_crash(pen, self._world.collision.point)
 
     def close(self) -> None:
         """Free buffers and textures."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
 import math
-import os
-import sys
 import threading
 import time as clock
 from types import TracebackType
@@ -13,10 +12,10 @@ from typing import Any, Final, Self
 import mujoco
 import numpy as np
 
-from kraft.errors import MissingDependency
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+from kraft.video.available import check_view
 from kraft.video.camera import AHEAD, DISTANCE, LOWEST
 from kraft.video.drawing import draw_cycle, draw_moment
 from kraft.video.moment import Chronicle, Moment
@@ -27,34 +26,6 @@ HOLD: Final = 2.0
 """How long the end is shown, s."""
 LATE: Final = 0.05
 """From this delay on a picture is left out, s, but not ten of them in a row."""
-INSTEAD: Final = "`--video FILE.mp4` needs no screen"
-
-
-def check_view() -> None:
-    """Find out before the drive whether a window can be opened.
-
-    Raises:
-        MissingDependency: if there is no screen, or nothing to open a window with.
-    """
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise MissingDependency(f"--view needs a screen, and DISPLAY is not set; {INSTEAD}")
-    try:
-        import glfw
-        import mujoco.viewer  # noqa: F401 - looks for what it needs
-    except (ImportError, RuntimeError) as error:
-        raise MissingDependency(f"--view needs MuJoCo's viewer: {error}; {INSTEAD}") from error
-    # the viewer opens its window in a thread and would wait forever if that failed
-    if not glfw.init() or not _can_open(glfw):
-        raise MissingDependency(f"--view cannot open a window with OpenGL on this screen; {INSTEAD}")
-
-
-def _can_open(glfw: Any) -> bool:
-    glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-    window = glfw.create_window(16, 16, "kraft", None, None)
-    if window:
-        glfw.destroy_window(window)
-    glfw.default_window_hints()
-    return bool(window)
 
 
 class LiveView:
@@ -115,7 +86,7 @@ class LiveView:
         """Open the window on a copy of the world's state: the viewer writes into what it shows."""
         self._data = mujoco.MjData(world.model)
         mujoco.mj_copyData(self._data, world.model, world.data)
-        viewer: Any = mujoco.viewer
+        viewer: Any = importlib.import_module("mujoco.viewer")
         before = set(threading.enumerate())
         self._window = viewer.launch_passive(world.model, self._data, show_left_ui=False, show_right_ui=False)
         self._threads = [thread for thread in threading.enumerate() if thread not in before]

@@ -16,6 +16,9 @@ VehicleName = Annotated[
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write everything about the trial into a new folder.")]
+Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4.")]
+View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the run: FILE.png, .svg or .pdf.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -26,6 +29,9 @@ def run(
     vehicle: VehicleName = None,
     seed: Seed = 0,
     out: Out = None,
+    video: Video = None,
+    view: View = False,
+    plot: Plot = None,
     json: Json = False,
 ) -> ExitStatus:
     """Drive a scenario once in simulation; it ends with 1 if the goal is not reached."""
@@ -33,10 +39,11 @@ def run(
     from kraft.run_report import cycle_line, json_content, table_rows
     from kraft.run_request import Request, carry_out
     from kraft.trial_result import Outcome
+    from kraft.watching import Wanted
     from kraft_cli.tables import show_rows
 
     terminal: Terminal = context.obj
-    request = Request(scenario, method, vehicle, seed, out)
+    request = Request(scenario, method, vehicle, seed, out, Wanted(video, view, plot))
     driven = carry_out(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)))
     success = driven.result.outcome is Outcome.SUCCESS
     if json:

@@ -1,0 +1,160 @@
+"""One page that tells a drive: the map with what was driven and planned; speed, clearance and commands over time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from kraft.driving import Kind
+from kraft.plot.drive import (
+    CRASH,
+    HIDDEN,
+    SEEN,
+    Drive,
+    draw_footprints,
+    draw_hidden,
+    draw_intentions,
+    draw_seen,
+    driven_line,
+    footprint_times,
+)
+from kraft.plot.frame import Frame
+from kraft.plot.key import Entry, draw_key
+from kraft.plot.labels import Label, draw_labels
+from kraft.plot.motion import draw_start
+from kraft.plot.output import picture_format, write_picture
+from kraft.plot.page import lay_out
+from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace
+from kraft.plot.style import CYCLE, GOAL, INK, WARNING, look
+from kraft.plot.traces import ESTIMATED, draw_trace, traces_of
+from kraft.scenario import Task
+from kraft.simulation.hidden import Hidden
+from kraft.trial_result import Outcome, TrialResult
+from ompl_ext.vehicle import Vehicle
+
+
+def plot_run(
+    path: Path,
+    task: Task,
+    vehicle: Vehicle,
+    result: TrialResult,
+    *,
+    title: str | None = None,
+    notes: Mapping[str, str] | None = None,
+    hidden: Sequence[Hidden] = (),
+) -> None:
+    """Draw a drive as PNG, SVG or PDF by the suffix of `path`.
+
+    `hidden` is what the planner did not know.  The same arguments give the same bytes.  The file is written in one
+    step or not at all.
+
+    Raises:
+        InputError: if the suffix is none of these or the file cannot be written.
+    """
+    picture_format(path)  # before the work, not after it
+    drive = Drive.of(result)
+    told = key_numbers(result) if notes is None else notes
+    with look():
+        write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", told, hidden))
+
+
+def key_numbers(result: TrialResult) -> Mapping[str, str]:
+    """What is said above the map, by name."""
+    planning = [cycle.planning_ms for cycle in result.cycles]  # measured: left out, so that the picture repeats
+    clear = f"{result.min_clearance:.3f} m" if math.isfinite(result.min_clearance) else "–"
+    return MappingProxyType({
+        "time": f"{result.time:.2f} s",
+        "smallest clearance": clear,
+        "cycles": str(len(planning)),
+        "contingencies": str(result.contingencies),
+        "seed": str(result.seed),
+    })  # fmt: skip
+
+
+def _compose(
+    drive: Drive, task: Task, vehicle: Vehicle, title: str, notes: Mapping[str, str], hidden: Sequence[Hidden]
+) -> Figure:
+    frame = Frame.around(task.bounds)
+    line = driven_line(frame, drive, max(vehicle.top_speed, 1e-3))
+    entries, traces = _key_entries(drive, line, hidden), traces_of(drive, task, vehicle)
+    page = lay_out(frame, notes, len(traces), [entry.width for entry in entries])
+    figure = Figure(figsize=(page.width, page.height))
+    page.heading(figure, title, _ending(drive.result))
+    _draw_map(page.axes(figure, page.map), drive, frame, task, vehicle, line, hidden, page.map.width / frame.size[0])
+    draw_key(figure, page, entries)
+    for trace, part in zip(traces, page.panels, strict=True):
+        draw_trace(page.axes(figure, part), trace, drive, last=trace is traces[-1])
+    return figure
+
+
+def _ending(result: TrialResult) -> str | None:
+    """What went wrong, if anything did."""
+    match result.outcome:
+        case Outcome.COLLISION:
+            return f"collision with {result.obstacle}"
+        case Outcome.TIMEOUT:
+            return "time limit"
+        case Outcome.SUCCESS:
+            return None
+
+
+def _draw_map(
+    axes: Axes,
+    drive: Drive,
+    frame: Frame,
+    task: Task,
+    vehicle: Vehicle,
+    line: LineCollection,
+    hidden: Sequence[Hidden],
+    scale: float,
+) -> None:
+    draw_workspace(axes, frame, task.bounds, scale)
+    draw_hidden(axes, frame, hidden)
+    for obstacle in task.obstacles:
+        draw_obstacle(axes, frame, obstacle, scale)
+    draw_goal(axes, frame, task.goal)
+    draw_seen(axes, frame, drive.result)
+    draw_footprints(axes, frame, vehicle, drive, footprint_times(drive))
+    draw_intentions(axes, frame, vehicle, drive.result)
+    axes.add_collection(line, autolim=False)
+    start = np.array([task.start.x, task.start.y, task.start.heading])
+    draw_start(axes, frame, vehicle, start)
+    draw_labels(axes, frame, _labels(drive, task, vehicle), _not_to_hide(drive), scale)
+
+
+def _labels(drive: Drive, task: Task, vehicle: Vehicle) -> list[Label]:
+    half = vehicle.footprint.width / 2
+    labels = [
+        Label("start", (task.start.x, task.start.y), INK, half),
+        Label("goal", task.goal.center, GOAL, task.goal.radius),
+    ]
+    if drive.result.outcome is Outcome.COLLISION:
+        x, y, _ = map(float, drive.motion.poses[-1])
+        labels.append(Label(f"collision with\n{drive.result.obstacle}", (x, y), CRASH, half))
+    return labels
+
+
+def _not_to_hide(drive: Drive) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    return np.column_stack([drive.motion.poses[:, :2], np.ones(len(drive.motion.poses))])
+
+
+def _key_entries(drive: Drive, line: LineCollection, hidden: Sequence[Hidden]) -> list[Entry]:
+    entries = [Entry("planned in each cycle; planned speed", "line", CYCLE, 1.2)]
+    if any(cycle.kind == Kind.CONTINGENCY for cycle in drive.result.cycles):
+        entries.append(Entry("contingency", "dashes", WARNING, 1.6))
+    entries += [
+        Entry("estimated speed", "line", ESTIMATED, 1.2),
+        Entry("true values", "line", INK, 1.6),
+        Entry("camera", "line", SEEN, 1.2),
+        Entry(f"vehicle every {footprint_times(drive):g} s", "outline", INK),
+        *([Entry("unknown to the planner", "outline", HIDDEN[hidden[0].kind][1])] if hidden else []),
+        Entry("driven, m/s", "scale", scale=line),
+    ]
+    return entries

@@ -1,0 +1,113 @@
+"""Who watches a trial: a video, a window, a picture of the whole run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, Self
+
+from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+
+if TYPE_CHECKING:
+    from kraft.simulation.world import World
+    from kraft.video.recorder import VideoRecorder
+    from kraft.video.viewer import LiveView
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What to make of a trial: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf)."""
+
+    video: Path | None = None
+    view: bool = False
+    plot: Path | None = None
+
+    def check(self) -> None:
+        """Find out before the drive whether it can be made.
+
+        Raises:
+            InputError: if a name or a place is wrong.
+            MissingDependency: if nothing can be drawn here.
+        """
+        if self.plot is not None:
+            from kraft.atomic_file import check_writable
+            from kraft.plot import picture_format
+
+            picture_format(self.plot)
+            check_writable(self.plot)
+        if self.video is not None:
+            from kraft.video.available import check_video
+
+            check_video(self.video)
+        if self.view:
+            from kraft.video.available import check_view
+
+            check_view()
+
+
+NOTHING: Final = Wanted()
+
+
+class Watchers:
+    """Passes on what `run_trial` tells; a context manager, at whose end windows close and unfinished files go."""
+
+    def __init__(self, wanted: Wanted, spec: TrialSpec, on_cycle: Callable[[Cycle], None] | None = None) -> None:
+        self._wanted, self._spec, self._on_cycle = wanted, spec, on_cycle
+        self._stack = ExitStack()
+        self._films: list[VideoRecorder | LiveView] = []
+        self._world: World | None = None
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:  # if the second cannot be had, the first is put away
+            if self._wanted.video is not None:
+                from kraft.video.recorder import VideoRecorder
+
+                self._films.append(stack.enter_context(VideoRecorder(self._wanted.video, self._spec)))
+            if self._wanted.view:
+                from kraft.video.viewer import LiveView
+
+                self._films.append(stack.enter_context(LiveView(self._spec)))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._stack.__exit__(kind, error, at)
+
+    @property
+    def keep_trees(self) -> bool:
+        """Whether somebody draws the planner's tree."""
+        return bool(self._films)
+
+    def on_cycle(self, cycle: Cycle) -> None:
+        """For `run_trial`."""
+        if self._on_cycle is not None:
+            self._on_cycle(cycle)
+        for film in self._films:
+            film.on_cycle(cycle)
+
+    def on_step(self, world: World, step: Step) -> None:
+        """For `run_trial`."""
+        self._world = world
+        for film in self._films:
+            film.on_step(world, step)
+
+    def finish(self, result: TrialResult) -> None:
+        """Finish the video, show the end, draw the picture.
+
+        Raises:
+            InputError: if a file cannot be written.
+        """
+        for film in self._films:
+            film.finish(result)
+        if self._wanted.plot is not None:
+            from kraft.plot.run import plot_run
+            from kraft.simulation.hidden import hidden_things
+
+            scenario = self._spec.scenario
+            moved = None if self._world is None else self._world.movable_poses
+            title = f"{scenario.name} · {self._spec.method.title}"
+            hidden = hidden_things(scenario, moved)
+            plot_run(self._wanted.plot, scenario.task(), self._spec.vehicle, result, title=title, hidden=hidden)
