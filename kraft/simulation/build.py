@@ -7,7 +7,9 @@ from typing import Any
 import mujoco
 
 from kraft.scenario import Scenario
+from kraft.simulation import appearance
 from kraft.simulation.car import GRAVITY, add_car
+from kraft.simulation.car_looks import add_car_looks
 from kraft.simulation.floor_frame import FloorFrame
 from kraft.simulation.scene import add_scene
 
@@ -26,6 +28,9 @@ def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
     # a world that blows up must be an error, not silently its own start
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # boxes that nobody has touched cost nothing
-    add_scene(spec, scenario, frame)
-    add_car(spec, scenario.truth.vehicle)
+    appearance.add_materials(spec)
+    appearance.add_light(spec, scenario)
+    ground = add_scene(spec, scenario, frame)
+    appearance.add_surroundings(spec, ground, scenario, frame)
+    add_car_looks(spec, add_car(spec, scenario.truth.vehicle))
     return spec.compile()

@@ -7,7 +7,6 @@ footprint that the planner takes (0.40 x 0.28) in front and behind, and a little
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final
 
 import mujoco
@@ -140,8 +139,3 @@ def _add_motor(spec: Any) -> None:
         shaft.wrap_joint(f"{name} spin", 1.0)
     motor = spec.add_actuator(name=DRIVE, target=DRIVE, trntype=mujoco.mjtTrn.mjTRN_TENDON)
     motor.set_to_motor()
-
-
-def upright(x: float, y: float, heading: float) -> tuple[list[float], list[float]]:
-    """Position (m) and quaternion (w, x, y, z) of a pose in the plane."""
-    return [x, y, 0.0], [math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)]

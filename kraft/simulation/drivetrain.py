@@ -28,13 +28,13 @@ ROTOR_INERTIA: Final = 0.01
 """Reflected inertia of the drive at each wheel, kg m^2."""
 ROLLING_FRICTION: Final = 0.001
 """Torque at each wheel that does not depend on its speed, N m."""
-WHEEL_DAMPING: Final = (0.0345, -0.00195, 0.0000528)
+WHEEL_DAMPING: Final = (0.0363, -0.00219, 0.0000614)
 """Torque over speed w of each wheel is d0 + d1 |w| + d2 w^2, in N m s, N m s^2, N m s^3 (per rad)."""
-FULL_TORQUE: Final = 0.263
+FULL_TORQUE: Final = 0.265
 """Torque at each wheel at full throttle, N m."""
 THROTTLE: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0)
-TORQUE: Final = (0.0, 0.142, 0.347, 0.580, 0.799, 1.0)
-"""Torque over full torque at those throttles, linear between; a dead zone at the bottom, saturation at the top."""
+TORQUE: Final = (0.0, 0.153, 0.362, 0.593, 0.803, 1.0)
+"""Torque over full torque at those throttles, linear between: nearly proportional, and the motor saturates a little."""
 
 
 def wheel_torque(throttle: float) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.scenario import Bounds
 from kraft.scenario.truth import Tilt
 from ompl_ext.arrays import Floats, Matrix
 
@@ -20,13 +19,11 @@ class FloorFrame:
     origin: Floats
 
     @classmethod
-    def of(cls, bounds: Bounds, tilt: Tilt | None) -> FloorFrame:
-        """Turn the floor about the centre of the bounds, which stays where it is, at height 0."""
+    def of(cls, tilt: Tilt | None) -> FloorFrame:
+        """Turn the floor about the origin of the map, which stays where it is, at height 0."""
         if tilt is None:
             return cls(np.eye(3), np.zeros(3))
-        rotation = _lean(tilt.slope, tilt.uphill)
-        pivot = np.array([sum(bounds.x) / 2, sum(bounds.y) / 2, 0.0])
-        return cls(rotation, pivot - rotation @ pivot)
+        return cls(_lean(tilt.slope, tilt.uphill), np.zeros(3))
 
     @property
     def normal(self) -> Floats:

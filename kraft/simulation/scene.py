@@ -22,10 +22,14 @@ FLOOR: Final = "floor"
 PATCH_RISE: Final = 0.001
 """Height of a friction patch above the floor (m), so that a wheel on it does not touch the floor as well."""
 PATCH_DEPTH: Final = 0.05
+STRIPE: Final = 0.1
+"""Width of a bump's stripes, m, about."""
+WALL_RATIO: Final = 10.0
+"""A box this many times longer than wide is painted as a wall."""
 
 
-def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> None:
-    """Add all that stands on the floor, and the floor; obstacle i is the geoms "obstacle i part j"."""
+def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> Any:
+    """Add all that stands on the floor, and the floor, whose body it returns; obstacle i is "obstacle i part j"."""
     ground = spec.worldbody.add_body(name=FLOOR, pos=frame.origin, quat=quaternion(frame.rotation))
     truth = scenario.truth
     grip = contacts.friction(truth.floor_friction)
@@ -34,6 +38,7 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> None:
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 0.05],
         friction=grip,
+        group=3,
         **contacts.settings(**contacts.FLOOR),
     )
     for i, patch in enumerate(truth.friction_patches):
@@ -44,6 +49,7 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> None:
         _add_obstacle(spec, ground, i, obstacle)
     for i, box in enumerate(truth.movable_boxes):
         _add_movable(spec, i, box, frame)
+    return ground
 
 
 def quaternion(rotation: Matrix) -> Any:
@@ -66,6 +72,7 @@ def _add_patch(ground: Any, i: int, patch: FrictionPatch) -> None:
         pos=[(x0 + x1) / 2, (y0 + y1) / 2, PATCH_RISE - PATCH_DEPTH],
         size=[(x1 - x0) / 2, (y1 - y0) / 2, PATCH_DEPTH],
         friction=contacts.friction(patch.friction),
+        material="ice",
         **contacts.settings(**contacts.PATCH),
     )
 
@@ -78,22 +85,32 @@ def _add_bump(ground: Any, i: int, bump: SpeedBump, grip: list[float]) -> None:
     yaw = bump.yaw + (0.0 if bump.size[0] >= bump.size[1] else math.pi / 2)
     lying = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # the cylinder's axis is its own z
     c, s = math.cos(yaw), math.sin(yaw)
+    quat = quaternion(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ lying)
     ground.add_geom(
         name=f"bump {i}",
         type=CYLINDER,
         pos=[*bump.center, height - radius],
-        quat=quaternion(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ lying),
+        quat=quat,
         size=[radius, along / 2, 0.0],
         friction=grip,
+        material="bump",
         **contacts.settings(**contacts.BUMP),
     )
+    stripes = max(1, round(along / (2 * STRIPE)))
+    for k in range(stripes):
+        shift = ((k + 0.5) / stripes - 0.5) * along
+        place = [bump.center[0] + c * shift, bump.center[1] + s * shift, height - radius]
+        size = [radius + 0.0008, along / stripes / 4, 0.0]
+        ground.add_geom(type=CYLINDER, pos=place, quat=quat, size=size, material="bump stripe", **contacts.LOOKS)
 
 
 def _add_obstacle(spec: Any, ground: Any, i: int, obstacle: Obstacle) -> None:
+    thin = isinstance(obstacle, Box) and max(obstacle.size) > WALL_RATIO * min(obstacle.size)
+    material, bits = "wall" if thin else "obstacle", contacts.settings(**contacts.OBSTACLE)
     shapes = obstacle.boxes() if isinstance(obstacle, OccupancyMap) else (obstacle,)
     parts = [geom for shape in shapes for geom in _geoms(spec, f"obstacle {i}", shape)]
     for j, geom in enumerate(parts):
-        ground.add_geom(name=f"obstacle {i} part {j}", **geom, **contacts.settings(**contacts.OBSTACLE))
+        ground.add_geom(name=f"obstacle {i} part {j}", material=material, **geom, **bits)
 
 
 def _geoms(spec: Any, name: str, shape: Box | Circle | Polygon) -> list[dict[str, Any]]:
@@ -130,6 +147,9 @@ def _add_movable(spec: Any, i: int, box: MovableBox, frame: FloorFrame) -> None:
         type=BOX,
         size=[length / 2, width / 2, height / 2],
         mass=box.mass,
+        material="cardboard",
         friction=contacts.friction(contacts.CAR_FRICTION),
         **contacts.settings(**contacts.MOVABLE),
     )
+    tape = [length / 2 + 0.0006, 0.025, height / 2 + 0.0006]
+    body.add_geom(type=BOX, size=tape, material="tape", **contacts.LOOKS)

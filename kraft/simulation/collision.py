@@ -1,0 +1,59 @@
+"""Did the car touch an obstacle? Asked after every physics step, so it has to be quick when the answer is no."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kraft.scenario import Scenario
+from kraft.simulation.car import CAR
+from kraft.simulation.floor_frame import FloorFrame
+
+
+@dataclass(frozen=True)
+class Collision:
+    """First contact of the car with a static obstacle.
+
+    Attributes:
+        time: s.
+        obstacle: its name in the scenario, or ``obstacles[i]``.
+        point: (x, y, z) in the floor's frame, m.
+    """
+
+    time: float
+    obstacle: str
+    point: tuple[float, float, float]
+
+
+class Collisions:
+    """Contacts of a compiled world, told apart.
+
+    Attributes:
+        solid: whether a geom is part of a static obstacle, bool (number of geoms,).
+    """
+
+    def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
+        self._data, self._frame = data, frame
+        self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
+        self._obstacle = np.array([_obstacle_index(model.geom(geom).name) for geom in range(model.ngeom)])
+        self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
+        self.solid = self._obstacle >= 0
+
+    def first(self, time: float) -> Collision | None:
+        """The first contact between car and obstacle at present, if there is one."""
+        for contact in self._data.contact:
+            one, other = contact.geom
+            if self._of_car[other]:
+                one, other = other, one
+            if self._of_car[one] and self.solid[other]:  # a box pushed against a wall is none
+                x, y, z = self._frame.to_floor(contact.pos).tolist()
+                return Collision(time, self._labels[self._obstacle[other]], (x, y, z))
+        return None
+
+
+def _obstacle_index(geom: str) -> int:
+    """Which obstacle a geom is part of, by its name "obstacle i part j"; -1 if it is not."""
+    words = geom.split()
+    return int(words[1]) if words[:1] == ["obstacle"] else -1
