@@ -19,24 +19,26 @@ from kraft.stopping import plan_reference
 from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
 from ompl_ext.arrays import Floats
 
+PROMPT = MUSHR.with_parameters({"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228})
+LAGGING = MUSHR_LAG.with_parameters({"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228, "tau": 1.0103})
 RATE = 30.0
 START = np.array([1.0, -0.5, math.pi / 2, 0.0])
 
 
 @functools.cache
 def car() -> Model:
-    return Model(MUSHR)
+    return Model(PROMPT)
 
 
 @functools.cache
 def slow_car() -> Model:
-    return Model(MUSHR_LAG)
+    return Model(LAGGING)
 
 
 @functools.cache
 def reversing_car() -> Model:
     """The same car with a throttle that goes below zero."""
-    return Model(replace(MUSHR, controls={**MUSHR.controls, "throttle": (-1.0, 1.0)}))
+    return Model(replace(PROMPT, controls={**PROMPT.controls, "throttle": (-1.0, 1.0)}))
 
 
 def drive(
@@ -54,7 +56,7 @@ def drive(
 
 @functools.cache
 def plan_of_turns(seed: int = 1) -> Reference:
-    plan = plan_task(load_scenario("turns").task(), MUSHR, Budget(iterations=2000), seed=seed).plan
+    plan = plan_task(load_scenario("turns").task(), PROMPT, Budget(iterations=2000), seed=seed).plan
     assert plan is not None
     return plan_reference(plan, 0.0, np.zeros(2))
 

@@ -9,12 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from driving_fixtures import car, slow_car
+from driving_fixtures import PROMPT, car, slow_car
 
 from kraft.errors import InputError
 from kraft.model import Model
 from kraft.vehicles.benchmark import BENCHMARK
-from kraft.vehicles.mushr import MUSHR
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Settings
@@ -55,7 +54,7 @@ def test_throttle_and_steady_speed_are_inverse_and_follow_the_parameter() -> Non
 
 @pytest.mark.parametrize("offset", [0.0, 0.05])
 def test_curvature_slip_and_steering_are_the_bicycles(offset: float) -> None:
-    model = Model(MUSHR.with_parameters({"phi_diff": offset}))
+    model = Model(PROMPT.with_parameters({"phi_diff": offset}))
     for steering in (-0.3, 0.0, 0.2):
         beta = math.atan(0.5 * math.tan(steering + offset))
         assert model.curvature(steering) == pytest.approx(2 * math.sin(beta) / 0.2965, abs=1e-3)
@@ -85,12 +84,12 @@ def test_a_vehicle_without_throttle_and_steering_is_refused() -> None:
 
 def test_a_car_without_a_speed_is_refused() -> None:
     with pytest.raises(InputError, match="names no speed among what rests"):
-        Model(replace(MUSHR, rest=()))
+        Model(replace(PROMPT, rest=()))
 
 
 def test_a_car_that_does_not_move_is_refused() -> None:
     with pytest.raises(InputError, match="mushr: does not move at full throttle"):
-        Model(MUSHR.with_parameters({"v_delta": 0.0}))
+        Model(PROMPT.with_parameters({"v_delta": 0.0}))
 
 
 def test_a_copy_is_the_same_model() -> None:
