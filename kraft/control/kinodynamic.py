@@ -41,7 +41,7 @@ class KinodynamicController:
         guide.take(reference, estimate.time)
         guide.keep_time(estimate.time + self._settings.look)
         place, path = guide.locate(estimate.state), guide.path
-        if guide.is_last and place.distance >= path.length:
+        if guide.is_last and path.is_over_at(place):
             return self._model.clamped(reference.rest)
         speed = abs(float(estimate.state[self._model.v]))
         ahead = path.sample(place.distance + self._settings.look * speed)
