@@ -180,16 +180,22 @@ class Replanner:
         """A contingency: one that is safe from here, else the one in hand, else whatever keeps the most distance."""
         ends = begins + self._settings.cycle
         safe = self.dirt.contingency(root, begins)
+        in_hand = current if current.kind is Kind.CONTINGENCY else self._contingency
         if safe is not None:
             reference = stop_reference(self.dirt.vehicle, safe)
-        elif current.kind is Kind.CONTINGENCY:
-            reference = current
-        elif self._contingency is not None:
-            reference = self._contingency
+        elif in_hand is not None and self._is_near(root, in_hand.state_at(begins)):
+            reference = in_hand
         else:
             reference = emergency(self.dirt, root, begins)
         motion = self._roll(root, begins, ends, reference)
         return Decision(reference, motion, reason, contingency=reference)
+
+    def _is_near(self, root: Floats, expected: Floats) -> bool:
+        """Whether the vehicle is within the clearance of where a manoeuvre was verified, which is what it was for."""
+        safety, vehicle = self.dirt.safety, self.dirt.vehicle
+        places = [vehicle.index("x"), vehicle.index("y")]
+        allowed = safety.delta + safety.delta_per_speed * abs(float(expected[vehicle.rest_indices[0]]))
+        return float(np.hypot(*(root[places] - expected[places]))) <= allowed
 
     def _propose(self, root: Floats, previous: Plan | None) -> Proposal:
         """Plan from the predicted root: with the margin, else without, else perhaps with less clearance."""
