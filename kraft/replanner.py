@@ -66,7 +66,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Planners:
-    """`planning` keeps the method's margin everywhere; `checking` has the vehicle as it is.
+    """`planning` keeps the method's margin and its foresight; `checking` asks for what is safe and no more.
 
     A plan is made with the margin and checked again without it, so that small errors do not turn it down.
     """
@@ -81,8 +81,10 @@ class Planners:
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
         workspace, safety, shape = workspace_of(task, vehicle), safety_of(settings), vehicle.footprint
         checking = Dirt(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
-        if settings.margin == 0.0:
+        foresight = settings.safety.foresight if settings.safety else 0.0
+        if settings.margin == 0.0 and foresight <= settings.cycle:
             return cls(checking, checking)
+        safety = replace(safety, cycle=max(foresight, settings.cycle))
         larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
         wide = replace(vehicle, footprint=larger)
         return cls(Dirt(wide, workspace, goal, safety, settings_of(task), settings.capacity), checking)
