@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-import io
 import os
+import subprocess
 import sys
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Sequence
 from pathlib import Path
+
+from kraft.atomic_file import EXPECTED
+from kraft.errors import InputError
 
 
 def make_database(database: Path, logs: Sequence[Path]) -> None:
-    """Make a database of benchmark logs, in place of an earlier one."""
-    from ompl import tools
+    """Make a database of benchmark logs, in place of an earlier one.
 
-    database.unlink(missing_ok=True)
-    with silenced(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # OMPL's tool leaves its connections open
-        tools.readBenchmarkLog(str(database), [str(log) for log in logs], False)
-        tools.computeViews(str(database), False)
+    The tool runs in a process of its own: it prints, and leaves its connections to the database open.
 
-
-@contextmanager
-def silenced() -> Iterator[None]:
-    """Send what OMPL's tools print, from C++ and from Python, nowhere."""
-    sys.stdout.flush()
-    saved, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    Raises:
+        InputError: if it cannot be written; what was there before is still there then.
+    """
+    part = database.with_name(f".{database.name}.part")
+    command = [sys.executable, "-P", "-m", "ompl.ompl_benchmark_statistics", "--database", str(part)]
     try:
-        with redirect_stdout(io.StringIO()):  # what Python holds back would come out later
-            yield
+        done = subprocess.run([*command, *map(str, logs)], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            reason = done.stderr.strip().splitlines()[-1:] or [f"OMPL's tool ended with {done.returncode}"]
+            raise InputError.of(str(database), f"cannot be written: {reason[0]}", EXPECTED)
+        os.replace(part, database)
+    except OSError as error:
+        raise InputError.of(str(database), f"cannot be written: {error.strerror}", EXPECTED) from error
     finally:
-        os.dup2(saved, 1)
-        os.close(saved)
-        os.close(nowhere)
+        part.unlink(missing_ok=True)

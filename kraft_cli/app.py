@@ -11,6 +11,7 @@ from kraft_cli.commands.doctor import doctor
 from kraft_cli.commands.eval import eval_
 from kraft_cli.commands.listing import list_
 from kraft_cli.commands.plan import plan
+from kraft_cli.commands.run import run
 from kraft_cli.commands.validate import validate
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -53,6 +54,7 @@ def common(
 
 
 app.command("plan")(plan)
+app.command("run")(run)
 app.command("eval")(eval_)
 app.command("validate")(validate)
 app.command("list")(list_)

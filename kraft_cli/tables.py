@@ -1,7 +1,8 @@
-"""Tables of an evaluation on a terminal or in a pipe."""
+"""Tables on a terminal or in a pipe."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from kraft_cli.terminal import Terminal
@@ -11,6 +12,25 @@ if TYPE_CHECKING:
     from kraft.evaluation.table import Table
 
 REMARK = "95 % CI: Wilson, of the success rate. p: exact McNemar against kraft on the same seeds."
+
+
+def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool) -> None:
+    """Print labels and values; the one labelled `result` shows whether that is `good`.  Plain lines in a pipe."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as Grid
+
+    if not terminal.out.isatty():
+        width = max(len(label) for label, _ in rows)
+        for label, value in rows:
+            terminal.data(f"{label:<{width}}  {value}")
+        return
+    grid = Grid(box=box.ROUNDED, show_header=False, border_style="dim")
+    grid.add_column(style="dim")
+    grid.add_column(overflow="fold")
+    for label, value in rows:
+        grid.add_row(label, value, style=("bold green" if good else "bold yellow") if label == "result" else None)
+    Console(file=terminal.out, highlight=False, markup=False).print(grid)
 
 
 def show_tables(terminal: Terminal, summary: Summary) -> None:

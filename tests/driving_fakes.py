@@ -6,12 +6,17 @@ import math
 import os
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
 
-from kraft.driving import Kind, Reference
+from kraft.driving import Kind, Motion, Reference
+from kraft.errors import InputError, MissingDependency
+from kraft.evaluation.executor import Say, Stop
+from kraft.evaluation.job import Job, perform
+from kraft.evaluation.row import TrialRow
 from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
 
 LEFT = "KRAFT_TEST_FOLDER"
@@ -69,6 +74,13 @@ def raises(spec: TrialSpec) -> TrialResult:
     return quick(spec)
 
 
+def raises_once(spec: TrialSpec) -> TrialResult:
+    """Every trial has a defect, the first time."""
+    if leave(spec, "raised") == 1:
+        raise ZeroDivisionError("no speed at all")
+    return quick(spec)
+
+
 def prints(spec: TrialSpec) -> TrialResult:
     """The same, with words on stdout."""
     print("a word from a library", flush=True)
@@ -81,6 +93,27 @@ def threads(spec: TrialSpec) -> TrialResult:
     return quick(spec)
 
 
+def refuses(spec: TrialSpec) -> TrialResult:
+    """Nothing can be driven."""
+    raise InputError.of("the car", "does not fit", "expected another")
+
+
+def missing(spec: TrialSpec) -> TrialResult:
+    """Nothing to drive in."""
+    raise MissingDependency("no simulator")
+
+
+def endless(spec: TrialSpec) -> TrialResult:
+    """Later seeds than 0 do not end."""
+    time.sleep(60.0 * (spec.seed > 0))
+    return quick(spec)
+
+
+def ends(pipe: Connection) -> None:
+    """A worker that ends before it is ready."""
+    os._exit(9)
+
+
 def cycle(number: int, kind: str) -> Cycle:
     """A cycle in which nothing moves."""
     reference = Reference(Kind(kind), np.array([0.0, 1.0]), np.zeros((2, 4)), np.zeros((1, 2)), np.zeros(2))
@@ -88,6 +121,7 @@ def cycle(number: int, kind: str) -> Cycle:
         "number": number, "time": float(number), "speed": 0.5, "kind": kind, "reason": "because",
         "cost_to_goal": math.inf if kind == "contingency" else 9.0, "clearance": 0.1, "iterations": 1000, "nodes": 50,
         "retained": 3, "planning_ms": 4.0 + number, "missed": number == 3, "reference": reference, "contingency": None,
+        "predicted": Motion(np.array([0.0, 1.0]), np.zeros((2, 4)), 0.1),
     }  # fmt: skip
     return Cycle(**fields)
 
@@ -99,6 +133,21 @@ def leave(spec: TrialSpec, what: str) -> int:
     count = len(list(folder.glob(f"{name}-*"))) + 1
     (folder / f"{name}-{count}").touch()
     return count
+
+
+class Inline:
+    """An executor in this very process, in the order that `shuffle` makes of the jobs."""
+
+    def __init__(self, count: int = 1, shuffle: Callable[[list[Job]], None] = lambda _: None) -> None:
+        self._shuffle = shuffle
+
+    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+        order = list(jobs)
+        self._shuffle(order)
+        for job in order:
+            if stop():
+                return
+            yield perform(job)
 
 
 def name_of(function: Callable[[TrialSpec], TrialResult]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Final
 
 from kraft.errors import InputError, MissingDependency
@@ -38,6 +39,8 @@ class Cluster:
         client = self._client()
         try:
             yield from self._collected(client, jobs, stop, say)
+        except (OSError, CancelledError) as error:
+            raise self._gone() from error
         finally:
             client.close(timeout=PATIENCE)
 
@@ -52,13 +55,17 @@ class Cluster:
 
     def _collected(self, client: Client, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
         """Keep a few trials per thread of the cluster going, so that there is little to wait for when it stops."""
-        here, todo, running = versions(), list(reversed(jobs)), dict[Future, Job]()
+        here, todo = versions(), list(reversed(jobs))
+        running: dict[Future, Job] = {}
         told = False
         while (todo and not stop()) or running:
-            room = 0 if stop() else self._threads(client) * (1 + AHEAD) - len(running)
-            if room <= 0 and not running and not told and not stop():
-                say(f"the cluster at {self.address} has no workers yet; waiting for one")
+            if client.status != "running":
+                raise self._gone()
+            threads = sum(client.nthreads().values())
+            if threads == 0 and not told:
+                say(f"the cluster at {self.address} has no workers; waiting for one")
                 told = True
+            room = 0 if stop() else threads * (1 + AHEAD) - len(running)
             for job in [todo.pop() for _ in range(min(room, len(todo)))]:
                 running[client.submit(_perform, job, here, pure=False)] = job
             ended = [future for future in running if future.done()]
@@ -67,14 +74,9 @@ class Cluster:
             if not ended:
                 time.sleep(POLL)
 
-    def _threads(self, client: Client) -> int:
-        self._check(client)
-        return sum(client.nthreads().values())
-
-    def _check(self, client: Client) -> None:
-        if client.status != "running":
-            expected = "expected it to answer until the last trial"
-            raise InputError.of("--cluster", f"the scheduler at {self.address} went away", expected)
+    def _gone(self) -> InputError:
+        expected = "expected it to answer until the last trial"
+        return InputError.of("--cluster", f"the scheduler at {self.address} went away", expected)
 
     def _row(self, future: Future, job: Job) -> TrialRow:
         from distributed import KilledWorker

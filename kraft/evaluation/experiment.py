@@ -132,10 +132,10 @@ def _loaded(
     """Load each; what is wrong is added to `problems`."""
     found: list[Loaded] = []
     if not given:
-        problems.append(Diagnostic(f"{kind}s", "none are given", f"expected at least one {kind}"))
+        problems.append(Diagnostic(_where(kind), "none are given", f"expected at least one {kind}"))
     for each in given:
         if each == "":
-            problems.append(Diagnostic(f"{kind}s", "there is an empty name", f"expected names of {kind}s"))
+            problems.append(Diagnostic(_where(kind), "there is an empty name", f"expected names of {kind}s"))
             continue
         try:
             found.append(load(each))
@@ -148,6 +148,10 @@ def _loaded(
         if count > 1
     ]
     return found
+
+
+def _where(kind: str) -> str:
+    return "--methods" if kind == "method" else f"{kind}s"
 
 
 def _cells(

@@ -18,6 +18,8 @@ from kraft.evaluation.executor import DEATHS, Say, Stop
 from kraft.evaluation.job import Job, failed
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.worker import ONE_THREAD, Answer, serve
+from kraft.kernel_cache import ensure_compiled
+from kraft.vehicle import load_vehicle
 
 POLL: Final = 0.1  # s, how late a request to stop is seen
 FALSE_STARTS: Final = 3  # workers in a row that die before they are ready
@@ -36,12 +38,17 @@ class _Worker:
     def how_it_died(self) -> str:
         """For a sentence."""
         self.process.join(5.0)
-        self.process.kill()  # one that closed its pipe and does not end
-        self.process.join()
         code = self.process.exitcode
         if code is not None and code < 0:
             return f"killed by {signal.Signals(-code).name}"
         return f"exit code {code}"
+
+    def close(self) -> None:
+        """End it."""
+        self.pipe.close()
+        self.process.kill()
+        self.process.join()
+        self.process.close()
 
 
 @dataclass
@@ -66,6 +73,8 @@ class Processes:
         Raises:
             Defect: if workers do not start.
         """
+        for reference in dict.fromkeys(job.vehicle for job in jobs):  # once, and not by each worker in a trial
+            ensure_compiled(load_vehicle(reference), say)
         state = _State(deque(jobs))
         try:
             while True:
@@ -76,19 +85,15 @@ class Processes:
                     return
                 self._assign(state, busy)
                 for worker in _heard(state.workers):
-                    answer = _receive(worker)
-                    if isinstance(answer, KraftError):
-                        raise answer
-                    if answer is not None:
-                        yield answer
-                    elif row := self._buried(state, worker, say):
+                    try:
+                        row = _taken(state, worker, worker.pipe.recv())
+                    except (EOFError, OSError):  # it died: nobody else has the other end
+                        row = _buried(state, worker, say)
+                    if row is not None:
                         yield row
         finally:
             for worker in state.workers:
-                worker.pipe.close()
-                worker.process.kill()
-                worker.process.join()
-                worker.process.close()
+                worker.close()
 
     def _assign(self, state: _State, busy: int) -> None:
         """Give every idle worker a job, and start workers while there are fewer than there is work for."""
@@ -101,49 +106,45 @@ class Processes:
         while len(state.workers) < min(self.count, busy + len(state.todo)):
             state.workers.append(_started())
 
-    def _buried(self, state: _State, worker: _Worker, say: Say) -> TrialRow | None:
-        """Take note of what a worker that sent no row is: ready, or dead; the row of a job that is given up."""
-        if worker.process.is_alive() and not worker.pipe.closed:
-            state.false_starts = 0
-            return None
-        how, job = worker.how_it_died, worker.job
-        state.workers.remove(worker)
-        worker.process.close()
-        if job is None:
-            state.false_starts += not worker.ready
-            if state.false_starts >= FALSE_STARTS:
-                raise Defect(f"worker processes do not start ({how})")
-            return None
-        state.deaths[job.key] += 1
-        name = f"{job.scenario.name}, {job.method.name}, seed {job.seed}"
-        if state.deaths[job.key] < DEATHS:
-            say(f"the worker of {name} died ({how}); the trial is repeated on a fresh one")
-            state.todo.appendleft(job)
-            return None
-        return failed(job, f"its worker process died {state.deaths[job.key]} times ({how})")
-
 
 def _heard(workers: Sequence[_Worker]) -> list[_Worker]:
     """The workers that sent something or died."""
-    sources: dict[object, _Worker] = {}
-    for worker in workers:
-        sources[worker.pipe] = sources[worker.process.sentinel] = worker
-    found = connection.wait(list(sources), POLL)  # type: ignore[arg-type]
-    return list(dict.fromkeys(sources[source] for source in found))
+    found = connection.wait([worker.pipe for worker in workers], POLL)
+    return [worker for worker in workers if worker.pipe in found]
 
 
-def _receive(worker: _Worker) -> Answer:
-    """What a worker sent; None if that it is ready, or that it died, and then its pipe is closed."""
-    try:
-        answer: Answer = worker.pipe.recv() if worker.pipe.poll() else None
-    except (EOFError, OSError):
-        worker.pipe.close()
-        return None
+def _taken(state: _State, worker: _Worker, answer: Answer) -> TrialRow | None:
+    """Take what a worker sent; the row, if it is one."""
+    if isinstance(answer, KraftError):
+        raise answer
     if answer is None:
-        worker.ready = True
+        worker.ready, state.false_starts = True, 0
     else:
         worker.job = None
     return answer
+
+
+def _buried(state: _State, worker: _Worker, say: Say) -> TrialRow | None:
+    """Put away a dead worker; the row of its job if that is given up now.
+
+    Raises:
+        Defect: if one worker after the other dies before it is ready.
+    """
+    how, job = worker.how_it_died, worker.job
+    state.workers.remove(worker)
+    worker.close()
+    if job is None:
+        state.false_starts += not worker.ready
+        if state.false_starts >= FALSE_STARTS:
+            raise Defect(f"worker processes do not start ({how})")
+        return None
+    state.deaths[job.key] += 1
+    if state.deaths[job.key] >= DEATHS:
+        return failed(job, f"its worker process died {state.deaths[job.key]} times ({how})")
+    name = f"{job.scenario.name}, {job.method.name}, seed {job.seed}"
+    say(f"the worker of {name} died ({how}); the trial is repeated on a fresh one")
+    state.todo.appendleft(job)
+    return None
 
 
 def _started() -> _Worker:

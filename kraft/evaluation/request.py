@@ -9,7 +9,7 @@ from typing import Any
 
 from kraft.errors import InputError
 from kraft.evaluation import manifest
-from kraft.evaluation.evaluate import Evaluation, Watch, evaluate
+from kraft.evaluation.evaluator import Evaluation, Watch, evaluate
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS
 from kraft.evaluation.folder import check_exists, default_path
 

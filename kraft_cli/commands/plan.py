@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
-
-if TYPE_CHECKING:
-    from kraft.plan_request import Planned
 
 Iterations = Annotated[int | None, typer.Option(metavar="N", help="Plan for N iterations: the same plan on every run.")]
 Time = Annotated[float | None, typer.Option(metavar="S", help="Plan for S seconds of wall-clock time.")]
@@ -48,8 +45,9 @@ def plan(
     json: Json = False,
 ) -> ExitStatus:
     """Plan a scenario and show the result; it ends with 1 if no plan reaches the goal."""
-    from kraft.plan_report import json_content
+    from kraft.plan_report import json_content, table_rows
     from kraft.plan_request import Request, carry_out
+    from kraft_cli.tables import show_rows
 
     terminal: Terminal = context.obj
     request = Request(scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after)
@@ -57,30 +55,7 @@ def plan(
     if json:
         terminal.json("kraft.plan/1", json_content(planned))
     else:
-        _show(terminal, planned)
+        show_rows(terminal, table_rows(planned), good=planned.result.solved)
     if planned.result.reason:
         terminal.problem(planned.result.reason)
     return ExitStatus.DONE if planned.result.solved else ExitStatus.NEGATIVE
-
-
-def _show(terminal: Terminal, planned: Planned) -> None:
-    """Print the table; plain lines where no terminal shows it."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    from kraft.plan_report import table_rows
-
-    rows = table_rows(planned)
-    if not terminal.out.isatty():
-        width = max(len(label) for label, _ in rows)
-        for label, value in rows:
-            terminal.data(f"{label:<{width}}  {value}")
-        return
-    table = Table(box=box.ROUNDED, show_header=False, border_style="dim")
-    table.add_column(style="dim")
-    table.add_column(overflow="fold")
-    for label, value in rows:
-        good = planned.result.solved
-        table.add_row(label, value, style=("bold green" if good else "bold yellow") if label == "result" else None)
-    Console(file=terminal.out, highlight=False, markup=False).print(table)

@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kraft.errors import InputError
+from kraft.errors import Diagnostic, InputError
+from kraft.evaluation import job
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.executor import Executor
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment, MethodLike, ScenarioLike, experiment_of
 from kraft.evaluation.folder import Folder, create, reopen, write_results
-from kraft.evaluation.job import TRIAL
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import Summary, summarise
-from kraft.kernel_cache import ensure_compiled
 
 
 class Watch:
@@ -64,7 +63,7 @@ def evaluate(
     cluster: str | None = None,
     watch: Watch | None = None,
     arguments: Mapping[str, Any] | None = None,
-    trial: str = TRIAL,
+    trial: str | None = None,
 ) -> Evaluation:
     """Run every method in every scenario with the seeds `seed`, ... `seed + trials - 1`, the same for all.
 
@@ -84,7 +83,7 @@ def evaluate(
         cluster: address of a Dask scheduler to use instead of processes of this machine.
         watch: is told how it goes and may stop it.
         arguments: what to record as having been asked for.
-        trial: ``module:function`` that runs one trial.
+        trial: ``module:function`` that runs one trial, by default `kraft.trial.run_trial`.
 
     Raises:
         InputError: with everything that is wrong with what was given; if the folder cannot be written, or if one to go
@@ -93,17 +92,22 @@ def evaluate(
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
     watch = watch or Watch()
-    if jobs is not None and jobs < 1:
-        raise InputError.of("--jobs", f"is {jobs}", "expected a number of at least 1")
-    if resume and out is None:
-        raise InputError.of("--resume", "is given without --out", "expected the folder to go on with")
-    experiment = experiment_of(
-        scenarios, methods, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime, trial=trial
-    )
+    problems = _problems(jobs, resume, out)
+    try:
+        experiment = experiment_of(
+            scenarios,
+            methods,
+            vehicle=vehicle,
+            trials=trials,
+            seed=seed,
+            realtime=realtime,
+            trial=trial or job.TRIAL,
+        )
+    except InputError as error:
+        raise InputError([*problems, *error.diagnostics]) from error
+    if problems:
+        raise InputError(problems)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
-    if cluster is None:
-        for model in {cell.reference: cell.vehicle for cell in experiment.cells}.values():
-            ensure_compiled(model, watch.say)
     if out is None:
         return _carried_out(experiment, executor, None, watch)
     folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
@@ -116,20 +120,29 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def _problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
+    problems = []
+    if jobs is not None and jobs < 1:
+        problems.append(Diagnostic("--jobs", f"is {jobs}", "expected a number of at least 1"))
+    if resume and out is None:
+        problems.append(Diagnostic("--resume", "is given without --out", "expected the folder to go on with"))
+    return problems
+
+
 def _carried_out(experiment: Experiment, executor: Executor, folder: Folder | None, watch: Watch) -> Evaluation:
     began = time.perf_counter()
     rows = dict(folder.rows) if folder else {}
     if folder and folder.torn:
         watch.say(f"{folder.journal.path}: the last line is torn; its trial is repeated")
     watch.begin(experiment, folder.path if folder else None, rows)
-    todo = [job for job in experiment.jobs() if job.key not in rows]
+    todo = [each for each in experiment.jobs() if each.key not in rows]
     with closing(executor.run(todo, watch.stop, watch.say)) as ended:  # type: ignore[type-var]
         for row in ended:
             if folder:
                 folder.journal.append(row)
             rows[row.key] = row
             watch.ended(row)
-    ordered = tuple(rows[job.key] for job in experiment.jobs() if job.key in rows)
+    ordered = tuple(rows[each.key] for each in experiment.jobs() if each.key in rows)
     summary = summarise(experiment, rows, time.perf_counter() - began)
     complete = len(ordered) == sum(1 for _ in experiment.jobs())
     if folder and complete:

@@ -1,0 +1,124 @@
+"""The folder that `kraft run --out` writes: everything about one trial, as files that any tool reads."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.atomic_file import check_writable, write_whole
+from kraft.driving import Reference
+from kraft.errors import InputError
+from kraft.evaluation import manifest
+from kraft.evaluation.experiment import Experiment
+from kraft.trial_result import Cycle, TrialResult
+from ompl_ext.vehicle import Vehicle
+
+MANIFEST_SCHEMA: Final = "kraft.run-manifest/1"
+SCHEMA: Final = "kraft.run/1"
+
+
+def check_target(folder: Path) -> None:
+    """Refuse a folder that exists, and a place that cannot be written.
+
+    Raises:
+        InputError: if it is one of these.
+    """
+    if folder.exists():
+        raise InputError.of(str(folder), "is there already", "expected a new folder")
+    check_writable(folder)
+
+
+def write_run(
+    folder: Path,
+    experiment: Experiment,
+    arguments: Mapping[str, Any],
+    vehicle: Vehicle,
+    result: TrialResult,
+    content: Mapping[str, Any],
+) -> None:
+    """Write a trial into a new folder; `content` is what ``--json`` prints.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    recorded = {**manifest.manifest_of(experiment, arguments), "schema": MANIFEST_SCHEMA}
+    write_whole(folder / "steps.csv", _csv(_step_heading(vehicle), _steps(result)))
+    write_whole(folder / "observations.csv", _csv(("time", "arrival", "x", "y", "theta"), _observations(result)))
+    write_whole(folder / "cycles.jsonl", "".join(json.dumps(c) + "\n" for c in _cycles(result)).encode())
+    write_whole(folder / "result.json", _json({"schema": SCHEMA, **content}))
+    write_whole(folder / manifest.NAME, _json(recorded))
+
+
+def _json(content: Mapping[str, Any]) -> bytes:
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _csv(heading: Sequence[str], rows: Iterable[Sequence[float]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(heading)
+    writer.writerows(rows)
+    return text.getvalue().encode()
+
+
+def _step_heading(vehicle: Vehicle) -> tuple[str, ...]:
+    estimate = (f"estimate_{name}" for name in vehicle.state)
+    command = (f"command_{name}" for name in vehicle.controls)
+    return ("time", "x", "y", "theta", "speed", *estimate, *command, "cycle")
+
+
+def _steps(result: TrialResult) -> Iterator[list[float]]:
+    for step in result.steps:
+        belief, command = map(float, step.estimate), map(float, step.command)
+        yield [float(step.time), *map(float, step.pose), float(step.speed), *belief, *command, step.cycle]
+
+
+def _observations(result: TrialResult) -> Iterator[list[float]]:
+    for seen in result.observations:
+        yield [float(value) for value in (seen.time, seen.arrival, seen.x, seen.y, seen.theta)]
+
+
+def _cycles(result: TrialResult) -> Iterator[dict[str, Any]]:
+    for cycle in result.cycles:
+        yield cycle_content(cycle)
+
+
+def cycle_content(cycle: Cycle) -> dict[str, Any]:
+    """A cycle as one JSON object; what is infinite is null."""
+    return {
+        "number": cycle.number,
+        "time": float(cycle.time),
+        "speed": float(cycle.speed),
+        "kind": str(cycle.kind),
+        "reason": cycle.reason,
+        "cost_to_goal": _finite(cycle.cost_to_goal),
+        "clearance": _finite(cycle.clearance),
+        "iterations": cycle.iterations,
+        "nodes": cycle.nodes,
+        "retained": cycle.retained,
+        "planning_ms": cycle.planning_ms,
+        "missed": bool(cycle.missed),
+        "reference": _reference(cycle.reference),
+        "contingency": _reference(cycle.contingency),
+    }
+
+
+def _reference(reference: Reference | None) -> dict[str, Any] | None:
+    if reference is None:
+        return None
+    return {
+        "kind": str(reference.kind),
+        "times": reference.times.tolist(),
+        "states": reference.states.tolist(),
+        "controls": reference.controls.tolist(),
+        "rest": reference.rest.tolist(),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,64 @@
+"""`kraft run` without a terminal: from what was asked, by names and paths, to a trial that is driven and written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kraft.errors import InputError
+from kraft.evaluation.experiment import Experiment, experiment_of
+from kraft.kernel_cache import ensure_compiled
+from kraft.run_folder import check_target, write_run
+from kraft.trial_result import Cycle, TrialResult, TrialSpec
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for, as it was written; `out` is a new folder, None writes nothing."""
+
+    scenario: str
+    method: str = "kraft"
+    vehicle: str | None = None
+    seed: int = 0
+    out: Path | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """A request, what it was understood as, and what came of it."""
+
+    request: Request
+    spec: TrialSpec
+    result: TrialResult = field(repr=False)
+
+
+def carry_out(request: Request, say: Callable[[str], None], on_cycle: Callable[[Cycle], None] | None = None) -> Run:
+    """Load, check, drive, write; `say` is told what takes long and `on_cycle` is shown each cycle as it is committed.
+
+    Raises:
+        InputError: with what is wrong with the request or the files it names, before anything is driven.
+        Defect: if a plan does not stand up to exact verification.
+    """
+    experiment = _experiment(request)
+    if request.out is not None:
+        check_target(request.out)
+    cell = experiment.cells[0]
+    ensure_compiled(cell.vehicle, say)
+    from kraft.trial import run_trial  # loads the simulator
+
+    spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
+    run = Run(request, spec, run_trial(spec, on_cycle))
+    if request.out is not None:
+        from kraft.run_report import json_content
+
+        arguments = {"scenario": request.scenario, "method": request.method, "vehicle": request.vehicle}
+        write_run(request.out, experiment, arguments, cell.vehicle, run.result, json_content(run))
+    return run
+
+
+def _experiment(request: Request) -> Experiment:
+    """The trial as an evaluation of one, with its checks."""
+    if not request.method:
+        raise InputError.of("--method", "is empty", "expected the name of a method")
+    return experiment_of([request.scenario], [request.method], vehicle=request.vehicle, trials=1, seed=request.seed)

@@ -1,0 +1,46 @@
+"""`kraft run`: drive one trial, cycle by cycle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method (kraft list methods).")]
+VehicleName = Annotated[
+    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
+]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write everything about the trial into a new folder.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def run(
+    context: typer.Context,
+    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")],
+    method: Method = "kraft",
+    vehicle: VehicleName = None,
+    seed: Seed = 0,
+    out: Out = None,
+    json: Json = False,
+) -> ExitStatus:
+    """Drive a scenario once in simulation; it ends with 1 if the goal is not reached."""
+    from kraft.run_folder import SCHEMA
+    from kraft.run_report import cycle_line, json_content, table_rows
+    from kraft.run_request import Request, carry_out
+    from kraft.trial_result import Outcome
+    from kraft_cli.tables import show_rows
+
+    terminal: Terminal = context.obj
+    request = Request(scenario, method, vehicle, seed, out)
+    driven = carry_out(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)))
+    success = driven.result.outcome is Outcome.SUCCESS
+    if json:
+        terminal.json(SCHEMA, json_content(driven))
+    else:
+        show_rows(terminal, table_rows(driven), good=success)
+    return ExitStatus.DONE if success else ExitStatus.NEGATIVE
