@@ -11,7 +11,7 @@ from typing import Any
 
 from kraft.version import VERSION
 
-PACKAGES = ("ompl", "numpy", "numba", "llvmlite", "scipy", "python-fcl")
+PACKAGES = ("ompl", "numpy", "numba", "llvmlite", "scipy", "python-fcl", "mujoco")
 
 
 def describe() -> dict[str, Any]:

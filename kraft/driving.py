@@ -105,4 +105,5 @@ class Motion:
     @property
     def end(self) -> Floats:
         """The last state."""
-        return self.states[-1]
+        last: Floats = self.states[-1]
+        return last

@@ -28,6 +28,8 @@ class Clearance(FileModel):
     """clearance at rest, m"""
     delta_per_speed: NonNegative = 0.25
     """clearance added per unit of speed, m per m/s"""
+    foresight: NonNegative = 0.0
+    """time for which a plan keeps the clearance, if that is longer than the cycle, s"""
 
 
 class Planner(FileModel):

@@ -108,6 +108,8 @@ class Model:
     def _steady_speeds(self) -> tuple[list[float], list[float]]:
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], ROWS)
         speeds = [float(self._settled(self.command(u, 0.0))[self.v]) for u in throttles]
+        if not speeds[-1] > 0.0:
+            raise InputError.of(self.vehicle.name, "does not move at full throttle", "expected a speed above 0")
         return list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
 
     def _steady_turns(self) -> tuple[list[float], list[float], list[float]]:

@@ -66,7 +66,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Planners:
-    """`planning` keeps the method's margin everywhere; `checking` has the vehicle as it is.
+    """`planning` keeps the method's margin and its foresight; `checking` asks for what is safe and no more.
 
     A plan is made with the margin and checked again without it, so that small errors do not turn it down.
     """
@@ -81,8 +81,10 @@ class Planners:
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
         workspace, safety, shape = workspace_of(task, vehicle), safety_of(settings), vehicle.footprint
         checking = Dirt(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
-        if settings.margin == 0.0:
+        foresight = settings.safety.foresight if settings.safety else 0.0
+        if settings.margin == 0.0 and foresight <= settings.cycle:
             return cls(checking, checking)
+        safety = replace(safety, cycle=max(foresight, settings.cycle))
         larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
         wide = replace(vehicle, footprint=larger)
         return cls(Dirt(wide, workspace, goal, safety, settings_of(task), settings.capacity), checking)
@@ -180,16 +182,22 @@ class Replanner:
         """A contingency: one that is safe from here, else the one in hand, else whatever keeps the most distance."""
         ends = begins + self._settings.cycle
         safe = self.dirt.contingency(root, begins)
+        in_hand = current if current.kind is Kind.CONTINGENCY else self._contingency
         if safe is not None:
             reference = stop_reference(self.dirt.vehicle, safe)
-        elif current.kind is Kind.CONTINGENCY:
-            reference = current
-        elif self._contingency is not None:
-            reference = self._contingency
+        elif in_hand is not None and self._is_near(root, in_hand.state_at(begins)):
+            reference = in_hand
         else:
             reference = emergency(self.dirt, root, begins)
         motion = self._roll(root, begins, ends, reference)
         return Decision(reference, motion, reason, contingency=reference)
+
+    def _is_near(self, root: Floats, expected: Floats) -> bool:
+        """Whether the vehicle is within the clearance of where a manoeuvre was verified, which is what it was for."""
+        safety, vehicle = self.dirt.safety, self.dirt.vehicle
+        places = [vehicle.index("x"), vehicle.index("y")]
+        allowed = safety.delta + safety.delta_per_speed * abs(float(expected[vehicle.rest_indices[0]]))
+        return float(np.hypot(*(root[places] - expected[places]))) <= allowed
 
     def _propose(self, root: Floats, previous: Plan | None) -> Proposal:
         """Plan from the predicted root: with the margin, else without, else perhaps with less clearance."""

@@ -51,7 +51,7 @@ def emergency(dirt: Dirt, state: Floats, start: float) -> Reference:
             if all(abs(states[-1][k]) <= dirt.safety.rest_speed for k in vehicle.rest_indices):
                 break
         if best is None or slack > best[0]:
-            times = start + step * np.arange(len(states))
+            times: Floats = start + step * np.arange(len(states), dtype=float)
             rest = stop_control(vehicle, states[-1], number)
             best = slack, Reference(Kind.CONTINGENCY, times, np.array(states), np.array(controls), rest)
     assert best is not None, "a vehicle has a manoeuvre"

@@ -165,7 +165,8 @@ class _Trial:
         world.apply(float(command[0]), float(command[1]))
         self._estimator.commanded(now, command)
         log.clearance = min(log.clearance, self._exact.distance(*map(float, world.pose)))
-        step = Step(now, tuple(map(float, world.pose)), world.speed, estimate.state, command, len(log.cycles) - 1)
+        x, y, theta = map(float, world.pose)
+        step = Step(now, (x, y, theta), world.speed, estimate.state, command, len(log.cycles) - 1)
         log.steps.append(step)
         if log.on_step is not None:
             log.on_step(world, step)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import callbacks, peers, planner, safety, scaling, startup
+from benchmarks import callbacks, peers, planner, safety, scaling, startup, world
 from benchmarks.__main__ import main
 from benchmarks.effort import SMOKE
 from benchmarks.exact import Body, Disc, Rectangle, Star
@@ -55,6 +55,12 @@ def test_scaling_times_windows_of_both_sizes_and_keeps_no_memory() -> None:
     assert scaling.cost_at(windows, 1000) > 0
     assert scaling.cost_at(windows, 3000) > 0
     assert scaling.memory(scene("turns"), cycles=1)[1].median < 1e7
+
+
+def test_the_world_is_driven_in_every_scene() -> None:
+    found = quantities(world.run(SMOKE))
+    assert found["slope: faster than real time"] > 1
+    assert found["movable: new world"] > 0
 
 
 def test_an_endless_search_has_no_solution() -> None:

@@ -39,11 +39,11 @@ class GeometricController:
         guide, model, time = self._guide, self._model, estimate.time
         guide.take(reference, time)
         place = guide.locate(estimate.state)
-        while not guide.is_last and place.distance >= guide.path.length:
+        while not guide.is_last and guide.path.is_over_at(place):
             guide.go_on(time)
             place = guide.locate(estimate.state)
         path = guide.path
-        if place.distance >= path.length:
+        if path.is_over_at(place):
             return model.clamped(reference.rest)
         dx, dy = self._towards(estimate.state, path, place)
         heading = float(estimate.state[model.theta]) + (0.0 if path.direction > 0 else math.pi)
@@ -60,10 +60,11 @@ class GeometricController:
         return x - float(state[self._model.x]), y - float(state[self._model.y])
 
     def _pid(self, time: float, error: float) -> float:
-        """Output of the PID (rad) for an error (rad); an error of a new sign of pi has not jumped."""
+        """Output of the PID (rad) for an error (rad)."""
         proportional, integral, derivative = self._settings.gains
-        step = time - self._time if self._time is not None and time > self._time else 0.0
-        self._smooth = error if self._time is None else self._smooth
+        if self._time is None:
+            self._time, self._smooth = time, error
+        step = min(max(time - self._time, 0.0), 2.0 / self._settings.rate_hz)  # a pause is no error that lasted
         self._time = time
         gap = math.remainder(error - self._smooth, math.tau)
         self._smooth += gap * (1.0 - math.exp(-step / SMOOTHING))

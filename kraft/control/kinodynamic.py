@@ -41,12 +41,12 @@ class KinodynamicController:
         guide.take(reference, estimate.time)
         guide.keep_time(estimate.time + self._settings.look)
         place, path = guide.locate(estimate.state), guide.path
-        if guide.is_last and place.distance >= path.length:
+        if guide.is_last and path.is_over_at(place):
             return self._model.clamped(reference.rest)
         speed = abs(float(estimate.state[self._model.v]))
         ahead = path.sample(place.distance + self._settings.look * speed)
         steering = float(path.steering[ahead]) + self._correction(estimate.state, speed, path, place)
-        return self._model.command(self._throttle(estimate.time, reference, path, place, ahead), steering)
+        return self._model.command(self._throttle(estimate.time, reference, path, place), steering)
 
     def _correction(self, state: Floats, speed: float, path: Path, place: Place) -> float:
         """Steering beyond the planned one, rad (Hoffmann et al. 2007, eq. 5, with a softened denominator).
@@ -60,10 +60,14 @@ class KinodynamicController:
         across = math.atan2(settings.k_path * place.across, speed + settings.softening)
         return path.direction * settings.k_heading * heading - across
 
-    def _throttle(self, time: float, reference: Reference, path: Path, place: Place, ahead: int) -> float:
-        """Planned throttle and more where the car is behind; a manoeuvre that stops the car is never given more."""
+    def _throttle(self, time: float, reference: Reference, path: Path, place: Place) -> float:
+        """Planned throttle and more where the car is behind; a manoeuvre that stops the car is never given more.
+
+        What is planned for this time counts, not for this place: a car that is a little early where the plan crawls
+        would else be given the throttle of a later, faster part, and be earlier still.
+        """
         behind = path.distance_at(time) - place.distance
-        planned = float(path.throttle[ahead])
+        planned = float(reference.control_at(time + self._settings.look)[self._model.throttle])
         throttle = planned + path.direction * self._settings.k_along * behind
         if reference.kind is Kind.PLAN:
             return throttle

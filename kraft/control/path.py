@@ -15,6 +15,8 @@ from ompl_ext.arrays import Floats, Matrix
 
 SPACING: Final = 0.02
 """Between samples of a path, m."""
+END: Final = 1e-3
+"""How near to the end of a path the car is taken to have arrived, m."""
 STANDING: Final = 1e-3
 """Speed below which a direction of travel means nothing, m/s."""
 
@@ -53,6 +55,10 @@ class Path:
     def length(self) -> float:
         """Length, m."""
         return self.spacing * (len(self.x) - 1)
+
+    def is_over_at(self, place: Place) -> bool:
+        """Whether a place is at or beyond the end."""
+        return place.distance >= self.length - END
 
     def distance_at(self, time: float) -> float:
         """Length of path that is planned to lie behind the car at `time` (s), m."""
@@ -106,9 +112,9 @@ def paths_of(reference: Reference, model: Model, lead: float) -> tuple[Path, ...
     """Paths of the point `lead` m ahead of the centre (behind it where the car backs up), in the order of time."""
     states, times = reference.states, reference.times
     directions = _directions(states[:, model.v])
-    cuts = [0, *(int(k) for k in np.flatnonzero(np.diff(directions)) + 1), len(times) - 1]
+    cuts = [0, *(int(k) for k in np.flatnonzero(np.diff(directions))), len(times) - 1]
     return tuple(
-        _path(reference, model, lead, int(directions[a]), slice(a, b + 1)) for a, b in itertools.pairwise(cuts)
+        _path(reference, model, lead, int(directions[b]), slice(a, b + 1)) for a, b in itertools.pairwise(cuts)
     )
 
 

@@ -27,7 +27,10 @@ def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
     option.impratio = 10.0
     # a world that blows up must be an error, not silently its own start
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # boxes that nobody has touched cost nothing
+    if scenario.truth.movable_boxes:
+        option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # boxes that nobody has touched cost nothing
+    else:
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # a single body needs no looking for groups
     appearance.add_materials(spec)
     appearance.add_light(spec, scenario)
     ground = add_scene(spec, scenario, frame)

@@ -147,8 +147,8 @@ def _stripe() -> Part:
 def _door_plates() -> list[Part]:
     """Fields for the start number on both doors."""
     angles = [2 * math.pi * k / 24 for k in range(24)]
-    disc = [(0.0 + 0.026 * math.cos(a), 0.092 + 0.024 * math.sin(a)) for a in angles]
-    plate = loft([[(x, y, z) for x, z in disc] for y in (0.1228, 0.1)])
+    disc = [(0.024 * math.cos(a), 0.096 + 0.022 * math.sin(a)) for a in angles]
+    plate = loft([[(x, y, z) for x, z in disc] for y in (0.1228, 0.119)])
     return _both(plate)
 
 

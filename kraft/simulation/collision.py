@@ -43,14 +43,15 @@ class Collisions:
 
     def first(self, time: float) -> Collision | None:
         """The first contact between car and obstacle at present, if there is one."""
-        for contact in self._data.contact:
-            one, other = contact.geom
-            if self._of_car[other]:
-                one, other = other, one
-            if self._of_car[one] and self.solid[other]:  # a box pushed against a wall is none
-                x, y, z = self._frame.to_floor(contact.pos).tolist()
-                return Collision(time, self._labels[self._obstacle[other]], (x, y, z))
-        return None
+        pairs = self._data.contact.geom
+        car, solid = self._of_car[pairs], self.solid[pairs]
+        # both sides: a box pushed against a wall touches something solid, too
+        hits = np.flatnonzero((car[:, 0] & solid[:, 1]) | (car[:, 1] & solid[:, 0]))
+        if not hits.size:
+            return None
+        obstacle = int(self._obstacle[pairs[hits[0]]].max())
+        x, y, z = self._frame.to_floor(self._data.contact.pos[hits[0]]).tolist()
+        return Collision(time, self._labels[obstacle], (x, y, z))
 
 
 def _obstacle_index(geom: str) -> int:

@@ -14,6 +14,8 @@ from kraft.simulation.world import World
 
 Image: TypeAlias = NDArray[np.uint8]
 
+FRAME: Final = 0.9
+"""How much more than the bounds an overview shows, m."""
 AHEAD: Final = 0.3
 """How far in front of the car the camera that chases it looks, m."""
 
@@ -45,11 +47,16 @@ class Painter:
         ahead = np.array([x + AHEAD * math.cos(facing), y + AHEAD * math.sin(facing), 0.08])
         return self.view(self._world.frame.to_world(ahead).tolist(), distance, math.degrees(facing), elevation_deg)
 
-    def overview(self, azimuth_deg: float = 90.0, elevation_deg: float = 89.9) -> Image:
-        """The whole scene, from above unless told otherwise, up being +y; uint8 (height, width, 3)."""
-        centre = self._world.model.stat.center
-        extent = float(self._world.model.stat.extent)
-        return self.view([centre[0], centre[1], 0.0], 1.35 * extent, azimuth_deg, elevation_deg)
+    def overview(self, elevation_deg: float = 89.9) -> Image:
+        """The whole scene, its longer side to the right, from above unless told otherwise; uint8 (height, width, 3)."""
+        (x0, x1), (y0, y1) = self._world.bounds.x, self._world.bounds.y
+        wide, deep = sorted((x1 - x0, y1 - y0), reverse=True)
+        nearer = deep / 2 * math.cos(math.radians(elevation_deg))  # by how much the near side is closer
+        aspect = self._renderer.width / self._renderer.height
+        tangent = math.tan(math.radians(self._world.model.vis.global_.fovy) / 2)
+        distance = max((wide + FRAME) / aspect, deep + FRAME) / 2 / tangent + nearer
+        azimuth = 180.0 if y1 - y0 >= x1 - x0 else 90.0
+        return self.view([(x0 + x1) / 2, (y0 + y1) / 2, 0.0], distance, azimuth, elevation_deg)
 
     def view(self, at: list[float], distance: float, azimuth_deg: float, elevation_deg: float) -> Image:
         """From `distance` m and an elevation above the horizon towards the point `at` of the world, m.

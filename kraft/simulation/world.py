@@ -33,12 +33,14 @@ class World:
         model: the compiled `mujoco.MjModel`, for drawing.
         data: its `mujoco.MjData`, for drawing and recording.
         frame: where the floor is in the world.
+        bounds: the scenario's, in the floor's frame.
     """
 
     dt: Final = TIMESTEP
 
     def __init__(self, scenario: Scenario) -> None:
         truth = scenario.truth
+        self.bounds: Final = scenario.bounds
         self.frame: Final = FloorFrame.of(truth.tilt)
         self.model: Final[Any] = build(scenario, self.frame, TIMESTEP)
         self.data: Final[Any] = mujoco.MjData(self.model)

@@ -22,6 +22,10 @@ PROMPT_LAG = 0.1
 for the integrator's steps of 0.1 s."""
 BREAKAWAY = 0.03
 """Speed over which friction rises from nothing, m/s: smooth, so that the integrator may step over standstill."""
+REVERSE = -0.5
+"""Throttle of fastest reverse."""
+BRAKING = 2.0
+"""Throttle against the motion per speed, s/m."""
 TURNS = ("straight", "left", "right", "hard-left", "hard-right")
 
 
@@ -72,6 +76,14 @@ def stop(x: Values, p: Values, k: int) -> Values:
     return 0.0, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
 
 
+@derivative
+def brake(x: Values, p: Values, k: int) -> Values:
+    """The same with the motor against the motion, gently near standstill."""
+    wanted = -BRAKING * x[3]
+    throttle = REVERSE if wanted < REVERSE else (-REVERSE if wanted > -REVERSE else wanted)
+    return throttle, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
+
+
 MUSHR = Vehicle(
     name="mushr",
     derivative=prompt,
@@ -97,6 +109,8 @@ MUSHR_DRIVE = replace(
     MUSHR,
     name="mushr-drive",
     derivative=driven,
+    stop=brake,
+    controls={"throttle": (REVERSE, 1.0), "steering": (-STEERING_MAX, STEERING_MAX)},
     parameters={"L": 0.3405, "phi_diff": 0.0031, "v_delta": 0.6861, "tau": 0.8813, "u_0": 0.1274},
     top_speed=0.6861,
 )
