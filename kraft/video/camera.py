@@ -52,46 +52,51 @@ class ChaseCamera:
     """Behind and above the car; turns smoothly, and rises where an obstacle would hide the car."""
 
     def __init__(self) -> None:
-        self._time = -math.inf
+        self._time, self._dt = -math.inf, math.inf
         self._heading = self._rate = 0.0
         self._elevation = LOWEST
 
     def aim(self, world: World) -> Aim:
         """Where it is now; to be asked in the order of time."""
         x, y, theta = map(float, world.pose)
-        self._follow(world.time, theta, self._clear(world, x, y))
-        along = np.array([math.cos(self._heading), math.sin(self._heading), 0.0])
-        target = np.array([x, y, 0.08]) + AHEAD * along
-        offset = DISTANCE * (math.sin(self._elevation) * np.array([0, 0, 1.0]) - math.cos(self._elevation) * along)
-        rotation = world.frame.rotation
+        self._turn(world.time, theta)
+        self._rise(self._clear(world, x, y))
+        target, offset = self._place(x, y, self._elevation)
         position = world.frame.to_world(target + offset)
-        return Aim(position, *_levelled(rotation @ -offset), math.tan(FIELD_OF_VIEW / 2), True)
+        return Aim(position, *_levelled(world.frame.rotation @ -offset), math.tan(FIELD_OF_VIEW / 2), True)
 
-    def _follow(self, time: float, heading: float, elevation: float) -> None:
-        """Second-order, critically damped; the first time it is there at once."""
-        dt = time - self._time
-        self._time = time
-        if not math.isfinite(dt):
-            self._heading, self._elevation = heading, elevation
+    def _place(self, x: float, y: float, elevation: float) -> tuple[Floats, Floats]:
+        """What it looks at, and where it is from there, in the floor's frame, m."""
+        along, up = np.array([math.cos(self._heading), math.sin(self._heading), 0.0]), np.array([0.0, 0.0, 1.0])
+        offset = DISTANCE * (math.sin(elevation) * up - math.cos(elevation) * along)
+        return np.array([x, y, 0.08]) + AHEAD * along, offset
+
+    def _turn(self, time: float, heading: float) -> None:
+        """Follow the heading like a critically damped spring; the first time it is there at once."""
+        self._dt, self._time = time - self._time, time
+        if not math.isfinite(self._dt):
+            self._heading = heading
             return
         pull = 2.0 / SETTLING
         ahead = math.remainder(heading - self._heading, math.tau)
-        error, decay = -ahead, math.exp(-pull * dt)
-        slope = self._rate + pull * error
-        self._heading = self._heading + ahead + (error + slope * dt) * decay
-        self._rate = (self._rate - pull * slope * dt) * decay
-        self._elevation += (elevation - self._elevation) * (1.0 - math.exp(-pull * dt))
+        slope, decay = self._rate - pull * ahead, math.exp(-pull * self._dt)
+        self._heading += ahead + (slope * self._dt - ahead) * decay
+        self._rate = (self._rate - pull * slope * self._dt) * decay
+
+    def _rise(self, elevation: float) -> None:
+        """Rise at once, so that nothing gets between; come down slowly."""
+        share = 1.0 - math.exp(-self._dt / SETTLING)
+        self._elevation = max(elevation, self._elevation + (elevation - self._elevation) * share)
 
     def _clear(self, world: World, x: float, y: float) -> float:
         """The lowest elevation from which nothing hides the roof."""
-        roof = world.frame.to_world(np.array([x, y, ROOF]))
-        back = np.array([-math.cos(self._heading), -math.sin(self._heading), 0.0])
-        hit = np.zeros(1, np.int32)
+        roof = np.array([x, y, ROOF])
+        start, hit = world.frame.to_world(roof), np.zeros(1, np.int32)
         for elevation in np.arange(LOWEST, HIGHEST, STEP):
-            towards = math.cos(elevation) * back + math.sin(elevation) * np.array([0.0, 0.0, 1.0])
-            sight = world.frame.rotation @ towards
-            distance = mujoco.mj_ray(world.model, world.data, roof, sight, SOLID, True, -1, hit)
-            if distance < 0.0 or distance > DISTANCE:
+            target, offset = self._place(x, y, float(elevation))
+            sight = world.frame.rotation @ (target + offset - roof)
+            distance = mujoco.mj_ray(world.model, world.data, start, sight, SOLID, True, -1, hit)
+            if distance < 0.0 or distance > 1.0:  # in lengths of the sight
                 return float(elevation)
         return HIGHEST
 

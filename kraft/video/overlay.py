@@ -60,7 +60,7 @@ class Overlay:
         left = max(0.0, ahead - (moment.time - moment.cycle.time)) if moment.cycle else math.inf
         numbers = (
             ("time", f"{moment.time:.1f}", "s"),
-            ("speed", f"{moment.speed:.2f}", "m/s"),
+            ("speed", f"{round(moment.speed, 2) + 0.0:.2f}", "m/s"),
             ("plan to goal", f"{left:.1f}" if math.isfinite(ahead) else "–", "s" if math.isfinite(ahead) else ""),
             ("clearance", f"{100 * max(moment.clearance, 0.0):.0f}", "cm"),
         )

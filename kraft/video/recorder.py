@@ -6,8 +6,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-import numpy as np
-
 from kraft.scenario import Bounds
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
@@ -68,7 +66,7 @@ class VideoRecorder:
         if self._stage is None:
             self._stage, self._world = Stage(world, self._spec, SIZE, self._map_width, BAND), world
         moment = self._chronicle.on_step(world, step)
-        due = int(np.floor(world.time * FPS + 1e-6)) + 1 - self._file.frames
+        due = round(world.time * FPS) + 1 - self._file.frames
         if due > 0:
             picture = self._overlay.over(self._stage.picture(moment), moment)
             for _ in range(due):

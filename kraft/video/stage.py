@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -17,12 +18,13 @@ from kraft.video.moment import Moment
 from kraft.video.mp4 import Image
 from kraft.video.pen import Pen
 from kraft.video.smooth import smoothed
+from ompl_ext.arrays import Floats
 
 GEOMS_MAX: Final = 12_000
 NEAR, FAR = 0.05, 60.0
 """Limits of what is seen, m."""
 SHADOW_MAP: Final = 2048
-SHADOW_REACH: Final = 3.2
+SHADOW_REACH: Final = 4.2
 """Shadows are seen this far around a point that moves with the car, m; the smaller, the sharper."""
 LAMP: Final = 8.0
 """Distance from there to the lamp that casts them, m."""
@@ -62,8 +64,13 @@ class View:
         mujoco.mjv_makeLights(world.model, world.data, scene)
         for light in scene.lights[: scene.nlight]:
             if light.castshadow and light.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
-                light.pos = world.frame.to_world(np.array([*world.pose[:2], 0.0])) - LAMP * light.dir
+                light.pos = self._seen() - LAMP * light.dir
         mujoco.mjr_render(self._rectangle, scene, context)
+
+    def _seen(self) -> Floats:
+        """The middle of what the view from behind shows, in the world's frame."""
+        x, y, theta = map(float, self._world.pose)
+        return self._world.frame.to_world(np.array([x + math.cos(theta), y + math.sin(theta), 0.0]))
 
 
 class Stage:

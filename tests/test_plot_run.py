@@ -1,0 +1,123 @@
+"""Pictures of drives: the same bytes for the same drive, whatever became of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from kraft.errors import InputError
+from kraft.method import load_method
+from kraft.plot.drive import Drive, driven_line, footprint_times
+from kraft.plot.frame import Frame
+from kraft.plot.run import _compose, key_numbers, plot_run
+from kraft.plot.style import look
+from kraft.plot.traces import traces_of
+from kraft.scenario import load_scenario
+from kraft.simulation.hidden import hidden_things
+from kraft.trial import run_trial
+from kraft.trial_result import Outcome, TrialResult, TrialSpec
+from kraft.vehicle import load_vehicle
+from kraft_cli.main import main
+
+MUSHR = load_vehicle("mushr")
+MOVABLE = load_scenario("movable")
+
+
+@pytest.fixture(scope="module")
+def driven() -> TrialResult:
+    short = dataclasses.replace(MOVABLE, trial=MOVABLE.trial.model_copy(update={"timeout": 4.5}))
+    return run_trial(TrialSpec(short, load_method("conservative-kraft"), MUSHR, 1))
+
+
+def width(path: Path) -> int:
+    with Image.open(path) as picture:
+        return picture.width
+
+
+def texts(figure: Figure) -> set[str]:
+    return {text.get_text() for part in (figure, *figure.axes) for text in part.texts}
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_the_same_drive_gives_the_same_bytes(suffix: str, driven: TrialResult, tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
+    slower = dataclasses.replace(
+        driven, cycles=tuple(dataclasses.replace(cycle, planning_ms=99.0) for cycle in driven.cycles)
+    )
+    for path, result in zip(paths, (driven, slower), strict=True):
+        plot_run(path, MOVABLE.task(), MUSHR, result, hidden=hidden_things(MOVABLE))
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    if suffix == ".png":
+        assert width(paths[0]) == 1600
+
+
+@pytest.mark.parametrize("outcome", list(Outcome))
+def test_every_ending_is_told(outcome: Outcome, driven: TrialResult) -> None:
+    crashed = outcome is Outcome.COLLISION
+    result = dataclasses.replace(driven, outcome=outcome, obstacle="left wall" if crashed else None)
+    with look():
+        found = texts(_compose(Drive.of(result), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()))
+    assert ("collision with left wall" in found) == crashed
+    assert ("collision with\nleft wall" in found) == crashed
+    assert ("time limit" in found) == (outcome is Outcome.TIMEOUT)
+
+
+def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
+    speed, clearance, throttle, steering = traces_of(Drive.of(driven), MOVABLE.task(), MUSHR)
+    planned, estimated, true = speed.curves
+    assert true.values == pytest.approx([step.speed for step in driven.steps])
+    assert estimated.values == pytest.approx([step.estimate[3] for step in driven.steps])
+    assert np.isfinite(planned.values).any()
+    assert clearance.curves[0].values.min() == pytest.approx(driven.min_clearance, abs=1e-9)
+    assert throttle.curves[0].values == pytest.approx([step.command[0] for step in driven.steps])
+    assert steering.curves[0].values == pytest.approx([step.command[1] for step in driven.steps])
+
+
+def test_the_path_has_the_colours_of_its_speed(driven: TrialResult) -> None:
+    drive = Drive.of(driven)
+    line = driven_line(Frame.around(MOVABLE.bounds), drive, MUSHR.top_speed)
+    assert len(line.get_segments()) == len(driven.steps) - 1
+    shades = np.asarray(line.get_array())
+    assert np.allclose(shades, np.abs(drive.speeds[1:] + drive.speeds[:-1]) / 2)
+
+
+def test_long_drives_have_fewer_footprints(driven: TrialResult) -> None:
+    drive = Drive.of(driven)
+    assert footprint_times(drive) == 1
+    longer = dataclasses.replace(drive.motion, times=drive.motion.times * 20)
+    assert footprint_times(dataclasses.replace(drive, motion=longer)) > 1
+
+
+def test_an_unknown_format_is_refused(driven: TrialResult, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected \.png"):
+        plot_run(tmp_path / "a.bmp", MOVABLE.task(), MUSHR, driven)
+
+
+SHORT = """name: short
+bounds: {x: [0, 4], y: [0, 4]}
+start: {x: 0.6, y: 1, heading_deg: 0}
+goal: {center: [2.0, 1], radius: 0.4}
+"""
+
+
+def test_run_draws_what_it_drove_and_refuses_before_it_drives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("short.yaml").write_text(SHORT)
+    assert main(["run", "short.yaml", "--plot", "run.png", "-q"]) == 0
+    assert width(Path("run.png")) == 1600
+    capsys.readouterr()
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    assert main(["run", "short.yaml", "--plot", "run.bmp"]) == 2
+    assert main(["run", "short.yaml", "--video", "run.avi"]) == 2
+    assert main(["run", "short.yaml", "--video", "run.mp4"]) == 3
+    err = capsys.readouterr().err
+    assert "MUJOCO_GL=off draws nothing" in err
+    assert "to goal" not in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.png", "short.yaml"]
