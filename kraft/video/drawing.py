@@ -17,7 +17,7 @@ from ompl_ext.arrays import Matrix
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
 
-EDGES_MAX: Final = 2500
+EDGES_MAX: Final = 1500
 """A larger tree is drawn in part."""
 SWATH, TREE, TRAIL, PLAN, SAFE, BELIEF = 0.0025, 0.005, 0.006, 0.009, 0.012, 0.014
 """Height above the ground, m: what is higher covers what is lower."""

@@ -68,7 +68,7 @@ class Pen:
                 return
             mujoco.mjv_initGeom(geom, LINE, zero, zero, eye, rgba)
             mujoco.mjv_connector(geom, LINE, pixels, begin, end)
-            geom.emission = 1.0
+            geom.emission, geom.castshadow = 1.0, 0
 
     def _bands(self, pieces: Floats, width: float, colours: Matrix) -> None:
         """A thin box for each piece (n, 2, 3) of the floor's frame; each is a little longer, to close bends."""
