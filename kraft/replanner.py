@@ -117,6 +117,8 @@ class Replanner:
         self._roll = Roller(self.dirt, controller, period)
         self._once = settings.mode == "one-shot"
         self._at_rest = np.zeros(len(self.dirt.vehicle.controls))
+        assert self.dirt.goal is not None, "a task has a goal"
+        self._goal = self.dirt.goal
         self._delta = self.dirt.safety.delta
         self._recovering = False
         self._number = 0
@@ -203,7 +205,9 @@ class Replanner:
         """Plan from the predicted root: with the margin, else without, else perhaps with less clearance."""
         began, cycle = clock.perf_counter(), self._settings.cycle
         proposal = Proposal(None)
+        radius = self._goal_radius(root)
         for dirt in self._attempts(root):
+            dirt.aim_for(radius)
             proposal = self._search(dirt, root, previous)
             if proposal.plan is not None:
                 break
@@ -213,6 +217,15 @@ class Replanner:
             reason = f"planning took {seconds:.3f} s, longer than there was time"
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
         return replace(proposal, seconds=seconds, missed=missed)
+
+    def _goal_radius(self, root: Floats) -> float:
+        """Radius of the region to aim for, m: as long as the trial goes on, nearer to the centre than the vehicle is.
+
+        A vehicle that has arrived by its own estimate, but not in truth, would else wait for ever.
+        """
+        goal, vehicle = self._goal, self.dirt.vehicle
+        away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
+        return max(SMALLEST_GOAL, min(goal.radius, 0.5 * away))
 
     def _attempts(self, root: Floats) -> Iterator[Dirt]:
         """Planners to ask in turn, the first that finds a plan decides."""

@@ -230,6 +230,13 @@ class Dirt:
         self.safety = replace(self.safety, delta=delta)
         self._problem.scalar[at.DELTA] = delta
 
+    def aim_for(self, radius: float) -> None:
+        """From now on plan to a smaller region around the goal's centre, `radius` m; the cost-to-go stays as it is."""
+        if self.goal is None:
+            raise ValueError("there is no goal to aim for")
+        self.goal = replace(self.goal, radius=radius)
+        self._problem.scalar[at.GOAL_RADIUS] = radius
+
     def pose_slack(self, x: float, y: float, theta: float) -> float:
         """Lower bound of the footprint's clearance at a pose within the workspace (m)."""
         return self._kernels.pose(self._problem, x, y, theta)
