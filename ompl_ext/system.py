@@ -28,21 +28,22 @@ class Propagator:
     def __init__(self, vehicle: Vehicle) -> None:
         self._advance, self._parameters = kernels(vehicle).advance, vehicle.parameter_array
         nx, nu = len(vehicle.state), len(vehicle.controls)
-        self._x, self._u, self._y = np.zeros(nx), np.zeros(nu), np.zeros(nx)
+        self._arrays = np.zeros(nx), np.zeros(nu), np.zeros(nx)
+        self._x, self._u, self._y = (memoryview(array) for array in self._arrays)  # single numbers are quicker there
         self._states, self._controls = range(nx), range(nu)
         self.calls = 0
 
     def __call__(self, state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
         """Write the state `duration` s after `state` under `control` into `result`."""
         self.calls += 1
-        x, u, y = self._x, self._u, self._y
+        (x, u, y), y_now = self._arrays, self._y
         for k in self._states:
-            x[k] = state[k]
+            self._x[k] = state[k]
         for k in self._controls:
-            u[k] = control[k]
+            self._u[k] = control[k]
         self._advance(x, u, self._parameters, duration, y)
         for k in self._states:
-            result[k] = y[k]
+            result[k] = y_now[k]
 
 
 class SimpleSetup(oc.SimpleSetup):
@@ -72,14 +73,17 @@ class PlanarGoal(ob.GoalRegion):
     def __init__(self, si: oc.SpaceInformation, vehicle: Vehicle, goal: Goal) -> None:
         super().__init__(si)
         self.goal = goal
-        self._places = tuple(vehicle.index(name) for name in ("x", "y", "theta"))
+        self._x, self._y, self._theta = (vehicle.index(name) for name in ("x", "y", "theta"))
+        self._center = goal.center
+        self._asks_heading = self._theta >= 0 and goal.tolerance < math.pi
+        self._least_cosine = math.cos(min(goal.tolerance, math.pi))
         self.setThreshold(goal.radius)
 
     def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
         """Distance to the centre (m); with a wrong heading at least the radius, so that it is no goal."""
-        x, y, theta = self._places
-        distance = math.hypot(state[x] - self.goal.center[0], state[y] - self.goal.center[1])
-        if theta >= 0 and math.cos(state[theta] - self.goal.heading) < math.cos(min(self.goal.tolerance, math.pi)):
+        x, y = self._center
+        distance = math.hypot(state[self._x] - x, state[self._y] - y)
+        if self._asks_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
             return max(distance, 1.001 * self.goal.radius)
         return distance
 
