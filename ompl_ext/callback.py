@@ -61,7 +61,7 @@ class CallbackSearch:
         self._si, self._goal, self._configuration, self._settings = si, goal, configuration, settings
         self._safety = safety if settings.cycle > 0 else None
         self._control = ControlLayout(si.getControlSpace())
-        self._edge_control = si.allocControl()
+        self._lane_control = [si.allocControl() for _ in range(settings.blossom)]
         self._states: list[ob.State] = []
         self._distance: list[float] = []  # of each state from the goal, in the goal's measure
         self._is_region = isinstance(goal, ob.GoalRegion)  # whose distance alone decides
@@ -210,25 +210,27 @@ class CallbackSearch:
     # The three functions that the kernel calls.
 
     def _propagate(self, start_place: int, lanes: int) -> None:
+        """Each stage for all lanes before the next: what a stage needs stays in the processor's caches."""
         self._replace_taken_states()
-        work, states, control, propagate = self._view, self._states, self._edge_control, self._si.propagateWhileValid
-        start = self._start = states[start_place]
+        work, states, places, controls = self._view, self._states, self._lane_state, self._lane_control
+        start, steps = states[start_place], work.steps[:lanes].tolist()
+        self._start = start
         for lane in range(lanes):
             work.slack[lane] = -1.0  # until the edge is known to be valid
+            self._control.write(work.control[lane::LANE_WIDTH].tolist(), controls[lane])
+        propagate = self._si.propagateWhileValid
+        done = [propagate(start, controls[lane], steps[lane], states[places[lane]]) for lane in range(lanes)]
         for lane in range(lanes):
-            self._control.write(work.control[lane::LANE_WIDTH].tolist(), control)
-            place, steps = self._lane_state[lane], work.steps[lane]
-            if propagate(start, control, steps, states[place]) == steps:
-                self._describe(lane, place, self._distance[start_place])
-                work.trajectory[self._last + lane] = place
+            if done[lane] == steps[lane]:
+                self._describe(lane, places[lane], self._distance[start_place])
+                work.trajectory[self._last + lane] = places[lane]
                 work.slack[lane] = 0.0
 
     def _safe(self, lane: int, start_time: float) -> int:
         """SAFETY where an edge leaves the cycle: propagate up to there once more and ask the checker."""
         assert self._safety is not None
-        self._control.write(self._view.control[lane::LANE_WIDTH].tolist(), self._edge_control)
         steps = min(math.ceil((self._settings.cycle - start_time) / self._step - 1e-9), self._view.steps[lane])
-        self._si.propagate(self._start, self._edge_control, steps, self._scratch)
+        self._si.propagate(self._start, self._lane_control[lane], steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1
 
     def _describe(self, lane: int, place: int, start_distance: float = -math.inf) -> None:
