@@ -73,7 +73,7 @@ class CallbackSearch:
         longest = int(self._problem.option[at.STEPS])
         self._tree = new_tree(settings.capacity, 1, self._control.dimension, bounds)
         self._work = make_lanes(1, self._control.dimension, 1, longest)
-        self._view: Any = Lanes._make(memoryview(array) for array in self._work)  # single numbers are quicker there
+        self._view: Any = Lanes._make(array.data for array in self._work)  # single numbers are quicker there
         self._last = longest * LANE_WIDTH  # where the ends of edges stand in the trajectory
         self._q = np.zeros(at.Q_DIM)
         self._nothing = edges_to_retain([], np.zeros((0, self._control.dimension)), np.zeros(0))

@@ -27,8 +27,10 @@ STOP = ctypes.CFUNCTYPE(ctypes.c_int64)  # asked after every visit
 _namedtuple: Any = collections.namedtuple  # mypy wants the names of fields written out
 CallbackLanes = _namedtuple("CallbackLanes", (*Lanes._fields, "propagate", "safe", "stop"))
 
-_typeof: Any = numba.typeof
-_CALLBACK_LANES: Any = types.NamedTuple([*LANES.types, *(_typeof(kind()) for kind in (PROPAGATE, SAFE, STOP))], CallbackLanes)
+_typeof: Any = numba.typeof  # without types of their own
+_types: Any = types
+_CALLBACKS = [_typeof(kind()) for kind in (PROPAGATE, SAFE, STOP)]
+_CALLBACK_LANES = _types.NamedTuple([*LANES.types, *_CALLBACKS], CallbackLanes)
 
 Grow = Callable[[Tree, Problem, Any, Floats, Retained, int], None]
 
@@ -61,5 +63,5 @@ def _grow(tree: Tree, problem: Problem, work: Any, q: Floats, kept: Retained, it
 @cache
 def grow() -> Grow:
     """The kernel: retain edges, then visit nodes; compiled, or loaded from the cache, on the first call."""
-    signature = types.void(TREE, PROBLEM, _CALLBACK_LANES, types.float64[::1], RETAINED_EDGES, types.int64)
+    signature = _types.void(TREE, PROBLEM, _CALLBACK_LANES, _types.float64[::1], RETAINED_EDGES, _types.int64)
     return compiled(_grow, signature=signature)

@@ -380,7 +380,5 @@ advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOAT
 pose = compiled(
     _pose,
     folder=FOLDER,
-    signature=types.float64(
-        types.float32[:, ::1], _FLOATS, _FLOATS, types.float64, types.float64, types.float64
-    ),
+    signature=types.float64(types.float32[:, ::1], _FLOATS, _FLOATS, types.float64, types.float64, types.float64),
 )

@@ -29,7 +29,7 @@ class Propagator:
         self._advance, self._parameters = kernels(vehicle).advance, vehicle.parameter_array
         nx, nu = len(vehicle.state), len(vehicle.controls)
         self._arrays = np.zeros(nx), np.zeros(nu), np.zeros(nx)
-        self._x, self._u, self._y = (memoryview(array) for array in self._arrays)  # single numbers are quicker there
+        self._x, self._u, self._y = (array.data for array in self._arrays)  # single numbers are quicker there
         self._states, self._controls = range(nx), range(nu)
         self.calls = 0
 

@@ -19,6 +19,7 @@ from ompl_ext.obstacles import Workspace, box
 from ompl_ext.planner import DIRT
 from ompl_ext.query import Goal, Safety
 from ompl_ext.system import SimpleSetup, simple_setup
+from ompl_ext.validity import SafetyValidityChecker
 
 ou.setLogLevel(ou.LOG_NONE)
 BOUNDS = ((0.0, 4.0), (0.0, 4.0))
@@ -285,6 +286,40 @@ def test_any_space_of_compounds_is_planned_over_callbacks() -> None:
     assert not planner.compiled
     assert setup.haveExactSolutionPath()
     assert planner.tree().states.shape[1] == 4
+
+
+def test_what_a_callback_raises_ends_solve_and_the_planner_can_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    setup = arena()
+    planner = planned(setup, 0.2, use_callbacks=True)
+    answers = iter([False, False])
+    with pytest.raises(StopIteration):
+        planner.solve(lambda: next(answers))
+
+    def fails(checker: SafetyValidityChecker, state: ob.State) -> bool:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SafetyValidityChecker, "isValid", fails)
+        with pytest.raises(ZeroDivisionError):
+            planner.solve(5.0)
+    edges, nodes = planner.edges, len(planner.tree().parents)
+    assert planner.solve(0.2) == STATUS.EXACT_SOLUTION
+    assert planner.edges > edges
+    assert len(planner.tree().parents) > nodes
+
+
+def test_equal_seeds_give_equal_trees_over_callbacks() -> None:
+    trees = []
+    for _ in range(2):
+        setup = arena()
+        planner = DIRT(setup.getSpaceInformation(), seed=5, use_callbacks=True)
+        setup.setPlanner(planner)
+        setup.setup()
+        while planner.iterations < 600:
+            planner.solve(0.01)
+        trees.append(planner.tree())
+    assert np.array_equal(trees[0].states[:600], trees[1].states[:600])
+    assert np.array_equal(trees[0].parents[:600], trees[1].parents[:600])
 
 
 def test_benchmark_runs_dirt_beside_ompls_planners(tmp_path: Path) -> None:
