@@ -19,7 +19,7 @@ from ompl_ext.specialise import kernels
 from ompl_ext.validity import SafetyValidityChecker
 from ompl_ext.vehicle import Vehicle
 
-UNBOUNDED = 1e3  # bounds of state components without limits: OMPL's samplers need finite ones
+MODEST = math.pi  # bound of what has neither a limit nor a known range: a turning rate, an angle (SI)
 
 
 class Propagator:
@@ -61,6 +61,27 @@ class SimpleSetup(oc.SimpleSetup):
         """Propagation steps that planners have asked of the callback."""
         return self.propagator.calls
 
+    def setStartState(self, state: ob.State) -> None:  # noqa: N802 (OMPL's name)
+        """Start at `state`, also where it is outside the range that states are sampled in."""
+        self._widen_bounds(state)
+        super().setStartState(state)
+
+    def addStartState(self, state: ob.State) -> None:  # noqa: N802
+        """Start also at `state`."""
+        self._widen_bounds(state)
+        super().addStartState(state)
+
+    def _widen_bounds(self, state: ob.State) -> None:
+        """A heading that has gone on beyond pi is no reason to refuse a start; what is invalid the checker says."""
+        space = self.getStateSpace()
+        if isinstance(space, ob.RealVectorStateSpace) and not space.satisfiesBounds(state):
+            bounds = space.getBounds()
+            values = [state[k] for k in range(space.getDimension())]
+            if not all(map(math.isfinite, values)):
+                return
+            lows, highs = map(min, bounds.low, values), map(max, bounds.high, values)
+            space.setBounds(_bounds(np.array([*zip(lows, highs, strict=True)])))
+
     def getPlannerData(self, data: ob.PlannerData) -> None:  # noqa: N802 (OMPL's name)
         """Fill `data` with the planner's tree."""
         data.clear()
@@ -88,6 +109,26 @@ class PlanarGoal(ob.GoalRegion):
         return distance
 
 
+def sampling_range(vehicle: Vehicle, workspace: Workspace) -> Floats:
+    """Low and high of each state component that OMPL's planners sample, shape (nx, 2): no wider than states are.
+
+    These are the workspace, the vehicle's limits, and where it has none: any heading, speeds up to the top speed, and
+    +-`MODEST`.  In a wider range most samples are nowhere near a state that the vehicle can have, and RRT's nearest
+    neighbours mean nothing.  Nothing keeps states inside: a heading may go on beyond pi.
+    """
+    free = np.full(len(vehicle.state), MODEST)
+    if vehicle.rest_indices:
+        free[vehicle.rest_indices[0]] = vehicle.top_speed
+    if vehicle.index("theta") >= 0:
+        free[vehicle.index("theta")] = math.pi
+    limits = vehicle.state_limits
+    limits[:, 0] = np.where(np.isinf(limits[:, 0]), np.minimum(-free, limits[:, 1] - free), limits[:, 0])
+    limits[:, 1] = np.where(np.isinf(limits[:, 1]), np.maximum(free, limits[:, 0] + free), limits[:, 1])
+    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
+        limits[vehicle.index(name)] = bounds
+    return limits
+
+
 def space_information(
     vehicle: Vehicle,
     workspace: Workspace,
@@ -98,13 +139,11 @@ def space_information(
 ) -> oc.SpaceInformation:
     """Space information for `vehicle` in `workspace`: bounds, propagator (RK4), validity with clearance and SAFETY.
 
-    `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of it.
+    `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of it.  The bounds are
+    `sampling_range`; OMPL refuses a start outside them, which `SimpleSetup` widens for its starts.
     """
-    limits = vehicle.state_limits.copy()
-    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
-        limits[vehicle.index(name)] = bounds
     space = ob.RealVectorStateSpace(len(vehicle.state))
-    space.setBounds(_bounds(np.clip(limits, -UNBOUNDED, UNBOUNDED)))
+    space.setBounds(_bounds(sampling_range(vehicle, workspace)))
     plane = [vehicle.index("x"), vehicle.index("y")]
     cells = [(high - low) / 20 for low, high in workspace.bounds]
     space.registerDefaultProjection(ob.RealVectorOrthogonalProjectionEvaluator(space, cells, plane))
