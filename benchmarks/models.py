@@ -16,7 +16,7 @@ Model = Callable[[Matrix, Matrix], Matrix]
 Law = Callable[[Floats], Floats]
 
 MUSHR_LAG = 0.1  # s
-APPROACH = 10.0  # 1/s
+APPROACH = 6.0  # 1/s
 
 
 def model_of(vehicle: Vehicle) -> Model:
@@ -49,11 +49,20 @@ def unicycle(a_max: float, alpha_max: float, v_max: float, omega_max: float) -> 
 
     def derivative(x: Matrix, u: Matrix) -> Matrix:
         theta, v, omega = x[:, 2], x[:, 3], x[:, 4]
-        dv = np.clip(a_max * u[:, 0], -APPROACH * v, APPROACH * (v_max - v))
-        domega = np.clip(alpha_max * u[:, 1], -APPROACH * (omega_max + omega), APPROACH * (omega_max - omega))
+        dv = faded(a_max * u[:, 0], v, v_max - v)
+        domega = faded(alpha_max * u[:, 1], omega_max + omega, omega_max - omega)
         return np.column_stack([v * np.cos(theta), v * np.sin(theta), omega, dv, domega])
 
     return derivative
+
+
+def faded(acceleration: Floats, below: Floats, above: Floats) -> Floats:
+    """An acceleration with that much room below and above its speed: a parabola from full to APPROACH * room."""
+    room = np.where(acceleration >= 0, above, below)
+    share = np.clip(APPROACH * room / np.maximum(np.abs(acceleration), 1e-300), 0.0, 2.0)  # 2: not faded
+    back = APPROACH * (np.minimum(above, 0.0) - np.minimum(below, 0.0))  # from beyond a limit
+    result: Floats = acceleration * share * (1.0 - share / 4.0) + back
+    return result
 
 
 def law_of(vehicle: Vehicle, manoeuvre: str) -> Law:

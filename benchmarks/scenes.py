@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-
-from ompl import base as ob
 
 from kraft.scenario import load_scenario
 from kraft.vehicle import load_vehicle
@@ -41,20 +38,7 @@ class Scene:
         """The query as OMPL planners take it."""
         settings = Settings()
         duration = (settings.shortest, settings.longest)
-        setup = simple_setup(self.vehicle, self.workspace, self.start, self.goal, NO_MARGIN, OMPL_STEP, duration)
-        setup.getStateSpace().setBounds(sampling_bounds(self))
-        return setup
-
-
-def sampling_bounds(query: Scene) -> ob.RealVectorBounds:
-    """Bounds that states are sampled in: no wider than states are, or RRT's nearest neighbours mean nothing."""
-    vehicle, (x, y) = query.vehicle, query.workspace.bounds
-    ranges = {"x": x, "y": y, "theta": (-math.pi, math.pi), "v": (-0.2, vehicle.top_speed)}
-    bounds = ob.RealVectorBounds(len(vehicle.state))
-    for k, name in enumerate(vehicle.state):
-        bounds.setLow(k, ranges[name][0])
-        bounds.setHigh(k, ranges[name][1])
-    return bounds
+        return simple_setup(self.vehicle, self.workspace, self.start, self.goal, NO_MARGIN, OMPL_STEP, duration)
 
 
 def scene(name: str) -> Scene:

@@ -104,7 +104,12 @@ def readable(error: Exception) -> str:
 
 
 def _named(returned: object) -> str:
-    return "one number" if isinstance(returned, types.Number) else str(returned)
+    if isinstance(returned, types.Number):
+        return "one number"
+    if not isinstance(returned, types.BaseTuple):
+        return str(returned)
+    kinds = [_untyped(types).unliteral(kind) for kind in _untyped(returned)]  # Pythons differ in what is a literal
+    return "(" + ", ".join("text" if isinstance(kind, types.UnicodeType) else str(kind) for kind in kinds) + ")"
 
 
 def _count(number: int) -> str:

@@ -58,7 +58,12 @@ def goal_of(task: Task) -> Goal:
 def safety_of(task: Task) -> Safety:
     """SAFETY where the plan leaves its first cycle, with the clearance that the task asks for."""
     margin = task.planning.safety
-    return Safety(cycle=task.planning.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
+    return Safety(
+        cycle=task.planning.cycle,
+        delta=margin.delta,
+        delta_per_speed=margin.delta_per_speed,
+        horizon=margin.horizon,
+    )
 
 
 def settings_of(task: Task) -> Settings:

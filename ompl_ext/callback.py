@@ -1,6 +1,7 @@
 """DIRT over OMPL's callbacks: the source of `ompl_ext.dirt`, for any control space.
 
-States stay OMPL's own; the tree's arrays hold their numbers in a list.  What needs no callback runs compiled.
+States stay OMPL's own; the tree's arrays hold their numbers in a list.  The algorithm runs compiled and calls back for
+edges and SAFETY (`ompl_ext.callback_kernel`).
 """
 
 from __future__ import annotations
@@ -9,20 +10,24 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 from ompl import base as ob
 from ompl import control as oc
 
-from ompl_ext import dirt
+from ompl_ext import callback_kernel
 from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.configuration import Bounds, Configuration, ControlLayout, goal_configuration, state_reader
-from ompl_ext.kernel_types import LANE_WIDTH, Lanes, Problem
+from ompl_ext.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
 from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
 from ompl_ext.rng import generator
 from ompl_ext.tree_memory import add_root, new_tree, path_to, prune, reset
+
+PRUNE_EVERY = 1024  # iterations
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -56,22 +61,29 @@ class CallbackSearch:
         self._si, self._goal, self._configuration, self._settings = si, goal, configuration, settings
         self._safety = safety if settings.cycle > 0 else None
         self._control = ControlLayout(si.getControlSpace())
-        self._edge_control = si.allocControl()
+        self._lane_control = [si.allocControl() for _ in range(settings.blossom)]
         self._states: list[ob.State] = []
         self._distance: list[float] = []  # of each state from the goal, in the goal's measure
         self._is_region = isinstance(goal, ob.GoalRegion)  # whose distance alone decides
+        self._goal_distance = getattr(goal, "distanceGoal", lambda state: 0.0)  # of one that only says yes or no
+        self._threshold = 0.0
         self._step = si.getPropagationStepSize()
-        self._rate = settings.top_speed
+        self._rate, self._learns_rate = settings.top_speed, settings.top_speed == 0.0
         self._problem = self._make_problem(bounds)
         longest = int(self._problem.option[at.STEPS])
         self._tree = new_tree(settings.capacity, 1, self._control.dimension, bounds)
         self._work = make_lanes(1, self._control.dimension, 1, longest)
-        self._brake = make_lanes(1, self._control.dimension, 1, 1)
+        self._view: Any = Lanes._make(array.data for array in self._work)  # single numbers are quicker there
+        self._last = longest * LANE_WIDTH  # where the ends of edges stand in the trajectory
         self._q = np.zeros(at.Q_DIM)
+        self._nothing = edges_to_retain([], np.zeros((0, self._control.dimension)), np.zeros(0))
+        self._grow = callback_kernel.grow()
         self._lane_state = [self._new_state() for _ in range(settings.blossom)]
         self._scratch = si.allocState()
         self._start = self._scratch
         self._seen = 0
+        self._stopped = False
+        self._error: BaseException | None = None
         reset(self._tree, generator(seed))
 
     def _make_problem(self, bounds: Bounds) -> Problem:
@@ -123,37 +135,58 @@ class CallbackSearch:
         place = self._new_state()
         self._si.copyState(self._states[place], state)
         self._work.source[0] = place
-        self._distance[place] = self._goal_distance(self._states[place])
+        self._take_threshold()
         self._describe(0, place)
         add_root(self._tree, self._work)
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
         """Add edges of an earlier plan or tree that are valid and safe from the root; returns how many."""
-        kept = edges_to_retain(parents, controls, durations)
         before = int(self._tree.count[at.SIZE])
-        dirt.retain.py_func(  # type: ignore[attr-defined]
-            self._tree, self._problem, self._work, self._brake, kept, self._propagate, self._check, self._safe
-        )
+        self._run(edges_to_retain(parents, controls, durations), 0, lambda: True)
         return int(self._tree.count[at.SIZE]) - before
 
     def grow(self, stop: Callable[[], bool]) -> None:
-        """Visit nodes until `stop()` is true or memory is used up."""
-        while not stop():
-            dirt.visit.py_func(  # type: ignore[attr-defined]
-                self._tree,
-                self._problem,
-                self._work,
-                self._brake,
-                self._q,
-                self._propagate,
-                self._check,
-                self._safe,
-            )
-            if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % 1024 == 0):
+        """Visit nodes until `stop()` is true or memory is used up; what a callback raises is raised here."""
+        self._stopped = bool(stop())
+        while not self._stopped:
+            self._run(self._nothing, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
+            if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
                 prune(self._tree, self._settings.resolution)
                 self._seen = int(self._tree.count[at.SIZE])
                 if self._tree.count[at.SIZE] > 0.9 * len(self._tree.state):
                     return
+
+    def _run(self, kept: Retained, iterations: int, stop: Callable[[], bool]) -> None:
+        """Run the kernel; no exception passes through compiled code, so it is kept and ends the run."""
+        self._take_threshold()
+
+        def asked_to_stop() -> int:
+            self._stopped = bool(stop())
+            return int(self._stopped)
+
+        callbacks = (
+            callback_kernel.PROPAGATE(self._guarded(self._propagate, None)),
+            callback_kernel.SAFE(self._guarded(self._safe, -1)),
+            callback_kernel.STOP(self._guarded(asked_to_stop, 1)),
+        )
+        work = callback_kernel.CallbackLanes(*self._work, *callbacks)
+        self._grow(self._tree, self._problem, work, self._q, kept, iterations)
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+    def _guarded(self, function: Callable[..., Result], otherwise: Result) -> Callable[..., Result]:
+        """`function`, whose first exception is kept; from then on all it does is to return `otherwise`."""
+
+        def guarded(*arguments: float) -> Result:
+            if self._error is None:
+                try:
+                    return function(*arguments)
+                except BaseException as error:
+                    self._error, self._stopped = error, True
+            return otherwise
+
+        return guarded
 
     def best(self) -> tuple[int, bool]:
         """The node to end the plan at, -1 if there is none, and whether it is in the goal."""
@@ -174,53 +207,45 @@ class CallbackSearch:
         path.append(self.state_of(node))
         return path, exact
 
-    # The three functions that `ompl_ext.dirt` is given.
+    # The three functions that the kernel calls.
 
-    def _propagate(self, source: Floats, lanes: int, problem: Problem, work: Lanes) -> None:
+    def _propagate(self, start_place: int, lanes: int) -> None:
+        """Each stage for all lanes before the next: what a stage needs stays in the processor's caches."""
         self._replace_taken_states()
-        start_place = int(source[0])
-        self._start = self._states[start_place]
-        last = int(problem.option[at.STEPS]) * LANE_WIDTH
-        rows = work.control.reshape(-1, LANE_WIDTH)[:, :lanes].T.tolist()
-        for lane, steps in enumerate(work.steps[:lanes].tolist()):
-            self._control.write(rows[lane], self._edge_control)
-            place = self._lane_state[lane]
-            done = self._si.propagateWhileValid(self._start, self._edge_control, steps, self._states[place])
-            work.slack[lane], work.togo[lane] = -1.0, math.inf
-            if done == steps:
+        work, states, places, controls = self._view, self._states, self._lane_state, self._lane_control
+        start, steps = states[start_place], work.steps[:lanes].tolist()
+        self._start = start
+        for lane in range(lanes):
+            work.slack[lane] = -1.0  # until the edge is known to be valid
+            self._control.write(work.control[lane::LANE_WIDTH].tolist(), controls[lane])
+        propagate = self._si.propagateWhileValid
+        done = [propagate(start, controls[lane], steps[lane], states[places[lane]]) for lane in range(lanes)]
+        for lane in range(lanes):
+            if done[lane] == steps[lane]:
+                self._describe(lane, places[lane], self._distance[start_place])
+                work.trajectory[self._last + lane] = places[lane]
                 work.slack[lane] = 0.0
-                self._distance[place] = self._goal_distance(self._states[place])
-                if self._settings.top_speed == 0.0:
-                    gained = self._distance[start_place] - self._distance[place]
-                    self._rate = max(self._rate, gained / float(work.duration[lane]))
-                self._describe(lane, place)
-                work.trajectory[last + lane] = place
 
-    def _check(self, lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
-        return float(work.slack[lane])
-
-    def _safe(self, lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lanes) -> int:
+    def _safe(self, lane: int, start_time: float) -> int:
         """SAFETY where an edge leaves the cycle: propagate up to there once more and ask the checker."""
         assert self._safety is not None
-        self._control.write(work.control[lane::LANE_WIDTH].tolist(), self._edge_control)
-        steps = min(math.ceil((self._settings.cycle - start_time) / self._step - 1e-9), int(work.steps[lane]))
-        self._si.propagate(self._start, self._edge_control, steps, self._scratch)
+        steps = min(math.ceil((self._settings.cycle - start_time) / self._step - 1e-9), self._view.steps[lane])
+        self._si.propagate(self._start, self._lane_control[lane], steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1
 
-    def _describe(self, lane: int, place: int) -> None:
-        """Configuration, cost-to-go and goal of a state, as the end of a lane."""
-        state, work = self._states[place], self._work
+    def _describe(self, lane: int, place: int, start_distance: float = -math.inf) -> None:
+        """Configuration, cost-to-go and goal of a state, as the end of a lane that began so far from the goal."""
+        state, work = self._states[place], self._view
+        distance = self._distance[place] = self._goal_distance(state) - self._threshold
+        if self._learns_rate and start_distance > distance:
+            self._rate = max(self._rate, (start_distance - distance) / work.duration[lane])
         work.end[lane], work.end[LANE_WIDTH + lane] = self._configuration(state)
-        work.togo[lane] = max(0.0, self._distance[place]) / self._rate if self._rate > 0.0 else 0.0
-        inside = self._distance[place] < 0.0 if self._is_region else self._goal.isSatisfied(state)
-        work.at_goal[lane] = 1 if inside else 0
+        work.togo[lane] = distance / self._rate if distance > 0.0 and self._rate > 0.0 else 0.0
+        work.at_goal[lane] = distance < 0.0 if self._is_region else self._goal.isSatisfied(state)
 
-    def _goal_distance(self, state: ob.State) -> float:
-        """Distance from the goal's threshold, negative inside."""
-        if not hasattr(self._goal, "distanceGoal"):
-            return 0.0  # a goal that only says yes or no
-        threshold = self._goal.getThreshold() if hasattr(self._goal, "getThreshold") else 0.0
-        return float(self._goal.distanceGoal(state)) - threshold
+    def _take_threshold(self) -> None:
+        """The distance from which the goal is reached, as it now is."""
+        self._threshold = self._goal.getThreshold() if hasattr(self._goal, "getThreshold") else 0.0
 
     def _new_state(self) -> int:
         self._states.append(self._si.allocState())
@@ -230,8 +255,7 @@ class CallbackSearch:
     def _replace_taken_states(self) -> None:
         """Give a lane whose state has become a node's a new one."""
         size = int(self._tree.count[at.SIZE])
-        for node in range(self._seen, size):
-            place = int(self._tree.state[node, 0])
+        for place in self._tree.state[self._seen : size, 0].tolist():
             if place in self._lane_state:
                 self._lane_state[self._lane_state.index(place)] = self._new_state()
         self._seen = size

@@ -15,7 +15,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32
 from ompl_ext.jit import compiled, inlined
-from ompl_ext.kernel_types import DISC_RADIUS, GRID_INVERSE, GRID_X, GRID_Y, REACH, Problem
+from ompl_ext.kernel_types import DISC_RADIUS, GRID_INVERSE, GRID_X, GRID_Y, REACH, Maps, Problem
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.vehicle import Footprint
 
@@ -112,7 +112,7 @@ def _lower_to_polygon(distance: Floats, xs: Floats, ys: Floats, vertices: Floats
 
 
 @inlined
-def pose_slack(problem: Problem, x: float, y: float, c: float, s: float, required: float) -> float:
+def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, required: float) -> float:
     """Lower bound of the footprint's clearance at a pose minus `required`; exact enough only where it is small.
 
     One look-up decides for most poses: far from obstacles the disc around the whole body is free.

@@ -77,6 +77,7 @@ class ControlLayout:
         self._collect(space, (), bounds)
         self.bounds = np.array(bounds)
         self.dimension = len(bounds)
+        self._is_vector = isinstance(space, oc.RealVectorControlSpace)
 
     def _collect(self, space: oc.ControlSpace, place: tuple[int, ...], bounds: list[tuple[float, float]]) -> None:
         if isinstance(space, oc.CompoundControlSpace):
@@ -93,6 +94,10 @@ class ControlLayout:
 
     def write(self, values: list[float], control: oc.Control) -> None:
         """Write a row into OMPL's control."""
+        if self._is_vector:  # the common case, once for every edge
+            for k, value in enumerate(values):
+                control[k] = value
+            return
         k = 0
         for place, count in self._leaves:
             leaf = control

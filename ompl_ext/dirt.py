@@ -1,8 +1,8 @@
 """DIRT, the tree planner of Algorithm 1, over the arrays of `ompl_ext.kernel_types`.
 
 Littlefield and Bekris, Efficient and asymptotically optimal kinodynamic motion planning via dominance-informed
-regions, IROS 2018.  The vehicle comes in as three functions (propagate, check, safe); given compiled ones this is a
-part of that vehicle's kernel, and `retain.py_func`, `visit.py_func` are the same source given Python functions.
+regions, IROS 2018.  The vehicle comes in as three functions (propagate, check, safe): a compiled vehicle's
+(`ompl_ext.lanes`), or ones that call back into Python (`ompl_ext.callback_kernel`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from ompl_ext.arrays import Floats, int64
 from ompl_ext.costtogo import UNREACHABLE
-from ompl_ext.jit import helper, inlined
+from ompl_ext.jit import inlined, part
 from ompl_ext.kernel_types import (
     ASK_SAFETY,
     AT_GOAL,
@@ -67,7 +67,7 @@ Check = Callable[[int, float, Problem, Lanes], float]
 Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
 
 
-@helper
+@part
 def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> bool:
     """Sample the workspace uniformly, the goal with the probability of the goal bias, and any heading.
 
@@ -94,7 +94,7 @@ def set_duration(problem: Problem, work: Lanes, lane: int, duration: float) -> N
         work.duration[lane] = work.steps[lane] * quantum
 
 
-@helper
+@part
 def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
     """Controls and durations of a blossom.  A share of the controls lies on a bound, where time-optimal ones are."""
     beyond = problem.scalar[BEYOND]
@@ -107,7 +107,7 @@ def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
             work.control[k * LANE_WIDTH + i] = low + r * (high - low)
 
 
-@helper
+@part
 def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
     """The free lane with the smallest cost + cost-to-go at its end, if that is below `bound`; -1 if there is none.
 
@@ -121,7 +121,7 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
     return lane
 
 
-@helper
+@part
 def detour_lane(tree: Tree, node: int, work: Lanes, lanes: int, start: float, added: int) -> int:
     """In turn, the free lane that ends farthest from the node and one by lot; -1 if there is none."""
     chosen, seen, farthest = -1, 0, -1.0
@@ -139,7 +139,7 @@ def detour_lane(tree: Tree, node: int, work: Lanes, lanes: int, start: float, ad
     return chosen
 
 
-@helper
+@part
 def goes_on(tree: Tree, node: int, child: int, detour: bool) -> bool:
     """Whether a child is visited next: it is nearer to the goal than its parent, or goes on with a detour."""
     if tree.link[child, AT_GOAL] == 1:
@@ -147,7 +147,7 @@ def goes_on(tree: Tree, node: int, child: int, detour: bool) -> bool:
     return tree.hot[child, TOGO] < tree.hot[node, TOGO] or (detour and uniform(tree.random) < 0.5)
 
 
-@helper
+@part
 def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) -> int:
     """Add the end of an edge as a node, give it its region, and keep the best solution; -1 if the tree is full."""
     node = tree.count[SIZE]
@@ -184,7 +184,7 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
     return node
 
 
-@helper
+@part
 def asks_safety(problem: Problem, start: float, lane: int, work: Lanes) -> bool:
     """Whether SAFETY is asked of an edge: it leaves the cycle (Alg. 1, l. 7, 18) or ends a plan before its end."""
     inside = start + work.duration[lane] < problem.scalar[CYCLE] and work.at_goal[lane] == 0

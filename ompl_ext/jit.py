@@ -18,11 +18,12 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.registry import CPUDispatcher
 
 _njit: Any = numba.njit  # its stubs know neither `_nrt` nor the configuration
 _config: Any = numba.config
@@ -81,18 +82,35 @@ def compiled(function: F, *, folder: Path | None = None, signature: object = Non
     return dispatcher
 
 
+class _Part(CPUDispatcher):
+    """A function within kernels, without the wrappers through which Python would call it.
+
+    For the tree's arrays these cost more to compile than the function.  Called from Python, as tests and curious people
+    do, it is compiled once more, with them.
+    """
+
+    @cached_property
+    def _from_python(self) -> Callable[..., object]:
+        dispatcher: Callable[..., object] = _njit(error_model="numpy", _nrt=False)(self.py_func)
+        return dispatcher
+
+    def __call__(self, *arguments: object) -> object:
+        return self._from_python(*arguments)
+
+
+def _part(function: F, **options: bool) -> F:
+    dispatcher: Any = _njit(error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(
+        function
+    )
+    dispatcher.__class__ = _Part
+    return cast(F, dispatcher)
+
+
 def inlined(function: F) -> F:
     """Compile `function` as a part of the kernels that call it (always inlined, so that their loops vectorise)."""
-    dispatcher: F = _njit(error_model="numpy", _nrt=False, forceinline=True)(function)
-    return dispatcher
+    return _part(function, forceinline=True)
 
 
 def part(function: F) -> F:
     """Compile `function` as a part of the kernels that call it, leaving it to LLVM whether to inline it."""
-    dispatcher: F = _njit(error_model="numpy", _nrt=False)(function)
-    return dispatcher
-
-
-def helper(function: F) -> F:
-    """Like `part`, and callable from Python without compiling again: what the callback path runs step by step."""
-    return compiled(function)
+    return _part(function)

@@ -30,6 +30,14 @@ class Problem(NamedTuple):
     option: Ints
 
 
+class Maps(NamedTuple):
+    """The part of a problem that decides whether a pose is free."""
+
+    discs: Floats
+    field: Matrix32
+    scalar: Floats
+
+
 # Places in Problem.scalar
 SHORTEST, LONGEST, QUANTUM = 0, 1, 2  # edge durations; multiples of QUANTUM if it is positive (s)
 HEADING_WEIGHT, RESOLUTION = 3, 4  # of the tree's metric (m)

@@ -68,6 +68,7 @@ class Dirt:
         self.safety, self.settings = safety or Safety(), settings or Settings()
         self._kernels = kernels(vehicle)
         self._problem = make_problem(vehicle, workspace, goal, self.safety, self.settings)
+        self._maps = self._problem.field, self._problem.discs, self._problem.scalar
         nx, nu, inputs = (
             len(vehicle.state),
             len(vehicle.controls),
@@ -239,7 +240,7 @@ class Dirt:
 
     def pose_slack(self, x: float, y: float, theta: float) -> float:
         """Lower bound of the footprint's clearance at a pose within the workspace (m)."""
-        return self._kernels.pose(self._problem, x, y, theta)
+        return self._kernels.pose(*self._maps, x, y, theta)
 
     def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
         """States (samples + 1, nx) at equal times along a control held for `duration` s, without any check."""

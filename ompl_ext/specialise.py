@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix32
 from ompl_ext.jit import cache_folder
 from ompl_ext.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.vehicle import Vehicle
@@ -27,7 +27,7 @@ class VehicleKernels:
     edge: Callable[[Problem, Lanes, float], None]
     brake: Callable[[Problem, Lanes, Lanes, float], int]
     advance: Callable[[Floats, Floats, Floats, float, Floats], None]
-    pose: Callable[[Problem, float, float, float], float]
+    pose: Callable[[Matrix32, Floats, Floats, float, float, float], float]
 
 
 def take_target() -> Vehicle:

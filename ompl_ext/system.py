@@ -19,7 +19,7 @@ from ompl_ext.specialise import kernels
 from ompl_ext.validity import SafetyValidityChecker
 from ompl_ext.vehicle import Vehicle
 
-UNBOUNDED = 1e3  # bounds of state components without limits: OMPL's samplers need finite ones
+MODEST = math.pi  # bound of what has neither a limit nor a known range: a turning rate, an angle (SI)
 
 
 class Propagator:
@@ -28,21 +28,22 @@ class Propagator:
     def __init__(self, vehicle: Vehicle) -> None:
         self._advance, self._parameters = kernels(vehicle).advance, vehicle.parameter_array
         nx, nu = len(vehicle.state), len(vehicle.controls)
-        self._x, self._u, self._y = np.zeros(nx), np.zeros(nu), np.zeros(nx)
+        self._arrays = np.zeros(nx), np.zeros(nu), np.zeros(nx)
+        self._x, self._u, self._y = (array.data for array in self._arrays)  # single numbers are quicker there
         self._states, self._controls = range(nx), range(nu)
         self.calls = 0
 
     def __call__(self, state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
         """Write the state `duration` s after `state` under `control` into `result`."""
         self.calls += 1
-        x, u, y = self._x, self._u, self._y
+        (x, u, y), y_now = self._arrays, self._y
         for k in self._states:
-            x[k] = state[k]
+            self._x[k] = state[k]
         for k in self._controls:
-            u[k] = control[k]
+            self._u[k] = control[k]
         self._advance(x, u, self._parameters, duration, y)
         for k in self._states:
-            result[k] = y[k]
+            result[k] = y_now[k]
 
 
 class SimpleSetup(oc.SimpleSetup):
@@ -60,6 +61,27 @@ class SimpleSetup(oc.SimpleSetup):
         """Propagation steps that planners have asked of the callback."""
         return self.propagator.calls
 
+    def setStartState(self, state: ob.State) -> None:  # noqa: N802 (OMPL's name)
+        """Start at `state`, also where it is outside the range that states are sampled in."""
+        self._widen_bounds(state)
+        super().setStartState(state)
+
+    def addStartState(self, state: ob.State) -> None:  # noqa: N802
+        """Start also at `state`."""
+        self._widen_bounds(state)
+        super().addStartState(state)
+
+    def _widen_bounds(self, state: ob.State) -> None:
+        """A heading that has gone on beyond pi is no reason to refuse a start; what is invalid the checker says."""
+        space = self.getStateSpace()
+        if isinstance(space, ob.RealVectorStateSpace) and not space.satisfiesBounds(state):
+            bounds = space.getBounds()
+            values = [state[k] for k in range(space.getDimension())]
+            if not all(map(math.isfinite, values)):
+                return
+            lows, highs = map(min, bounds.low, values), map(max, bounds.high, values)
+            space.setBounds(_bounds(np.array([*zip(lows, highs, strict=True)])))
+
     def getPlannerData(self, data: ob.PlannerData) -> None:  # noqa: N802 (OMPL's name)
         """Fill `data` with the planner's tree."""
         data.clear()
@@ -72,16 +94,39 @@ class PlanarGoal(ob.GoalRegion):
     def __init__(self, si: oc.SpaceInformation, vehicle: Vehicle, goal: Goal) -> None:
         super().__init__(si)
         self.goal = goal
-        self._places = tuple(vehicle.index(name) for name in ("x", "y", "theta"))
+        self._x, self._y, self._theta = (vehicle.index(name) for name in ("x", "y", "theta"))
+        self._center = goal.center
+        self._asks_heading = self._theta >= 0 and goal.tolerance < math.pi
+        self._least_cosine = math.cos(min(goal.tolerance, math.pi))
         self.setThreshold(goal.radius)
 
     def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
         """Distance to the centre (m); with a wrong heading at least the radius, so that it is no goal."""
-        x, y, theta = self._places
-        distance = math.hypot(state[x] - self.goal.center[0], state[y] - self.goal.center[1])
-        if theta >= 0 and math.cos(state[theta] - self.goal.heading) < math.cos(min(self.goal.tolerance, math.pi)):
+        x, y = self._center
+        distance = math.hypot(state[self._x] - x, state[self._y] - y)
+        if self._asks_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
             return max(distance, 1.001 * self.goal.radius)
         return distance
+
+
+def sampling_range(vehicle: Vehicle, workspace: Workspace) -> Floats:
+    """Low and high of each state component that OMPL's planners sample, shape (nx, 2): no wider than states are.
+
+    These are the workspace, the vehicle's limits, and where it has none: any heading, speeds up to the top speed, and
+    +-`MODEST`.  In a wider range most samples are nowhere near a state that the vehicle can have, and RRT's nearest
+    neighbours mean nothing.  Nothing keeps states inside: a heading may go on beyond pi.
+    """
+    free = np.full(len(vehicle.state), MODEST)
+    if vehicle.rest_indices:
+        free[vehicle.rest_indices[0]] = vehicle.top_speed
+    if vehicle.index("theta") >= 0:
+        free[vehicle.index("theta")] = math.pi
+    limits = vehicle.state_limits
+    limits[:, 0] = np.where(np.isinf(limits[:, 0]), np.minimum(-free, limits[:, 1] - free), limits[:, 0])
+    limits[:, 1] = np.where(np.isinf(limits[:, 1]), np.maximum(free, limits[:, 0] + free), limits[:, 1])
+    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
+        limits[vehicle.index(name)] = bounds
+    return limits
 
 
 def space_information(
@@ -94,13 +139,11 @@ def space_information(
 ) -> oc.SpaceInformation:
     """Space information for `vehicle` in `workspace`: bounds, propagator (RK4), validity with clearance and SAFETY.
 
-    `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of it.
+    `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of it.  The bounds are
+    `sampling_range`; OMPL refuses a start outside them, which `SimpleSetup` widens for its starts.
     """
-    limits = vehicle.state_limits.copy()
-    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
-        limits[vehicle.index(name)] = bounds
     space = ob.RealVectorStateSpace(len(vehicle.state))
-    space.setBounds(_bounds(np.clip(limits, -UNBOUNDED, UNBOUNDED)))
+    space.setBounds(_bounds(sampling_range(vehicle, workspace)))
     plane = [vehicle.index("x"), vehicle.index("y")]
     cells = [(high - low) / 20 for low, high in workspace.bounds]
     space.registerDefaultProjection(ob.RealVectorOrthogonalProjectionEvaluator(space, cells, plane))

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 from ompl_ext.arrays import Floats, int64
-from ompl_ext.jit import helper, inlined
+from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernel_types import (
     CELL_NEXT,
     LEVEL_COLUMNS,
@@ -47,7 +47,7 @@ def clamp(value: int, count: int) -> int:
     return min(max(value, 0), count - 1)
 
 
-@helper
+@part
 def distance_squared(tree: Tree, node: int, q: Floats) -> float:
     """Squared distance between a node and a configuration, the first Q_DIM entries of `q`."""
     total = 0.0
@@ -138,7 +138,7 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
                     other = following
 
 
-@helper
+@part
 def select(tree: Tree, q: Floats) -> int:
     """The least visited node whose region holds `q`, ties by lot; the nearest node if there is none.
 
@@ -249,7 +249,7 @@ def list_position(tree: Tree, node: int) -> None:
     tree.block_best[block] = min(tree.block_best[block], tree.hot[node, F])
 
 
-@helper
+@compiled
 def list_node(tree: Tree, node: int) -> None:
     """Put a node into both indices."""
     list_region(tree, node)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ompl_ext.arrays import Bools, Ints, Words
-from ompl_ext.jit import helper
+from ompl_ext.jit import compiled
 from ompl_ext.kernel_types import (
     AT_GOAL,
     BEST,
@@ -93,7 +93,7 @@ def reset_indices(tree: Tree) -> None:
     tree.block_best[:] = math.inf
 
 
-@helper
+@compiled
 def relist(tree: Tree, closed: float) -> None:
     """List every node anew, after nodes have moved in memory; regions keep their radii."""
     for node in range(tree.count[SIZE]):
@@ -146,7 +146,7 @@ def prune(tree: Tree, closed: float) -> int:
     return size - kept
 
 
-@helper
+@compiled
 def _keep_ancestors(keep: Bools, parent: Ints) -> None:
     for node in range(len(keep) - 1, 0, -1):  # children stand behind their parents
         if keep[node] and parent[node] >= 0:

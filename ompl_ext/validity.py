@@ -35,7 +35,8 @@ class SafetyValidityChecker(ob.StateValidityChecker):
         for k, (low, high) in enumerate(self._limits):
             if not low <= state[k] <= high:
                 return False
-        return self._dirt.pose_slack(*self._pose(state)) > 0.0 or not self._dirt.exact.collides(*self._pose(state))
+        pose = self._pose(state)
+        return self._dirt.pose_slack(*pose) > 0.0 or not self._dirt.exact.collides(*pose)
 
     def clearance(self, state: ob.State) -> float:
         """Exact distance between the footprint and the nearest obstacle (m); 0 in contact."""

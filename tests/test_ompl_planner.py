@@ -5,20 +5,26 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from kernel_fixtures import GOAL, NO_SAFETY, TURNS
+from kernel_fixtures import START as TURNS_START
 from ompl import base as ob
 from ompl import control as oc
 from ompl import tools
 from ompl import util as ou
 
 from kraft.vehicles.benchmark import BENCHMARK
+from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace, box
+from ompl_ext.peers import plan_with_ompl
 from ompl_ext.planner import DIRT
-from ompl_ext.query import Goal, Safety
-from ompl_ext.system import SimpleSetup, simple_setup
+from ompl_ext.query import Goal, Safety, Settings
+from ompl_ext.system import SimpleSetup, sampling_range, simple_setup
+from ompl_ext.validity import SafetyValidityChecker
 
 ou.setLogLevel(ou.LOG_NONE)
 BOUNDS = ((0.0, 4.0), (0.0, 4.0))
@@ -213,6 +219,33 @@ def test_other_planners_use_the_safety_checker() -> None:
     assert checker.clearance(state) == pytest.approx(1.9 - 0.5 - 0.14, abs=1e-6)  # to the wall at its right
 
 
+@pytest.mark.parametrize("name", ["rrt", "est", "kpiece1"])
+def test_ompls_planners_get_through_two_turns_with_few_steps(name: str) -> None:
+    for seed in range(3):
+        found = plan_with_ompl(
+            name, BENCHMARK, TURNS, TURNS_START, GOAL, safety=NO_SAFETY, settings=Settings(), iterations=4000, seed=seed
+        )
+        assert found.plan is not None
+        assert found.plan.reaches_goal
+        assert found.steps < 40_000
+
+
+def test_states_are_sampled_where_states_can_be() -> None:
+    workspace = Workspace(((0.0, 4.0), (1.0, 3.0)), ())
+    free = sampling_range(UNICYCLE2, workspace)
+    assert free.tolist() == [[0, 4], [1, 3], [-math.pi, math.pi], [-0.6, 0.6], [-math.pi, math.pi]]
+    limited = sampling_range(replace(UNICYCLE2, limits={"v": (0.0, 0.3), "omega": (5.0, math.inf)}), workspace)
+    assert limited[3:].tolist() == [[0.0, 0.3], [5.0, 5.0 + math.pi]]
+
+
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_a_start_may_have_turned_further_than_headings_are_sampled(callbacks: bool) -> None:
+    setup = arena(start=np.array([0.5, 0.5, 2.5 * math.pi, 0.0]))
+    planned(setup, 1.0 if callbacks else 0.05, use_callbacks=callbacks)
+    assert setup.haveExactSolutionPath()
+    assert setup.getSolutionPath().getState(0)[2] == 2.5 * math.pi
+
+
 def test_safety_names_the_manoeuvre_or_says_that_there_is_none() -> None:
     safety = Safety(delta=0.05, delta_per_speed=0.25)
     workspace = Workspace(((0.0, 4.0), (0.0, 4.0)), (box((2.0, 3.0), (4.0, 0.2)),))
@@ -285,6 +318,40 @@ def test_any_space_of_compounds_is_planned_over_callbacks() -> None:
     assert not planner.compiled
     assert setup.haveExactSolutionPath()
     assert planner.tree().states.shape[1] == 4
+
+
+def test_what_a_callback_raises_ends_solve_and_the_planner_can_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    setup = arena()
+    planner = planned(setup, 0.2, use_callbacks=True)
+    answers = iter([False, False])
+    with pytest.raises(StopIteration):
+        planner.solve(lambda: next(answers))
+
+    def fails(checker: SafetyValidityChecker, state: ob.State) -> bool:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SafetyValidityChecker, "isValid", fails)
+        with pytest.raises(ZeroDivisionError):
+            planner.solve(5.0)
+    edges, nodes = planner.edges, len(planner.tree().parents)
+    assert planner.solve(0.2) == STATUS.EXACT_SOLUTION
+    assert planner.edges > edges
+    assert len(planner.tree().parents) > nodes
+
+
+def test_equal_seeds_give_equal_trees_over_callbacks() -> None:
+    trees = []
+    for _ in range(2):
+        setup = arena()
+        planner = DIRT(setup.getSpaceInformation(), seed=5, use_callbacks=True)
+        setup.setPlanner(planner)
+        setup.setup()
+        while planner.iterations < 600:
+            planner.solve(0.01)
+        trees.append(planner.tree())
+    assert np.array_equal(trees[0].states[:600], trees[1].states[:600])
+    assert np.array_equal(trees[0].parents[:600], trees[1].parents[:600])
 
 
 def test_benchmark_runs_dirt_beside_ompls_planners(tmp_path: Path) -> None:

@@ -226,3 +226,16 @@ def test_an_unknown_planner_is_answered_with_the_nearest(mushr: Vehicle) -> None
     wrong = dataclasses.replace(task, planning=task.planning.model_copy(update={"planner": "rrrt"}))
     with pytest.raises(InputError, match="rrrt: there is no planner of this name; did you mean 'rrt'"):
         plan_task(wrong, mushr, FEW)
+
+
+def test_a_contingency_stops_the_vehicle_within_the_horizon_that_the_task_gives(
+    mushr: Vehicle, solved: PlanResult
+) -> None:
+    def seconds(result: PlanResult) -> float:
+        assert result.plan is not None
+        assert result.plan.contingency is not None
+        return float(np.ptp(result.plan.contingency.times))
+
+    assert seconds(solved) > 0.25
+    task = parse_scenario(SCENE + "planning: {safety: {horizon: 0.2}}\n", "room.yaml").task()
+    assert seconds(plan_task(task, mushr, FEW, seed=3)) < 0.21

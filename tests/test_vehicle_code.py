@@ -107,7 +107,7 @@ def test_a_wrong_reference_is_explained(reference: str, expected: str, folder: P
     [
         (RETURN, "x[3] * cos(x[2]), x[3] * sin(x[2]), u[1]", "derivative 'motion' returns 3 values; expected 4, one for each of the state's components"),
         (RETURN, "x[3]", "derivative 'motion' returns one number; expected a tuple of 4 numbers"),
-        (RETURN, "'a', 0.0, 0.0, 0.0", "derivative 'motion' returns Tuple(Literal[str](a), float64, float64, float64); expected a tuple of 4 numbers"),
+        (RETURN, "'a', 0.0, 0.0, 0.0", "derivative 'motion' returns (text, float64, float64, float64); expected a tuple of 4 numbers"),
         (RETURN, "x[3], x[7], u[1], u[0]", "derivative 'motion' does not compile: tuple index out of range ({file}:6); expected derivative(x, u, p), arithmetic on tuples of floats"),
         (RETURN, "x[3].speed, x[3], u[1], u[0]", "derivative 'motion' does not compile: Unknown attribute 'speed' of type float64 ({file}:6); expected derivative(x, u, p), arithmetic on tuples of floats"),
         (RETURN, "cosine(x[2]), x[3], u[1], u[0]", "derivative 'motion' does not compile: NameError: name 'cosine' is not defined; expected derivative(x, u, p), arithmetic on tuples of floats"),

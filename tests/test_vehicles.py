@@ -15,6 +15,9 @@ from kraft.vehicle_config import load_vehicle_config
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
 from kraft.vehicles.unicycle2 import UNICYCLE2
+from ompl_ext.obstacles import Workspace
+from ompl_ext.query import Safety, Settings
+from ompl_ext.solver import Dirt
 from ompl_ext.vehicle import Vehicle
 
 BUNDLED = (BENCHMARK, MUSHR, MUSHR_LAG, UNICYCLE2)
@@ -103,6 +106,38 @@ def test_the_unicycle_never_exceeds_its_speeds_nor_drives_backwards() -> None:
 
 def test_the_unicycle_accelerates_as_commanded_away_from_its_limits() -> None:
     assert rate(UNICYCLE2, [0, 0, 0, 0.3, 0], [0.5, -0.5])[3:] == [0.5, -2.0]
+
+
+def test_the_unicycle_fades_smoothly_and_returns_from_beyond_its_limits() -> None:
+    def acceleration(v: float, u: float) -> float:
+        return rate(UNICYCLE2, [0, 0, 0, v, 0], [u, 0])[3]
+
+    speeds = np.linspace(0.0, 0.6, 6001)
+    for u in (1.0, 0.3, -0.4, -1.0):
+        curve = np.array([acceleration(v, u) for v in speeds])
+        bends = np.abs(np.diff(curve, 2))
+        assert bends.max() <= 6.0**2 / 2 / abs(u) * 1e-8 * 1.01  # the parabola's own; a kink has 6e-4
+        assert curve[-1 if u > 0 else 0] == 0.0
+    assert acceleration(0.7, 0.0) == acceleration(0.7, 1.0) == pytest.approx(-0.6)
+    assert acceleration(-0.1, 0.0) == pytest.approx(0.6)
+    assert acceleration(0.25, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("model", [UNICYCLE2, BENCHMARK], ids=lambda model: model.name)
+def test_ten_steps_an_edge_stay_within_three_millimetres_of_the_exact_motion(model: Vehicle) -> None:
+    rng = np.random.default_rng(5)
+    room = Workspace(((-20.0, 20.0), (-20.0, 20.0)), ())
+    coarse = Dirt(model, room, None, Safety(enabled=False), Settings(), capacity=1)
+    low, high = model.control_bounds.T
+    for _ in range(100):
+        planned = exact = np.zeros(len(model.state))
+        for _ in range(16):
+            control = low + (high - low) * np.clip(rng.uniform(-1.0, 2.0, len(low)), 0.0, 1.0)
+            duration = rng.uniform(0.5, 1.0)
+            planned = coarse.edge(planned, control, duration)[0][-1]
+            for _ in range(12):
+                exact = coarse.edge(exact, control, duration / 12)[0][-1]
+            assert math.dist(planned[:2], exact[:2]) < 3e-3
 
 
 def test_a_top_speed_that_is_a_parameter_follows_it() -> None:

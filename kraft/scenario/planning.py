@@ -23,6 +23,8 @@ class Safety(FileModel):
     """clearance at rest, m"""
     delta_per_speed: NonNegative = 0.0
     """clearance added per unit of speed, m per m/s"""
+    horizon: Duration = 10.0
+    """time within which a contingency manoeuvre must have stopped the vehicle, s"""
 
     def clearance(self, speed: float) -> float:
         """Clearance in m that a state of this ``speed`` in m/s must keep."""

@@ -2,7 +2,8 @@
 
 State [x, y, theta, v, omega] of the point between the wheels (m, rad, m/s, rad/s); controls [acceleration,
 angular_acceleration] as fractions of the largest ones.  As in a motor controller, the speed saturates: it stays in
-[0, v_max], the turning rate in [-omega_max, omega_max], both approached with a short time constant.
+[0, v_max], the turning rate in [-omega_max, omega_max], both approached with a short time constant.  The accelerations
+fade without a kink, which ten Runge-Kutta steps an edge would not follow.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 Values = tuple[float, ...]
 
-APPROACH = 10.0
+APPROACH = 6.0
 """Rate at which a saturating speed approaches its limit, 1/s."""
+TINY = 1e-300  # keeps 0 / 0 out where there is no acceleration
 
 
 @derivative
@@ -24,17 +26,30 @@ def clamped(value: float, low: float, high: float) -> float:
 
 
 @derivative
+def fading(acceleration: float, quarter: float, room: float) -> float:
+    """An acceleration that is not negative, faded where no more than `room` is left to the limit of its speed.
+
+    Close to the limit it is APPROACH * room; a parabola leads over to it.  Beyond the limit it leads back.
+    `quarter` is 1 / (4 acceleration).
+    """
+    r = min(APPROACH * room, 2.0 * acceleration)
+    t = max(r, 0.0)
+    return r - t * t * quarter
+
+
+@derivative
 def actuation(u: Values, p: Values) -> Values:
-    """Fractions to acceleration (m/s^2) and angular acceleration (rad/s^2)."""
-    return p[0] * u[0], p[1] * u[1]
+    """Fractions to acceleration (m/s^2), angular acceleration (rad/s^2), and what `fading` needs of them."""
+    a, alpha = p[0] * u[0], p[1] * u[1]
+    return a, alpha, 1.0 / (4.0 * abs(a) + TINY), 1.0 / (4.0 * abs(alpha) + TINY)
 
 
 @derivative
 def motion(x: Values, u: Values, p: Values) -> Values:
     """Unicycle whose accelerations fade where a speed reaches its limit."""
     v, omega = x[3], x[4]
-    dv = clamped(u[0], -APPROACH * v, APPROACH * (p[2] - v))
-    domega = clamped(u[1], -APPROACH * (p[3] + omega), APPROACH * (p[3] - omega))
+    dv = fading(max(u[0], 0.0), u[2], p[2] - v) - fading(max(-u[0], 0.0), u[2], v)
+    domega = fading(max(u[1], 0.0), u[3], p[3] - omega) - fading(max(-u[1], 0.0), u[3], p[3] + omega)
     return v * cos(x[2]), v * sin(x[2]), omega, dv, domega
 
 
@@ -49,7 +64,7 @@ UNICYCLE2 = Vehicle(
     name="unicycle2",
     derivative=motion,
     actuation=actuation,
-    inputs=("acceleration", "angular_acceleration"),
+    inputs=("acceleration", "angular_acceleration", "quarter", "angular_quarter"),
     stop=stop,
     manoeuvres=("straight", "left", "right"),
     state=("x", "y", "theta", "v", "omega"),
