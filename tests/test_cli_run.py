@@ -63,7 +63,7 @@ def test_a_person_gets_a_table_and_quiet_leaves_only_that(capsys: pytest.Capture
     assert main(["run", "short.yaml", "-q"]) == 0
     out, err = capsys.readouterr()
     rows = {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in out.splitlines()}
-    assert (rows["scenario"], rows["method"], rows["vehicle"]) == ("short", "KRAFT", "mushr")
+    assert (rows["scenario"], rows["method"], rows["vehicle"]) == ("short", "KRAFT", "mushr-drive")
     assert re.fullmatch(r"reached the goal after \d\.\d\d s", rows["result"])
     assert err == ""
 
@@ -76,7 +76,7 @@ def test_the_folder_holds_every_tick_cycle_and_observation(capsys: pytest.Captur
         "manifest.json", "steps.csv", "cycles.jsonl", "observations.csv", "result.json",
     }  # fmt: skip
     assert json.loads((folder / "result.json").read_text()) == content
-    spec = TrialSpec(load_scenario("short.yaml"), load_method("kraft"), load_vehicle("mushr"), 1)
+    spec = TrialSpec(load_scenario("short.yaml"), load_method("kraft"), load_vehicle("mushr-drive"), 1)
     result = run_trial(spec)
     steps = list(csv.reader((folder / "steps.csv").read_text().splitlines()))
     assert steps[0] == [

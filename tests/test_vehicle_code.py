@@ -93,7 +93,7 @@ def test_a_vehicle_file_can_import_its_neighbour(folder: Path) -> None:
         ("none.py:CAR", "none.py:CAR: there is no file {folder}/none.py; expected the path of a Python file"),
         ("no_such_module_at_all:CAR", "no_such_module_at_all:CAR: does not import: ModuleNotFoundError: No module named 'no_such_module_at_all'; expected code that defines a Vehicle"),
         ("kraft.vehicles.mushr:MUSRH", "kraft.vehicles.mushr:MUSRH: there is no MUSRH in {root}/kraft/vehicles/mushr.py; did you mean 'MUSHR'?"),
-        ("kraft.vehicles.mushr:STEERING_MAX", "kraft.vehicles.mushr:STEERING_MAX: STEERING_MAX is of type float, not a Vehicle; expected MUSHR or MUSHR_LAG"),
+        ("kraft.vehicles.mushr:STEERING_MAX", "kraft.vehicles.mushr:STEERING_MAX: STEERING_MAX is of type float, not a Vehicle; expected one of MUSHR, MUSHR_LAG, MUSHR_DRIVE"),
         ("mushrr", "mushrr: there is no vehicle 'mushrr'; did you mean 'mushr'?"),
         ("a b:C", "a b:C: 'a b:C' is not a module and an attribute; expected module:attribute"),
     ],

@@ -10,6 +10,7 @@ from kraft import resources
 from kraft.errors import InputError
 from kraft.vehicle_config import Footprint, load_vehicle_config
 from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.mushr import MUSHR_LAG
 
 CAR = """name: car
 model: my_robots.car:CAR
@@ -28,31 +29,32 @@ def problems_of(folder: Path, text: str) -> list[str]:
     return str(caught.value).replace(f"{path}:", "").splitlines()
 
 
-def test_the_four_vehicles_are_bundled() -> None:
-    assert resources.names("vehicle") == ("benchmark", "mushr", "mushr-lag", "unicycle2")
+def test_the_five_vehicles_are_bundled() -> None:
+    assert resources.names("vehicle") == ("benchmark", "mushr", "mushr-drive", "mushr-lag", "unicycle2")
 
 
 @pytest.mark.parametrize(
-    ("name", "values"),
+    ("name", "values", "footprint"),
     [
-        ("mushr", {"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228}),
-        ("mushr-lag", {"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228, "tau": 1.0103}),
-        ("benchmark", {"gain": 0.6228, "rate": 0.9898, "steering_max": 0.4203, "wheelbase": 0.2965}),
+        ("mushr", {"L": 0.3667, "phi_diff": -0.0003, "v_delta": 0.5688}, (0.40, 0.28, 0.0)),
+        ("mushr-lag", {"L": 0.3393, "phi_diff": 0.0020, "v_delta": 0.6288, "tau": 0.7595}, (0.40, 0.28, 0.0)),
+        ("mushr-drive", {"L": 0.3405, "phi_diff": 0.0031, "v_delta": 0.6861, "tau": 0.8813, "u_0": 0.1274}, (0.44, 0.28, -0.005)),
+        ("benchmark", {"gain": 0.6228, "rate": 0.9898, "steering_max": 0.4203, "wheelbase": 0.2965}, (0.40, 0.28, 0.0)),
     ],
-)
-def test_a_bundled_car_has_the_measured_parameters_in_the_models_order(name: str, values: dict[str, float]) -> None:
+)  # fmt: skip
+def test_a_bundled_car_has_the_measured_parameters_in_the_models_order(
+    name: str, values: dict[str, float], footprint: tuple[float, float, float]
+) -> None:
     config = load_vehicle_config(name)
     assert config.name == name
     assert list(config.values.items()) == list(values.items())
-    assert config.footprint == Footprint(length=0.40, width=0.28, offset=0.0)
+    length, width, offset = footprint
+    assert config.footprint == Footprint(length=length, width=width, offset=offset)
 
 
 def test_the_lag_is_the_benchmarks_rate_seen_as_a_time() -> None:
-    tau, rate = (
-        load_vehicle_config("mushr-lag").values["tau"],
-        load_vehicle_config("benchmark").values["rate"],
-    )
-    assert tau == pytest.approx(1 / rate, abs=1e-4)
+    rate = load_vehicle_config("benchmark").values["rate"]
+    assert MUSHR_LAG.parameters["tau"] == pytest.approx(1 / rate, abs=1e-4)
 
 
 @pytest.mark.parametrize("name", resources.names("vehicle"))
@@ -99,8 +101,8 @@ def test_a_vehicle_knows_where_its_values_were_written(tmp_path: Path) -> None:
 def test_other_values_keep_the_rest_of_the_vehicle() -> None:
     config = load_vehicle_config("mushr")
     changed = config.with_values({"L": 0.3})
-    assert changed.values == {"L": 0.3, "phi_diff": 0.0, "v_delta": 0.6228}
-    assert config.values["L"] == 0.2965
+    assert changed.values == {"L": 0.3, "phi_diff": -0.0003, "v_delta": 0.5688}
+    assert config.values["L"] == 0.3667
     assert changed.source.where("top_speed") == config.source.where("top_speed")
 
 

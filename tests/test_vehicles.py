@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ from kraft.errors import InputError
 from kraft.vehicle import load_vehicle
 from kraft.vehicle_config import load_vehicle_config
 from kraft.vehicles.benchmark import BENCHMARK
-from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
+from kraft.vehicles.mushr import BREAKAWAY, MUSHR, MUSHR_DRIVE, MUSHR_LAG
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import Dirt
 from ompl_ext.vehicle import Vehicle
 
-BUNDLED = (BENCHMARK, MUSHR, MUSHR_LAG, UNICYCLE2)
+BUNDLED = (BENCHMARK, MUSHR, MUSHR_DRIVE, MUSHR_LAG, UNICYCLE2)
 
 
 def rate(vehicle: Vehicle, state: Iterable[float], control: Iterable[float]) -> list[float]:
@@ -47,13 +47,12 @@ def test_a_bundled_file_fits_its_model(name: str) -> None:
 
 
 @pytest.mark.parametrize("model", BUNDLED, ids=lambda model: model.name)
-def test_a_model_without_its_file_is_the_same_vehicle(model: Vehicle) -> None:
-    loaded = load_vehicle(model.name)
-    assert (loaded.parameters, loaded.footprint, loaded.top_speed) == (
-        model.parameters,
-        model.footprint,
-        model.top_speed,
-    )
+def test_a_model_without_its_file_is_the_same_vehicle_up_to_identified_numbers(model: Vehicle) -> None:
+    numbers = model.parameters
+    loaded = load_vehicle(model.name, parameters=None if model is BENCHMARK else numbers)
+    assert list(load_vehicle(model.name).parameters) == list(numbers)
+    assert (loaded.parameters, loaded.footprint, loaded.top_speed) == (numbers, model.footprint, model.top_speed)
+    assert (loaded.state, loaded.controls, loaded.manoeuvres) == (model.state, model.controls, model.manoeuvres)
 
 
 @pytest.mark.parametrize("model", BUNDLED, ids=lambda model: model.name)
@@ -70,12 +69,12 @@ def test_every_manoeuvre_stops_a_vehicle_that_turns_at_full_speed(model: Vehicle
         assert np.all(np.abs(state[list(model.rest_indices)]) < 0.01), model.manoeuvres[k]
 
 
-@pytest.mark.parametrize("model", [MUSHR, MUSHR_LAG], ids=lambda model: model.name)
+@pytest.mark.parametrize("model", [MUSHR, MUSHR_LAG, MUSHR_DRIVE], ids=lambda model: model.name)
 def test_mushr_turns_about_the_circle_of_its_centre(model: Vehicle) -> None:
-    steering = 0.3
+    steering, wheelbase, offset = 0.3, model.parameters["L"], model.parameters["phi_diff"]
     _, _, turn, _ = rate(model, [0, 0, 0, 0.5], [0.5, steering])
-    beta = math.atan(0.5 * math.tan(steering))
-    radius = 0.2965 / (2 * math.sin(beta))
+    beta = math.atan(0.5 * math.tan(steering + offset))
+    radius = wheelbase / (2 * math.sin(beta))
     assert 0.5 / turn == pytest.approx(radius)
 
 
@@ -93,6 +92,73 @@ def test_the_lagging_mushr_is_the_benchmark_car_up_to_names_of_its_numbers() -> 
     mine = rate(MUSHR_LAG, [0, 0, 0.4, 0.3], [0.7, 0.25])
     theirs = rate(BENCHMARK, [0, 0, 0.4, 0.3], [0.7, 0.25 / 0.4203])
     assert mine == pytest.approx(theirs, rel=1e-4)
+
+
+def coasting(speed: float, seconds: float) -> tuple[float, float]:
+    """Speed and way of a car with Coulomb friction that rolls on its own, in closed form: v' = -(k + v) / tau."""
+    tau, k = 0.8813, 0.6861 * 0.1274 / (1 - 0.1274)
+    t = min(seconds, tau * math.log(1 + speed / k))
+    left = (speed + k) * math.exp(-t / tau) - k
+    return left, tau * (speed - left) - k * t
+
+
+def stopped(car: Vehicle, control: Callable[[np.ndarray], Iterable[float]]) -> tuple[float, float]:
+    """How long (s) and how far (m) a car still drives from its top speed."""
+    state, time = np.array([0.0, 0.0, 0.0, car.top_speed]), 0.0
+    while abs(state[3]) > 0.01:
+        state, time = after(car, list(state), list(control(state)), 0.1), time + 0.1
+    return time, float(state[0])
+
+
+def test_the_drive_trains_derivative_is_its_equation() -> None:
+    (wheelbase, offset, fastest, tau, used), rng = MUSHR_DRIVE.parameters.values(), np.random.default_rng(3)
+    for _ in range(50):
+        x, y, theta, v, u, steering = rng.uniform([-1, -1, -3, -0.5, -0.5, -0.38], [1, 1, 3, 0.7, 1, 0.38])
+        beta = math.atan(0.5 * math.tan(steering + offset))
+        force = fastest * (u - used * v / math.hypot(v, BREAKAWAY)) / (1 - used)
+        expected = [
+            v * math.cos(theta + beta), v * math.sin(theta + beta), 2 * v * math.sin(beta) / wheelbase, (force - v) / tau,
+        ]  # fmt: skip
+        assert rate(MUSHR_DRIVE, [x, y, theta, v], [u, steering]) == pytest.approx(expected, abs=1e-7)
+
+
+def test_full_throttle_leads_the_drive_train_to_the_top_speed_and_reverse_backwards() -> None:
+    assert after(MUSHR_DRIVE, [0, 0, 0, 0], [1, 0], 10.0)[3] == pytest.approx(0.6861, rel=1e-3)
+    backwards = 0.6861 * (-0.5 + 0.1274) / (1 - 0.1274)
+    assert after(MUSHR_DRIVE, [0, 0, 0, 0], [-0.5, 0], 10.0)[3] == pytest.approx(backwards, rel=0.01)
+
+
+def test_the_drive_train_coasts_as_friction_and_drag_say_and_rests_in_finite_time() -> None:
+    for seconds in (0.3, 0.7, 1.1):
+        x, _, _, v = after(MUSHR_DRIVE, [0, 0, 0, 0.6], [0, 0], seconds)
+        speed, way = coasting(0.6, seconds)
+        assert (v, x) == (pytest.approx(speed, rel=0.03), pytest.approx(way, rel=0.01))
+    time, way = stopped(MUSHR_DRIVE, lambda _: (0.0, 0.0))
+    ends = 0.8813 * math.log(1 + 0.6861 * (1 - 0.1274) / (0.6861 * 0.1274))
+    assert ends < time < ends + 0.4  # the lagging car alone would need 3.7 s with the same time constant
+    assert way == pytest.approx(coasting(0.6861, 9.0)[1], rel=0.03)
+
+
+def test_the_drive_train_brakes_in_less_time_and_way_than_it_coasts() -> None:
+    p, law = tuple(MUSHR_DRIVE.parameter_array), MUSHR_DRIVE.stop
+    assert law is not None
+    time, way = stopped(MUSHR_DRIVE, lambda state: law(tuple(state), p, 0))
+    coasts, rolls = stopped(MUSHR_DRIVE, lambda _: (0.0, 0.0))
+    assert time < 0.6 * coasts
+    assert 0.0 < way < 0.6 * rolls
+
+
+def test_the_brake_is_against_the_motion_within_what_may_be_commanded_and_gentle_at_rest() -> None:
+    p, law = tuple(MUSHR_DRIVE.parameter_array), MUSHR_DRIVE.stop
+    assert law is not None
+    throttles = [law((0.0, 0.0, 0.0, v), p, 0)[0] for v in (0.6, 0.3, 0.1, 0.0, -0.1, -0.4)]
+    assert throttles == pytest.approx([-0.5, -0.5, -0.2, 0.0, 0.2, 0.5])
+
+
+def test_a_throttle_that_friction_uses_up_does_not_move_the_drive_train() -> None:
+    for throttle in (-0.1274, -0.06, 0.06, 0.1274):
+        assert abs(after(MUSHR_DRIVE, [0, 0, 0, 0], [throttle, 0], 10.0)[3]) <= BREAKAWAY
+    assert after(MUSHR_DRIVE, [0, 0, 0, 0], [2 * 0.1274, 0], 10.0)[3] == pytest.approx(0.1, rel=0.06)
 
 
 def test_the_unicycle_never_exceeds_its_speeds_nor_drives_backwards() -> None:
@@ -123,7 +189,7 @@ def test_the_unicycle_fades_smoothly_and_returns_from_beyond_its_limits() -> Non
     assert acceleration(0.25, 0.0) == 0.0
 
 
-@pytest.mark.parametrize("model", [UNICYCLE2, BENCHMARK], ids=lambda model: model.name)
+@pytest.mark.parametrize("model", [UNICYCLE2, BENCHMARK, MUSHR_DRIVE], ids=lambda model: model.name)
 def test_ten_steps_an_edge_stay_within_three_millimetres_of_the_exact_motion(model: Vehicle) -> None:
     rng = np.random.default_rng(5)
     room = Workspace(((-20.0, 20.0), (-20.0, 20.0)), ())

@@ -112,5 +112,6 @@ MUSHR_DRIVE = replace(
     stop=brake,
     controls={"throttle": (REVERSE, 1.0), "steering": (-STEERING_MAX, STEERING_MAX)},
     parameters={"L": 0.3405, "phi_diff": 0.0031, "v_delta": 0.6861, "tau": 0.8813, "u_0": 0.1274},
+    footprint=Footprint(0.44, 0.28, -0.005),
     top_speed=0.6861,
 )
