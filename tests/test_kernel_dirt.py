@@ -219,6 +219,47 @@ def test_nothing_leaves_a_start_that_is_too_near_for_delta() -> None:
         assert (dirt.grow(iterations=200).nodes > 1) == leaves
 
 
+def test_another_clearance_can_be_asked_for_as_if_it_had_been_from_the_beginning() -> None:
+    near, beside = Workspace(ROOM, (box((2.0, 0.2), (4.0, 0.2)),)), np.array([0.5, 0.5, 0.0, 0.0])  # 6 cm beside it
+    dirt = Dirt(BENCHMARK, near, ACROSS, Safety(delta=0.1), capacity=10_000)
+    nothing = np.zeros(2)
+    before = dirt.edge(beside, nothing, 0.0, 0.0)[1]
+    assert before < 0.0
+    dirt.start(beside)
+    assert dirt.grow(iterations=50).nodes == 1
+    assert dirt.contingency(beside) is None
+    dirt.ask_for(0.02)
+    assert dirt.safety == Safety(delta=0.02)
+    assert dirt.edge(beside, nothing, 0.0, 0.0)[1] == pytest.approx(before + 0.08)
+    assert dirt.contingency(beside) is not None
+    check_plan(dirt, planned(dirt, start=beside))
+    other = Dirt(BENCHMARK, near, ACROSS, Safety(delta=0.02), capacity=10_000)
+    planned(other, start=beside)
+    assert tree_bytes(dirt) == tree_bytes(other)
+
+
+def test_a_smaller_goal_can_be_aimed_for_and_the_first_one_again() -> None:
+    dirt = Dirt(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=10_000)
+    planned(dirt, start=CORNER)
+    first = tree_bytes(dirt)
+    dirt.aim_for(0.03)
+    assert dirt.goal == replace(ACROSS, radius=0.03)
+    plan = planned(dirt, iterations=3000, start=CORNER)
+    assert plan.reaches_goal
+    check_plan(dirt, plan)
+    inside = np.array([3.4, 3.4, 0.8, 0.0])  # 0.14 m from the centre
+    assert len(planned(dirt, start=inside).durations) > 0
+    dirt.aim_for(ACROSS.radius)
+    assert len(planned(dirt, start=inside).durations) == 0
+    planned(dirt, start=CORNER)
+    assert tree_bytes(dirt) == first
+
+
+def test_without_a_goal_there_is_none_to_aim_for() -> None:
+    with pytest.raises(ValueError, match="no goal to aim for"):
+        Dirt(BENCHMARK, Workspace(ROOM), None, capacity=10).aim_for(0.1)
+
+
 def test_a_start_inside_the_goal_is_the_solution() -> None:
     dirt = turns()
     assert dirt.start(np.array([1.0, 5.0, 0.0, 0.0]), 0) >= 0.0

@@ -15,7 +15,7 @@ from kraft.driving import Estimate, Kind, Reference
 from kraft.errors import Defect
 from kraft.method import Clearance, Kinodynamic, OpenLoop, Planner
 from kraft.model import Model
-from kraft.replanner import Planners, Replanner
+from kraft.replanner import LEEWAY, SMALLEST_GOAL, Planners, Replanner
 from kraft.scenario import Task, load_scenario
 from kraft.stopping import emergency, plan_reference, stop_control
 from kraft.trial_result import Cycle
@@ -26,6 +26,8 @@ from ompl_ext.vehicle import Vehicle
 from ompl_ext.verify import Verification
 
 MARGIN = Clearance(delta=0.05, delta_per_speed=0.25)
+FARSIGHTED = Clearance(delta=0.02, delta_per_speed=0.05, foresight=3.0)
+BESIDE_THE_WALL = np.array([1.96, 0.0, math.pi / 2, 0.0])  # 0.1 m from the right wall
 
 
 @cache
@@ -52,9 +54,10 @@ def start() -> Floats:
     return start_state(turns(), mushr())
 
 
-def drive(subject: Replanner, cycles: int, error: Floats | None = None) -> list[Cycle]:
+def drive(subject: Replanner, cycles: int, error: Floats | None = None, begin: Floats | None = None) -> list[Cycle]:
     """Cycles of a vehicle that is, up to `error`, where it is predicted to be."""
-    current, state, time = subject.begin(start()), start(), 0.0
+    state, time = start() if begin is None else begin, 0.0
+    current = subject.begin(state)
     found: list[Cycle] = []
     for _ in range(cycles):
         believed = state if error is None or not found else state + error
@@ -74,7 +77,7 @@ def test_the_first_cycle_executes_the_plan_made_before_the_clock_ran() -> None:
 
 
 @pytest.mark.parametrize("tracking", [False, True])
-@pytest.mark.parametrize("safety", [None, MARGIN])
+@pytest.mark.parametrize("safety", [None, FARSIGHTED])
 def test_a_vehicle_that_is_where_it_was_predicted_reaches_the_goal_without_a_contingency(
     safety: Clearance | None, tracking: bool
 ) -> None:
@@ -83,6 +86,25 @@ def test_a_vehicle_that_is_where_it_was_predicted_reaches_the_goal_without_a_con
     costs = [cycle.cost_to_goal for cycle in cycles]
     assert costs[-1] < costs[0] - 6.0
     assert min(cycle.clearance for cycle in cycles) > 0.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_vehicle_that_does_as_planned_needs_no_contingency_for_a_clearance_that_grows_fast_with_speed(
+    seed: int,
+) -> None:
+    """Of the corridor's 0.7 m beside a box such a clearance leaves so little that the vehicle crawls, but it drives."""
+    cycles = drive(replanner(seed, safety=MARGIN, margin=0.03), 9)
+    assert [cycle.kind for cycle in cycles] == [Kind.PLAN] * 9
+    assert min(cycle.predicted.slack for cycle in cycles) >= 0.0
+
+
+def test_a_controller_that_gets_ahead_of_a_plan_by_more_than_the_margin_is_told_so() -> None:
+    """The controller looks ahead of the plan: where that speeds up, 0.25 of the difference of speeds is the slack."""
+    cycles = drive(replanner(2, safety=MARGIN, margin=0.03, tracking=True), 9)
+    refused = [cycle for cycle in cycles if cycle.kind is Kind.CONTINGENCY]
+    assert refused
+    assert all("from the latest estimate" in cycle.reason for cycle in refused)
+    assert all(cycle.predicted.slack >= 0.0 for cycle in cycles)  # each of them with a safe one
 
 
 def test_each_cycle_begins_where_the_last_one_is_predicted_to_end() -> None:
@@ -176,13 +198,129 @@ def test_every_contingency_ends_at_standstill() -> None:
         assert cycle.contingency.rest[0] == 0.0
 
 
-def test_the_contingency_in_hand_is_used_when_none_is_safe_from_the_estimate() -> None:
+def too_fast_beside_the_contingency(first: Cycle, aside: float) -> Floats:
+    """`aside` m from where a contingency begins, so fast that no manoeuvre keeps delta(v)."""
+    assert first.contingency is not None
+    state = first.contingency.state_at(1.0) + np.array([aside, 0.0, 0.0, 0.0])
+    state[3] = 4.0  # for which 1.05 m are asked for, more than there is
+    return state
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.18, -0.18])
+def test_the_contingency_in_hand_is_used_when_none_is_safe_and_the_vehicle_is_near_where_it_begins(
+    aside: float,
+) -> None:
     subject = replanner(safety=MARGIN)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
-    doomed = np.array([0.5, 0.78, math.pi / 2, 0.6])  # no manoeuvre keeps its distance from here
-    second = subject.step(Estimate(1.0, doomed, 0.0), first.reference)
+    assert first.contingency is not None
+    assert 0.18 < 0.05 + 0.25 * first.contingency.states[0][3] < 0.2  # delta(v) is what it was verified for
+    second = subject.step(Estimate(1.0, too_fast_beside_the_contingency(first, aside), 0.0), first.reference)
     assert second.kind is Kind.CONTINGENCY
     assert second.reference is first.contingency
+
+
+@pytest.mark.parametrize("aside", [0.2, -0.2])
+def test_an_emergency_is_what_is_left_when_none_is_safe_and_the_one_in_hand_begins_elsewhere(aside: float) -> None:
+    subject = replanner(safety=MARGIN)
+    first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    state = too_fast_beside_the_contingency(first, aside)
+    second = subject.step(Estimate(1.0, state, 0.0), first.reference)
+    assert (second.kind, second.reference.start) == (Kind.CONTINGENCY, 1.0)
+    assert second.reference is not first.contingency
+    expected = emergency(subject.dirt, state, 1.0)
+    np.testing.assert_array_equal(second.reference.states, expected.states)
+    np.testing.assert_array_equal(second.reference.controls, expected.controls)
+    assert second.contingency is second.reference
+
+
+def planners(**settings: object) -> Planners:
+    return Planners.of(turns(), mushr(), Planner(**{"mode": "replanning", **settings}))  # type: ignore[arg-type]
+
+
+def test_without_margin_and_foresight_what_plans_is_what_checks() -> None:
+    for same in (planners(), planners(safety=MARGIN), planners(safety=Clearance(foresight=1.0))):
+        assert same.planning is same.checking
+
+
+def test_planning_keeps_margin_and_foresight_and_checking_does_not() -> None:
+    ours = planners(safety=FARSIGHTED, margin=0.03, goal_margin=0.1)
+    shape, wide = mushr().footprint, ours.planning.vehicle.footprint
+    assert ours.checking.vehicle.footprint == shape
+    assert (wide.length, wide.width) == (pytest.approx(shape.length + 0.06), pytest.approx(shape.width + 0.06))
+    assert wide.offset == shape.offset
+    assert (ours.planning.safety.cycle, ours.checking.safety.cycle) == (3.0, 1.0)
+    for dirt in (ours.planning, ours.checking):
+        assert (dirt.safety.enabled, dirt.safety.delta, dirt.safety.delta_per_speed) == (True, 0.02, 0.05)
+        assert dirt.goal is not None
+        assert dirt.goal.radius == pytest.approx(0.15)  # the scene's is 0.25 m
+
+
+def test_a_goal_is_not_shrunk_to_nothing() -> None:
+    goal = planners(goal_margin=0.4).checking.goal
+    assert goal is not None
+    assert goal.radius == SMALLEST_GOAL
+
+
+def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresight_reaches() -> None:
+    subject = replanner(safety=FARSIGHTED, margin=0.03)
+    subject.begin(start())
+    plan = subject._proposal.plan
+    assert plan is not None
+    away = subject.dirt.exact.distances(plan.trajectory[:, :3])
+    assert away.min() >= 0.03
+    soon = plan.times <= 3.0
+    assert np.all(away[soon] >= 0.03 + 0.02 + 0.05 * plan.trajectory[soon, 3] - 1e-9)
+
+
+def test_a_start_without_room_for_the_margin_is_planned_from_without_it() -> None:
+    begin = BESIDE_THE_WALL + np.array([0.08, 0.0, 0.0, 0.0])
+    cycles = drive(replanner(margin=0.03), 2, begin=begin)
+    assert cycles[0].kind is Kind.PLAN
+    assert 0.0 < cycles[0].clearance < 0.03
+
+
+def test_a_vehicle_that_rests_nearer_than_the_clearance_stays_there() -> None:
+    cycles = drive(replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0)), 3, begin=BESIDE_THE_WALL)
+    assert [cycle.kind for cycle in cycles] == [Kind.CONTINGENCY] * 3
+    assert "lacks clearance" in cycles[0].reason
+    np.testing.assert_allclose(cycles[-1].predicted.end, BESIDE_THE_WALL, atol=1e-6)
+
+
+def test_with_recover_it_leaves_with_the_clearance_that_it_has_and_then_keeps_what_is_asked_for() -> None:
+    subject = replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0), recover=True)
+    cycles = drive(subject, 8, begin=BESIDE_THE_WALL)
+    assert cycles[0].kind is Kind.PLAN
+    assert min(cycle.clearance for cycle in cycles) >= 0.1 - LEEWAY - 1e-3
+    assert cycles[-1].clearance >= 0.15
+    assert subject.dirt.safety.delta == 0.15
+
+
+def test_recover_is_for_a_vehicle_at_rest_and_not_in_collision() -> None:
+    settings = {"safety": Clearance(delta=0.15, delta_per_speed=0.0), "recover": True}
+    for change in ([0.0, 0.0, 0.0, 0.4], [0.12, 0.0, 0.0, 0.0]):
+        subject = replanner(**settings)  # type: ignore[arg-type]
+        subject.begin(BESIDE_THE_WALL + np.array(change))
+        assert subject._proposal.plan is None
+        assert subject.dirt.safety.delta == 0.15
+
+
+@pytest.mark.parametrize(("away", "radius"), [(0.2, 0.1), (0.1, 0.05), (0.004, SMALLEST_GOAL)])
+def test_the_goal_region_shrinks_before_a_vehicle_that_has_not_arrived(away: float, radius: float) -> None:
+    """By its own estimate it has: a plan from within the scene's region, 0.25 m, would else be to stay there."""
+    subject = replanner()
+    subject.begin(np.array([1.0, 5.0 - away, math.pi / 2, 0.0]))
+    plan = subject._proposal.plan
+    assert plan is not None
+    assert math.dist(plan.states[-1][:2], (1.0, 5.0)) <= radius
+    assert (len(plan.durations) > 0) == (away > SMALLEST_GOAL)
+
+
+def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away() -> None:
+    subject = replanner()
+    subject.begin(np.array([1.0, 4.9, math.pi / 2, 0.0]))
+    subject._propose(start(), None)
+    assert subject.dirt.goal is not None
+    assert subject.dirt.goal.radius == 0.25
 
 
 def test_a_contingency_goes_on_when_no_other_is_safe() -> None:

@@ -1,0 +1,137 @@
+"""Whole trials in the simulated world: delays, blindness, how they end, and that they repeat."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kraft.driving import Kind
+from kraft.method import load_method
+from kraft.scenario import load_scenario
+from kraft.simulation.world import World
+from kraft.trial import run_trial
+from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
+from kraft.vehicle import load_vehicle
+
+SCENE = """name: short
+bounds: {x: [0, 5], y: [0, 4]}
+obstacles:
+  - {name: pillar, box: {center: [2, 2.5], size: [0.5, 0.5]}}
+start: {x: 0.6, y: 1, heading_deg: 0}
+goal: {center: [3.4, 1], radius: 0.4}
+"""
+AIMLESS = "trial: {timeout: 6, oneshot_timeout: 6}\n"
+
+
+def spec(folder: Path, method: str, more: str = "", scene: str = SCENE, seed: int = 0) -> TrialSpec:
+    (folder / "short.yaml").write_text(scene + more)
+    found = load_method(method)
+    return TrialSpec(load_scenario(folder / "short.yaml"), found, load_vehicle(found.planner.vehicle or "mushr"), seed)
+
+
+def everything(result: TrialResult) -> bytes:
+    """All that a trial leaves, except for what the clock said."""
+    parts: list[object] = [result.outcome, result.time, result.obstacle, result.min_clearance]
+    for step in result.steps:
+        parts += [step.time, *step.pose, step.speed, step.estimate.tobytes(), step.command.tobytes(), step.cycle]
+    for seen in result.observations:
+        parts += [seen.time, seen.arrival, seen.x, seen.y, seen.theta]
+    for cycle in result.cycles:
+        parts += [cycle.number, cycle.time, cycle.speed, cycle.kind, cycle.reason, cycle.cost_to_goal, cycle.clearance]
+        parts += [cycle.iterations, cycle.nodes, cycle.retained, cycle.predicted.states.tobytes()]
+        for reference in (cycle.reference, cycle.contingency):
+            if reference is not None:
+                parts += [reference.times.tobytes(), reference.states.tobytes(), reference.controls.tobytes()]
+    return repr(parts).encode()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.35])
+def test_what_is_committed_is_tracked_when_its_cycle_begins_and_it_has_arrived(tmp_path: Path, delay: float) -> None:
+    """A step is 0.1 s before its cycle: of a delay, what is longer than that is how much later it counts."""
+    sensing = f"sensing: {{communication_delay: {delay}}}\n"
+    result = run_trial(spec(tmp_path, "replanner-openloop", sensing + AIMLESS))
+    assert len(result.cycles) >= 4
+    counts = [max(cycle.time, max(0.0, cycle.time - 0.1) + delay) for cycle in result.cycles]
+    assert counts[:3] == pytest.approx([delay, 1.0 + max(0.0, delay - 0.1), 2.0 + max(0.0, delay - 0.1)])
+    for step in result.steps:
+        known = [cycle for cycle, from_then in zip(result.cycles, counts, strict=True) if from_then <= step.time + 1e-9]
+        expected = known[-1].reference.control_at(step.time) if known else np.zeros(2)
+        np.testing.assert_array_equal(step.command, expected)
+
+
+@pytest.mark.parametrize("method", ["kraft", "conservative-kraft", "filtered-kraft"])
+def test_a_vehicle_that_is_never_seen_stops_after_its_first_cycle(tmp_path: Path, method: str) -> None:
+    result = run_trial(spec(tmp_path, method, "sensing: {dropout: 1}\n" + AIMLESS))
+    assert result.observations == ()
+    assert (result.outcome, result.time) == (Outcome.TIMEOUT, pytest.approx(6.0))
+    assert [cycle.kind for cycle in result.cycles] == [Kind.PLAN] + [Kind.CONTINGENCY] * (len(result.cycles) - 1)
+    assert all("newest observation is inf s old" in cycle.reason for cycle in result.cycles[1:])
+    assert abs(result.steps[-1].speed) < 0.01
+    stands = [step.pose for step in result.steps if step.time > 4.0]
+    assert max(math.dist(pose[:2], stands[0][:2]) for pose in stands) < 0.01
+    assert math.dist(stands[0][:2], (0.6, 1.0)) < 1.0
+
+
+def test_a_vehicle_that_is_hidden_for_less_than_its_patience_drives_on(tmp_path: Path) -> None:
+    result = run_trial(spec(tmp_path, "kraft", "sensing: {rate_hz: 3, dropout: 0}\n"))
+    assert result.outcome is Outcome.SUCCESS
+    assert not any("newest observation" in cycle.reason for cycle in result.cycles)
+
+
+@pytest.mark.parametrize("method", ["conservative-kraft", "oneshot-geometric"])
+def test_the_same_spec_gives_the_same_bytes_and_another_seed_others(tmp_path: Path, method: str) -> None:
+    first, again, other = (everything(run_trial(spec(tmp_path, method, AIMLESS, seed=k))) for k in (7, 7, 8))
+    assert first == again
+    assert first != other
+
+
+def test_being_watched_changes_nothing(tmp_path: Path) -> None:
+    cycles: list[Cycle] = []
+    steps: list[Step] = []
+
+    def on_step(world: World, step: Step) -> None:
+        assert world.time == step.time
+        steps.append(step)
+
+    alone = run_trial(spec(tmp_path, "kraft", AIMLESS))
+    watched = run_trial(spec(tmp_path, "kraft", AIMLESS), cycles.append, on_step, keep_trees=True)
+    assert everything(alone) == everything(watched)
+    assert (tuple(cycles), tuple(steps)) == (watched.cycles, watched.steps)
+    assert all(cycle.tree is None for cycle in alone.cycles)
+    assert any(cycle.tree is not None for cycle in watched.cycles)
+
+
+def test_a_trial_succeeds_where_the_vehicle_truly_is_in_the_goal(tmp_path: Path) -> None:
+    result = run_trial(spec(tmp_path, "kraft"))
+    assert (result.outcome, result.obstacle) == (Outcome.SUCCESS, None)
+    assert math.dist(result.steps[-1].pose[:2], (3.4, 1.0)) < 0.4 + 0.05  # at the tick before
+    assert all(math.dist(step.pose[:2], (3.4, 1.0)) > 0.4 for step in result.steps)
+    assert 0.0 < result.min_clearance < math.inf
+
+
+def test_a_trial_ends_with_the_first_collision(tmp_path: Path) -> None:
+    """Blind driving with a crooked steering ends at the box."""
+    scene = SCENE.replace("center: [2, 2.5]", "center: [1.9, 1.42]")
+    crooked = "truth: {vehicle: {steering_offset_deg: 12}}\n"
+    result = run_trial(spec(tmp_path, "oneshot-openloop", crooked, scene))
+    assert (result.outcome, result.obstacle) == (Outcome.COLLISION, "pillar")
+    assert result.time < 10.0
+    assert result.time - 1 / 30 - 1e-9 <= result.steps[-1].time <= result.time
+    assert result.min_clearance < 0.05
+
+
+@pytest.mark.parametrize("method", ["kraft", "oneshot-kinodynamic"])
+def test_a_trial_ends_at_the_time_limit_of_its_kind_of_method(tmp_path: Path, method: str) -> None:
+    result = run_trial(spec(tmp_path, method, "trial: {timeout: 1.5, oneshot_timeout: 0.8}\n"))
+    limit = 0.8 if method.startswith("oneshot") else 1.5
+    assert (result.outcome, result.time) == (Outcome.TIMEOUT, pytest.approx(limit))
+
+
+def test_one_shot_decides_once(tmp_path: Path) -> None:
+    result = run_trial(spec(tmp_path, "oneshot-kinodynamic"))
+    assert result.time > 3.0
+    assert len(result.cycles) == 1
+    assert {step.cycle for step in result.steps} == {0}
