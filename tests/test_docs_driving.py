@@ -1,4 +1,4 @@
-"""The page on driving names every setting with its real default, and the noise as it is in the code."""
+"""The page on driving names every setting with its real default, the bundled methods, and the noise in the code."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
-from kraft.method import Filter, Geometric, Kinodynamic
+from kraft import resources
+from kraft.method import Clearance, Filter, Geometric, Kinodynamic, Method, Planner, load_method
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS
 
@@ -26,12 +28,46 @@ def documented() -> dict[str, str]:
     return found
 
 
-@pytest.mark.parametrize("model", [Filter, Geometric, Kinodynamic])
+def shown(field: FieldInfo) -> set[str]:
+    """How a default may be written."""
+    if field.is_required():
+        return {"required"}
+    default = list(field.default) if isinstance(field.default, tuple) else field.default
+    words = {"None": "none", "False": "false"}
+    return {words.get(str(default), str(default)), f"{default:g}" if isinstance(default, float) else "?"}
+
+
+@pytest.mark.parametrize("model", [Planner, Clearance, Filter, Geometric, Kinodynamic])
 def test_every_setting_is_documented_with_its_default(model: type[BaseModel]) -> None:
     for name, field in model.model_fields.items():
         if name not in ("kind", "rate_hz"):
-            default = list(field.default) if isinstance(field.default, tuple) else field.default
-            assert documented()[name] in (str(default), f"{default:g}" if isinstance(default, float) else "")
+            assert documented()[name] in shown(field), name
+
+
+def test_every_key_of_a_method_file_is_mentioned() -> None:
+    assert [name for name in Method.model_fields if f"`{name}`" not in TEXT] == []
+
+
+def test_the_method_shown_is_the_bundled_one(tmp_path: Path) -> None:
+    (tmp_path / "shown.yaml").write_text(TEXT.split("```yaml\n")[1].split("```")[0])
+    assert load_method(tmp_path / "shown.yaml").model_dump() == load_method("conservative-kraft").model_dump()
+
+
+def test_the_table_of_methods_is_the_bundled_ones() -> None:
+    rows = re.findall(r"^\| `([\w-]+)` \| ((?:one-shot|replanning) .*) \|$", TEXT, re.MULTILINE)
+    assert sorted(name for name, _ in rows) == sorted(resources.names("method"))
+    for name, row in rows:
+        method = load_method(name)
+        planner, safety = method.planner, method.planner.safety
+        clearance = f"{safety.delta:g} + {safety.delta_per_speed:g} v" if safety else "none"
+        expected = [
+            planner.mode, planner.vehicle or "the scenario's", f"{planner.margin:g}", clearance, method.controller.kind,
+            method.estimator.kind,
+        ]  # fmt: skip
+        assert row.split(" | ") == expected
+        once = planner.mode == "one-shot"
+        assert (planner.iterations, planner.goal_margin) == ((20_000, 0.0) if once else (1000, 0.1))
+        assert planner.recover == (safety is not None and safety.foresight == 3.0)
 
 
 def test_every_setting_of_the_camera_is_mentioned() -> None:

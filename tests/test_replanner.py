@@ -92,7 +92,7 @@ def test_a_vehicle_that_is_where_it_was_predicted_reaches_the_goal_without_a_con
 def test_a_vehicle_that_does_as_planned_needs_no_contingency_for_a_clearance_that_grows_fast_with_speed(
     seed: int,
 ) -> None:
-    """Of the corridor's 0.7 m beside a box such a clearance leaves so little that the vehicle crawls, but it drives."""
+    """Asked for in the coming cycle alone it lets plans cut corners that the next cycle crawls round, but drives on."""
     cycles = drive(replanner(seed, safety=MARGIN, margin=0.03), 9)
     assert [cycle.kind for cycle in cycles] == [Kind.PLAN] * 9
     assert min(cycle.predicted.slack for cycle in cycles) >= 0.0

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Scenarios = Annotated[list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or files; all six scenes.")]
 Trials = Annotated[int | None, typer.Option(metavar="N", help="Trials of each method in each scenario (30).")]
-Methods = Annotated[str | None, typer.Option(metavar="A,B", help="Methods (kraft list methods); all seven.")]
+Methods = Annotated[str | None, typer.Option(metavar="A,B", help="Methods (kraft list methods); the paper's seven.")]
 VehicleName = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
 ]
