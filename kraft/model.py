@@ -23,6 +23,8 @@ SETTLING: Final = 20.0
 """Time after which the response to a constant control counts as steady, s."""
 CONTROLS: Final = ("throttle", "steering")
 ROWS: Final = 65  # of a table of steady responses
+Tables = tuple[list[float], list[float], list[float], list[float], list[float]]
+_TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
 
 
 class Model:
@@ -49,8 +51,7 @@ class Model:
         self.throttle, self.steering = (names.index(name) for name in CONTROLS)
         self.low, self.high = vehicle.control_bounds[:, 0].copy(), vehicle.control_bounds[:, 1].copy()
         self.rest = self.clamped(np.zeros(len(names)))
-        self._throttles, self._speeds = self._steady_speeds()
-        self._steerings, self._curvatures, self._slips = self._steady_turns()
+        self._tabulate()
 
     def __deepcopy__(self, memo: object) -> Model:
         """Nothing here is ever written to: a copy is the same."""
@@ -104,6 +105,15 @@ class Model:
         """Change of steering per change of curvature where the car drives straight, m: of a bicycle, its wheelbase."""
         reach = 0.1 * max(abs(self._curvatures[0]), abs(self._curvatures[-1]))
         return (self.steering_for(reach) - self.steering_for(-reach)) / (2.0 * reach)
+
+    def _tabulate(self) -> None:
+        """Make the tables of steady responses, once per vehicle and process: they take as long as planning a cycle."""
+        vehicle = self.vehicle
+        key = (vehicle.hash, self._parameters.tobytes(), vehicle.control_bounds.tobytes())
+        if key not in _TABLES:
+            self._throttles, self._speeds = self._steady_speeds()
+            _TABLES[key] = self._throttles, self._speeds, *self._steady_turns()
+        self._throttles, self._speeds, self._steerings, self._curvatures, self._slips = _TABLES[key]
 
     def _steady_speeds(self) -> tuple[list[float], list[float]]:
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], ROWS)

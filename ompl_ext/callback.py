@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from ompl import base as ob
@@ -27,7 +27,6 @@ from ompl_ext.rng import generator
 from ompl_ext.tree_memory import add_root, new_tree, path_to, prune, reset
 
 PRUNE_EVERY = 1024  # iterations
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,7 @@ class CallbackSearch:
         self._scratch = si.allocState()
         self._start = self._scratch
         self._seen = 0
-        self._stopped = False
-        self._error: BaseException | None = None
+        self._stop = np.zeros(1, np.int64)  # 1 ends a run of the kernel
         reset(self._tree, generator(seed))
 
     def _make_problem(self, bounds: Bounds) -> Problem:
@@ -142,51 +140,54 @@ class CallbackSearch:
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
         """Add edges of an earlier plan or tree that are valid and safe from the root; returns how many."""
         before = int(self._tree.count[at.SIZE])
-        self._run(edges_to_retain(parents, controls, durations), 0, lambda: True)
+        self._run(edges_to_retain(parents, controls, durations), 0, lambda: False)
         return int(self._tree.count[at.SIZE]) - before
 
     def grow(self, stop: Callable[[], bool]) -> None:
-        """Visit nodes until `stop()` is true or memory is used up; what a callback raises is raised here."""
-        self._stopped = bool(stop())
-        while not self._stopped:
+        """Visit nodes until `stop()` is true or memory is used up; what a callback raises is raised here.
+
+        `stop` is asked in every visit, and at once where a better plan has been found.
+        """
+        stopped = bool(stop())
+        while not stopped:
             self._run(self._nothing, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
                 prune(self._tree, self._settings.resolution)
                 self._seen = int(self._tree.count[at.SIZE])
                 if self._tree.count[at.SIZE] > 0.9 * len(self._tree.state):
                     return
+            stopped = bool(self._stop[0]) or bool(stop())
 
     def _run(self, kept: Retained, iterations: int, stop: Callable[[], bool]) -> None:
-        """Run the kernel; no exception passes through compiled code, so it is kept and ends the run."""
+        """Run the kernel; no exception passes through compiled code, so the first is kept and ends the run."""
+        errors: list[BaseException] = []
+        self._stop[0] = 0
         self._take_threshold()
 
-        def asked_to_stop() -> int:
-            self._stopped = bool(stop())
-            return int(self._stopped)
+        def propagate(start_place: int, lanes: int) -> None:
+            self._work.slack[:lanes] = -1.0  # until an edge is known to be valid
+            try:
+                if not errors:
+                    self._propagate(start_place, lanes)
+                    self._stop[0] = bool(stop())
+            except BaseException as error:
+                errors.append(error)
+                self._work.slack[:lanes] = -1.0
+                self._stop[0] = 1
 
-        callbacks = (
-            callback_kernel.PROPAGATE(self._guarded(self._propagate, None)),
-            callback_kernel.SAFE(self._guarded(self._safe, -1)),
-            callback_kernel.STOP(self._guarded(asked_to_stop, 1)),
-        )
-        work = callback_kernel.CallbackLanes(*self._work, *callbacks)
+        def safe(lane: int, start_time: float) -> int:
+            try:
+                return -1 if errors else self._safe(lane, start_time)
+            except BaseException as error:
+                errors.append(error)
+                self._stop[0] = 1
+                return -1
+
+        callbacks = callback_kernel.PROPAGATE(propagate), callback_kernel.SAFE(safe)
+        work = callback_kernel.CallbackLanes(*self._work, *callbacks, self._stop)
         self._grow(self._tree, self._problem, work, self._q, kept, iterations)
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
-
-    def _guarded(self, function: Callable[..., Result], otherwise: Result) -> Callable[..., Result]:
-        """`function`, whose first exception is kept; from then on all it does is to return `otherwise`."""
-
-        def guarded(*arguments: float) -> Result:
-            if self._error is None:
-                try:
-                    return function(*arguments)
-                except BaseException as error:
-                    self._error, self._stopped = error, True
-            return otherwise
-
-        return guarded
+        if errors:
+            raise errors[0]
 
     def best(self) -> tuple[int, bool]:
         """The node to end the plan at, -1 if there is none, and whether it is in the goal."""
@@ -216,7 +217,6 @@ class CallbackSearch:
         start, steps = states[start_place], work.steps[:lanes].tolist()
         self._start = start
         for lane in range(lanes):
-            work.slack[lane] = -1.0  # until the edge is known to be valid
             self._control.write(work.control[lane::LANE_WIDTH].tolist(), controls[lane])
         propagate = self._si.propagateWhileValid
         done = [propagate(start, controls[lane], steps[lane], states[places[lane]]) for lane in range(lanes)]

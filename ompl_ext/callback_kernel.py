@@ -22,15 +22,14 @@ from ompl_ext.kernel_types import FULL, LANES, PROBLEM, RETAINED_EDGES, TREE, La
 
 PROPAGATE = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64)  # from a state's place, so many lanes
 SAFE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_double)  # a lane whose edge begins at a time (s)
-STOP = ctypes.CFUNCTYPE(ctypes.c_int64)  # asked after every visit
 
 _namedtuple: Any = collections.namedtuple  # mypy wants the names of fields written out
-CallbackLanes = _namedtuple("CallbackLanes", (*Lanes._fields, "propagate", "safe", "stop"))
+CallbackLanes = _namedtuple("CallbackLanes", (*Lanes._fields, "propagate", "safe", "stop"))  # stop[0]: 1 to end
 
 _typeof: Any = numba.typeof  # without types of their own
 _types: Any = types
-_CALLBACKS = [_typeof(kind()) for kind in (PROPAGATE, SAFE, STOP)]
-_CALLBACK_LANES = _types.NamedTuple([*LANES.types, *_CALLBACKS], CallbackLanes)
+_CALLBACKS = [_typeof(kind()) for kind in (PROPAGATE, SAFE)]
+_CALLBACK_LANES = _types.NamedTuple([*LANES.types, *_CALLBACKS, types.int64[::1]], CallbackLanes)
 
 Grow = Callable[[Tree, Problem, Any, Floats, Retained, int], None]
 
@@ -54,14 +53,18 @@ def _safe(lane: int, start_time: float, problem: Problem, work: Any, brake: Any)
 
 def _grow(tree: Tree, problem: Problem, work: Any, q: Floats, kept: Retained, iterations: int) -> None:
     dirt.retain(tree, problem, work, work, kept, _propagate, _check, _safe)
+    best = tree.best[0]
     for _ in range(iterations):
         dirt.visit(tree, problem, work, work, q, _propagate, _check, _safe)
-        if tree.count[FULL] == 1 or work.stop() != 0:
+        if tree.count[FULL] == 1 or work.stop[0] == 1 or tree.best[0] < best:
             return
 
 
 @cache
 def grow() -> Grow:
-    """The kernel: retain edges, then visit nodes; compiled, or loaded from the cache, on the first call."""
+    """The kernel: retain edges, then visit nodes until told to stop or a better plan is found.
+
+    Compiled, or loaded from the cache, on the first call.
+    """
     signature = _types.void(TREE, PROBLEM, _CALLBACK_LANES, _types.float64[::1], RETAINED_EDGES, _types.int64)
     return compiled(_grow, signature=signature)

@@ -1,0 +1,50 @@
+"""Theorem 1: deviations within delta, as bad as they can be, and no collision.  The whole sweep is a benchmark."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.effort import SMOKE
+from benchmarks.theorem import Episode, episode, run
+from kraft.replanner import Replanner
+
+
+@pytest.fixture(scope="module")
+def episodes() -> list[Episode]:
+    return [episode(number) for number in range(24)]
+
+
+def test_no_episode_ends_in_a_collision(episodes: list[Episode]) -> None:
+    assert [each.number for each in episodes if each.clearance <= 0.0] == []
+
+
+def test_the_world_never_deviates_by_more_than_the_theorem_allows(episodes: list[Episode]) -> None:
+    assert sum(each.broken for each in episodes) == 0
+
+
+def test_vehicles_move_stop_and_arrive(episodes: list[Episode]) -> None:
+    assert sum(each.cycles for each in episodes) > 100
+    assert sum(each.contingencies for each in episodes) > 0
+    assert any(each.arrived for each in episodes)
+
+
+def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def trusting(self: Replanner, root, begins, estimate, current):  # type: ignore[no-untyped-def]
+        from kraft.replanner import Decision
+        from kraft.stopping import plan_reference
+
+        plan = self._proposal.plan
+        if plan is None:
+            return self._stop(root, begins, current, self._proposal.reason)
+        reference = plan_reference(plan, begins, self._at_rest)
+        return Decision(reference, self._roll(root, begins, begins + 1.0, reference), "", plan)
+
+    monkeypatch.setattr(Replanner, "_decide", trusting)
+    assert any(episode(number).clearance <= 0.0 for number in range(1, 80, 2))
+
+
+def test_the_sweep_reports_what_it_found() -> None:
+    report = run(SMOKE)
+    found = {row.quantity: row.median for row in report.rows}
+    assert found["episodes"] == SMOKE.episodes
+    assert found["collisions"] == 0
