@@ -13,6 +13,7 @@ import pytest
 
 from kraft import kernel_cache, planning
 from kraft.plan_file import read_plan
+from kraft.vehicle import load_vehicle
 from kraft_cli.main import main
 from ompl_ext.verify import Verification
 
@@ -64,7 +65,8 @@ def test_a_person_gets_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     out, err = capsys.readouterr()
     rows = {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in out.splitlines()}
     assert rows["scenario"] == "room"
-    assert rows["vehicle"] == "mushr (L 0.2965, phi_diff 0, v_delta 0.6228)"
+    parameters = load_vehicle("mushr").parameters
+    assert rows["vehicle"] == f"mushr ({', '.join(f'{name} {value:g}' for name, value in parameters.items())})"
     assert rows["result"] == "solved"
     assert rows["clearance"].endswith("m at least, verified with FCL")
     assert {"plan", "first solution", "contingency", "search"} <= set(rows)

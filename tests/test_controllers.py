@@ -186,8 +186,9 @@ def test_a_plan_that_is_late_is_driven_to_its_end_and_no_farther(choice: Setting
     reference = drive(car(), AT_REST, [(0.8, 0.1, 4.0)])
     states, commands = track(make_controller(choice, car()), Truth(car(), AT_REST, scale=0.6), reference, 12.0)
     assert np.hypot(*(states[-1, :2] - reference.states[-1, :2])) < 0.1
-    assert commands[-1].tolist() == [0.0, 0.0]
-    assert states[-1, 3] < 1e-3
+    assert states[:, 0].max() < reference.states[-1, 0] + 0.01
+    assert abs(commands[-1][0]) < 0.05  # what is missing of the path, times the gain: it nears zero, as the car the end
+    assert states[-1, 3] < 0.02
 
 
 @CLOSED

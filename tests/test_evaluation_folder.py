@@ -75,7 +75,7 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "out/manifest.json").read_text())
     assert content["schema"] == "kraft.eval-manifest/1"
     assert (content["trials"], content["seed"]) == (3, 5)
-    assert content["rows"][1] == {"scenario": "turns", "method": "kraft", "vehicle": "mushr"}
+    assert content["rows"][1] == {"scenario": "turns", "method": "kraft", "vehicle": "mushr-drive"}
     assert content["scenarios"]["slip"]["content"]["truth"]["friction_patches"]
     assert content["methods"]["kraft"]["content"]["planner"]["mode"] == "replanning"
     assert content["vehicles"]["mushr"]["content"]["parameters"] == load_vehicle("mushr").parameters
@@ -164,13 +164,19 @@ def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
     ("change", "expected"),
     [
         ({"trials": 4}, ["trials: was made with 3, now it is 4"]),
-        ({"methods": ("kraft",)}, ["methods.oneshot-openloop: was made with an entry, now it is nothing"]),
+        (
+                {"methods": ("kraft",)},
+                [
+                    "methods.oneshot-openloop: was made with an entry, now it is nothing",
+                    "vehicles.mushr: was made with an entry, now it is nothing",
+                ],
+            ),
         ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes: was made with nothing, now it is an entry"]),
         ({"realtime": True}, ["realtime: was made with false, now it is true"]),
         (
             {"vehicle": "unicycle2"},
             [
-                "rows.slip, kraft: was made with \"mushr\", now it is \"unicycle2\"",
+                "rows.slip, kraft: was made with \"mushr-drive\", now it is \"unicycle2\"",
                 "vehicles.mushr: was made with an entry, now it is nothing",
                 "vehicles.unicycle2: was made with nothing, now it is an entry",
             ],

@@ -68,7 +68,7 @@ def test_it_says_everything_that_planning_again_needs(text: str, task: Task) -> 
     content = json.loads(text)
     assert content["schema"] == "kraft.plan-file/1"
     assert content["scenario"] == {"name": "turns", "reference": "turns", "sha256": task_hash(task)}
-    assert content["vehicle"]["parameters"] == {"L": 0.2965, "phi_diff": 0.0, "v_delta": 0.6228}
+    assert content["vehicle"]["parameters"] == dict(load_vehicle("mushr").parameters)
     assert (content["planner"], content["seed"], content["iterations"]) == ("dirt", 0, 1000)
     assert content["settings"]["steps"] == 10
     assert set(content["versions"]) == {"kraft", "numba", "numpy", "ompl", "python"}

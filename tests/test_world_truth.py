@@ -61,13 +61,13 @@ def test_gravity_pulls_a_resting_car_downhill() -> None:
     assert abs(drive(open_world(), 0.0, 0.0, 3.0)["x"][-1]) < 1e-4
 
 
-def test_a_tilted_floor_turns_about_the_middle_of_the_bounds() -> None:
+def test_a_tilted_floor_turns_about_the_origin_of_the_map() -> None:
     world = World(load_scenario("slope"))
     assert world.pose == pytest.approx((1.0, -0.5, math.pi / 2))
     position, rotation = world.marker
     level, _ = World(load_scenario("turns")).marker
-    below = -3.0 * math.sin(0.125) + level[2] * math.cos(0.125)
-    assert position == pytest.approx((1.0, 2.5 - 3.0 * math.cos(0.125) - level[2] * math.sin(0.125), below))
+    height = -0.5 * math.sin(0.125) + level[2] * math.cos(0.125)
+    assert position == pytest.approx((1.0, -0.5 * math.cos(0.125) - level[2] * math.sin(0.125), height))
     assert rotation[:, 2] == pytest.approx((0.0, -math.sin(0.125), math.cos(0.125)))
     assert world.frame.to_floor(position) == pytest.approx((1.0, -0.5, level[2]))
 
