@@ -130,6 +130,10 @@ class Filter(FileModel):
     """standard deviation of an observed position, m"""
     heading_noise_deg: Positive = 8.0
     """standard deviation of an observed heading, degrees"""
+    start_position_noise: Positive = 0.02
+    """standard deviation of the start that the scenario gives, m"""
+    start_heading_noise_deg: Positive = 2.0
+    """standard deviation of the start's heading, degrees"""
     drift: Positive = 0.03
     """standard deviation of the position that the model loses in one second, m"""
     heading_drift_deg: Positive = 5.0
