@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from kraft.closest_approach import ClosestApproach
 from kraft.control import make_controller
 from kraft.driving import Observation, Reference
 from kraft.estimation import make_estimator
@@ -55,7 +56,7 @@ def run_trial(
         outcome=outcome,
         time=world.time,
         obstacle=world.collision.obstacle if world.collision else None,
-        min_clearance=log.clearance,
+        min_clearance=trial.approach.least,
         cycles=tuple(log.cycles),
         steps=tuple(log.steps),
         observations=tuple(log.observations),
@@ -71,7 +72,6 @@ class _Log:
     cycles: list[Cycle] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     observations: list[Observation] = field(default_factory=list)
-    clearance: float = math.inf
 
 
 class _Ticks:
@@ -109,7 +109,8 @@ class _Trial:
         self._delay = scenario.sensing.communication_delay
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
-        self._exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
+        exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
+        self.approach = ClosestApproach(exact.distance, vehicle.footprint.reach)
 
     @property
     def outcome(self) -> Outcome | None:
@@ -164,8 +165,8 @@ class _Trial:
         command = self._controller.command(estimate, self._reference)
         world.apply(float(command[0]), float(command[1]))
         self._estimator.commanded(now, command)
-        log.clearance = min(log.clearance, self._exact.distance(*map(float, world.pose)))
         x, y, theta = map(float, world.pose)
+        self.approach.show(x, y, theta)
         step = Step(now, (x, y, theta), world.speed, estimate.state, command, len(log.cycles) - 1)
         log.steps.append(step)
         if log.on_step is not None:

@@ -51,7 +51,10 @@ class PoseFilter:
         self._rate[-1] = settings.speed_drift**2
         self._limit = math.sqrt(2.0 * float(gammaincinv(1.5, settings.confidence)))  # of chi with three degrees
         spread = np.zeros(self._motion.size)
-        spread[self._pose] = *[settings.start_position_noise**2] * 2, math.radians(settings.start_heading_noise_deg) ** 2
+        spread[self._pose] = (
+            *[settings.start_position_noise**2] * 2,
+            math.radians(settings.start_heading_noise_deg) ** 2,
+        )
         mean = np.append(np.asarray(start_state, dtype=np.float64), 0.0)
         self._beliefs = [Belief(0.0, mean, np.diag(spread))]
         self._reckoning = DeadReckoning(self._motion.advance, model.rest, 0.0, mean)
