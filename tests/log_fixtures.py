@@ -11,6 +11,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 ACKERMANN = "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
 STAMPED = "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
@@ -77,7 +78,7 @@ def write_pair(folder: Path, made: Drive, commands: str = "commands.csv", poses:
     return folder
 
 
-def store(ros1: bool, old: bool = False):  # noqa: ANN201 - a Typestore
+def store(ros1: bool) -> Typestore:
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     types.register(get_types_from_msg(ACKERMANN, "ackermann_msgs/msg/AckermannDrive"))
     types.register(get_types_from_msg(STAMPED, "ackermann_msgs/msg/AckermannDriveStamped"))
