@@ -106,7 +106,11 @@ def test_a_run_folder_gives_what_was_seen_and_not_what_is_true(tmp_path: Path) -
     heading = _step_heading(load_vehicle("mushr"))
     assert {"time", "x", "command_throttle", "command_steering"} <= set(heading)
     columns = dict.fromkeys(heading, np.full(len(MADE.command_times), 77.0))
-    columns |= {"time": MADE.command_times, "command_throttle": MADE.commands[:, 0], "command_steering": MADE.commands[:, 1]}
+    columns |= {
+        "time": MADE.command_times,
+        "command_throttle": MADE.commands[:, 0],
+        "command_steering": MADE.commands[:, 1],
+    }
     write_table(tmp_path / "run" / "steps.csv", heading, list(columns.values()))
     seen = [MADE.pose_times, MADE.pose_times + 0.08, MADE.poses[:, 0], MADE.poses[:, 1], wrapped(MADE.poses[:, 2])]
     write_table(tmp_path / "run" / "observations.csv", ["time", "arrival", "x", "y", "theta"], seen)
@@ -161,7 +165,11 @@ def test_estimates_and_targets_are_not_taken_for_the_measured_pose(tmp_path: Pat
     ],
 )
 def test_a_unit_in_the_name_is_converted(tmp_path: Path, name: str, old: str, factor: float, said: str) -> None:
-    path = write_table(tmp_path / "a.csv", [name if n == old else n for n in WIDE], [v * factor if n == old else v for n, v in WIDE.items()])
+    path = write_table(
+        tmp_path / "a.csv",
+        [name if n == old else n for n in WIDE],
+        [v * factor if n == old else v for n, v in WIDE.items()],
+    )
     log = read_one(path)
     (part,) = log.parts
     assert said in log.guess
@@ -181,7 +189,12 @@ def test_stamps_since_1970_are_told_by_their_size(tmp_path: Path, unit: str, fac
 def test_an_orientation_in_four_columns_becomes_a_yaw(tmp_path: Path) -> None:
     half = WIDE["yaw"] / 2
     columns = {k: v for k, v in WIDE.items() if k != "yaw"}
-    columns |= {"orientation.x": half * 0, "orientation.y": half * 0, "orientation.z": np.sin(half), "orientation.w": np.cos(half)}
+    columns |= {
+        "orientation.x": half * 0,
+        "orientation.y": half * 0,
+        "orientation.z": np.sin(half),
+        "orientation.w": np.cos(half),
+    }
     log = read_one(write_table(tmp_path / "a.csv", list(columns), list(columns.values())))
     np.testing.assert_allclose(log.parts[0].poses[:, 2], np.unwrap(WIDE["yaw"]), atol=1e-9)
     assert "yaw from 'orientation' (quaternion, converted)" in log.guess
@@ -193,7 +206,9 @@ def test_empty_cells_are_rows_of_the_other_stream(tmp_path: Path) -> None:
     stack += [np.concatenate([MADE.commands[:, k], np.full(poses, np.nan)]) for k in range(2)]
     stack += [np.concatenate([np.full(commands, np.nan), MADE.poses[:, k]]) for k in range(3)]
     order = np.argsort(stack[0])
-    log = read_one(write_table(tmp_path / "a.csv", ["t", "throttle", "steering", "x", "y", "yaw"], [c[order] for c in stack]))
+    log = read_one(
+        write_table(tmp_path / "a.csv", ["t", "throttle", "steering", "x", "y", "yaw"], [c[order] for c in stack])
+    )
     same_drive(log, MADE)
     assert log.findings == ()
 
@@ -281,11 +296,15 @@ def test_what_is_wrong_with_a_table_is_said_at_its_place(tmp_path: Path, content
 
 
 def test_a_control_of_another_vehicle_is_looked_for_by_its_name(tmp_path: Path) -> None:
-    columns = {**{k: v for k, v in WIDE.items() if k not in ("throttle", "steering")}, "cmd_acceleration": WIDE["throttle"], "cmd_angular_acceleration": WIDE["steering"]}
+    columns = {
+        **{k: v for k, v in WIDE.items() if k not in ("throttle", "steering")},
+        "cmd_acceleration": WIDE["throttle"],
+        "cmd_angular_acceleration": WIDE["steering"],
+    }
     path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
     log = read_one(path, controls=("acceleration", "angular_acceleration"))
     np.testing.assert_allclose(log.parts[0].commands, np.column_stack([WIDE["throttle"], WIDE["steering"]]))
-    assert "no column is recognised as throttle or as steering" in problems_of(path)
+    assert "no column is recognised as steering" in problems_of(path)
 
 
 def test_a_folder_without_logs_is_refused_with_what_it_holds(tmp_path: Path) -> None:

@@ -20,7 +20,14 @@ TIMES = np.arange(0.025, 5.9, 0.025)
 WIDE = wide_columns(TIMES, MADE)
 DOCS = Path(__file__).parent.parent / "docs" / "logs.md"
 
-ODD = {"a": TIMES * 1e3, "b": 1500 + 400 * WIDE["throttle"], "c": np.rad2deg(-WIDE["steering"]), "d": WIDE["x"] * 100, "e": WIDE["y"] * 100, "f": np.rad2deg(WIDE["yaw"])}
+ODD = {
+    "a": TIMES * 1e3,
+    "b": 1500 + 400 * WIDE["throttle"],
+    "c": np.rad2deg(-WIDE["steering"]),
+    "d": WIDE["x"] * 100,
+    "e": WIDE["y"] * 100,
+    "f": np.rad2deg(WIDE["yaw"]),
+}
 MAPPING = """\
 commands:
   time: {column: a, unit: ms}
@@ -141,7 +148,7 @@ def test_limits_are_what_the_mapping_says(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("poses: {yaw: hding}\n", "m.yaml:1:14: poses.yaw.column: there is no column 'hding' in a.csv; did you mean 'heading'?"),
+        ("poses: {yaw: hding}\n", "m.yaml:1:14: poses.yaw: there is no column 'hding' in a.csv; did you mean 'heading'?"),
         ("poses:\n  yaw: {column: q, unit: deg}\n", "m.yaml:2:17: poses.yaw.column: there is no column 'q' in a.csv; expected one of t, throttle, steering, x, y, heading"),
         ("commands: {controls: {throtle: throttle}}\n", "m.yaml:1:23: commands.controls.throtle: is no control of the vehicle; did you mean 'throttle'?"),
         ("poses: {table: b.csv}\n", "m.yaml:1:16: poses.table: there is no 'b.csv' in a.csv; did you mean 'a.csv'?"),
@@ -158,7 +165,7 @@ def test_what_does_not_fit_the_log_is_said_in_the_mapping_file(tmp_path: Path, t
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("poses: {yaw: {column: a, unit: degrees}}\n", "1:32: poses.yaw.unit: is the text 'degrees'; did you mean 'deg'?"),
+        ("poses: {yaw: {column: a, unit: degrees}}\n", "1:32: poses.yaw.unit: is the text 'degrees'; expected one of s, ms, us, ns, m, cm, mm, rad, deg, m/s, km/h, 1"),
         ("poses: {yaw: {column: a, unit: mm}}\n", "1:32: poses.yaw.unit: is 'mm'; expected one of rad, deg"),
         ("commands: {controls: {steering: {column: a, unit: ms}}}\n", "1:51: commands.controls.steering.unit: is 'ms'; expected one of 1, m/s, km/h, rad, deg"),
         ("poses: {time: {unit: ms}}\n", "1:9: poses.time.column: the key is missing; expected name of the column, or of the field of the message (`drive.steering_angle`)"),
@@ -201,7 +208,9 @@ def test_the_example_of_the_documentation_reads_what_it_describes(tmp_path: Path
     assert part.pose_times[-1] == pytest.approx(4 - 0.025 - TIMES[0], abs=1e-5)
     np.testing.assert_allclose(part.poses[:, :2], np.column_stack([WIDE["x"], WIDE["y"]])[:n], atol=1e-9)
     np.testing.assert_allclose(part.poses[:, 2], np.unwrap(WIDE["yaw"])[:n], atol=1e-9)
-    np.testing.assert_allclose(part.commands, np.column_stack([WIDE["throttle"], WIDE["steering"]])[: len(part.commands)], atol=1e-9)
+    np.testing.assert_allclose(
+        part.commands, np.column_stack([WIDE["throttle"], WIDE["steering"]])[: len(part.commands)], atol=1e-9
+    )
 
 
 def test_a_mapping_that_is_not_there_is_said(tmp_path: Path) -> None:

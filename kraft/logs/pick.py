@@ -45,7 +45,8 @@ class Picker:
     def pick(self, role: str, score: Score, quantity: Quantity, path: KeyPath, wish: Column | None) -> Picked:
         """Pick the column for a role; ``path`` is where the mapping file would say it, ``wish`` what it says."""
         if wish is not None:
-            return self.wished(role, wish, quantity, (*path, "column"))
+            written = (*path, "column")
+            return self.wished(role, wish, quantity, written if written in self.mapping.source.values else path)
         scores = {name: fit for name in self.table.columns if (fit := score(name)) is not None}
         if not scores:
             return Picked(None, missing=role)
