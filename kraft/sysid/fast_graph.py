@@ -18,6 +18,10 @@ class FastGraph:
         self.problem = problem
         self._out: Eliminated = allocate(problem.chains, problem.motion.nx, len(problem.parameters.names))
 
+    def cost(self, point: Point) -> float:
+        """What a point costs."""
+        return self.problem.cost(point)
+
     def linearise(self, point: Point) -> None:
         """Make the factors at a point."""
         p, chains, noise = self.problem, self.problem.chains, self.problem.noise
