@@ -90,7 +90,11 @@ def _held(generators: Sequence[np.random.Generator], shape: tuple[int, ...], sig
 
 
 def _driven(
-    model: Vehicle, truth: Mapping[str, float], acting: Floats, generators: Sequence[np.random.Generator], process: Floats
+    model: Vehicle,
+    truth: Mapping[str, float],
+    acting: Floats,
+    generators: Sequence[np.random.Generator],
+    process: Floats,
 ) -> Floats:
     """States (steps + 1, logs, nx)."""
     motion, count = Motion(model), acting.shape[1]
@@ -123,12 +127,9 @@ def _seen(
     x, y, theta = (np.interp(times, grid, states[:, model.index(name)]) for name in ("x", "y", "theta"))
     lever, side = truth.get("lever", 0.0), truth.get("side", 0.0)
     c, s = np.cos(theta), np.sin(theta)
-    poses = np.column_stack(
-        [x + lever * c - side * s, y + lever * s + side * c, theta + truth.get("yaw_offset", 0.0)]
-    )
+    poses = np.column_stack([x + lever * c - side * s, y + lever * s + side * c, theta + truth.get("yaw_offset", 0.0)])
     poses += rng.normal(size=poses.shape) * np.array([noise[0], noise[0], noise[1]])
     bad, angle = rng.random(len(poses)) < outliers, rng.uniform(0.0, 2.0 * np.pi, len(poses))
     poses[:, 0] += np.where(bad, OUTLIER * np.cos(angle), 0.0)
     poses[:, 1] += np.where(bad, OUTLIER * np.sin(angle), 0.0)
     return times, poses
-

@@ -17,7 +17,7 @@ from ompl_ext.arrays import Floats
 
 ALIKE = 0.95
 """Correlation from which two parameters cannot be told apart."""
-NOT_TIGHTER = 0.8
+NOT_TIGHTER = 0.7
 """Share of the prior's standard deviation that the data must stay below."""
 TOO_LARGE, TOO_SMALL = 2.0, 0.4
 """Mean squared residual, in those that the noise lets expect."""
@@ -139,11 +139,11 @@ def _residuals(case: Case) -> Iterator[str]:
     said = f"the {whose} noise ({noise.position:.3g} m, {noise.yaw:.3g} rad) and the process noise"
     if ratio > TOO_LARGE:
         yield (
-            f"residuals are {np.sqrt(ratio):.1f} times as large as {said} let expect: one of them is stated too small, or "
+            f"residuals are {np.sqrt(ratio):.1f} times as large as {said} let expect: one is stated too small, or "
             "the model lacks something"
         )
     elif ratio < TOO_SMALL:
-        yield f"residuals are {np.sqrt(ratio):.2f} times as large as {said} let expect: one of them is stated too large"
+        yield f"residuals are {np.sqrt(ratio):.2f} times as large as {said} let expect: one is stated too large"
 
 
 def _disagreement(case: Case) -> Iterator[str]:
@@ -157,7 +157,7 @@ def _disagreement(case: Case) -> Iterator[str]:
         share = case.uncertain.moves[odd, worst] ** 2 / max(np.sum(case.uncertain.moves[:, worst] ** 2), 1e-300)
         said = f"; {case.logs[odd]} differs most" if share > 2.0 / len(case.logs) else ""
         yield (
-            f"the logs disagree about {case.names[worst]}, {ratio[worst]:.1f} times as much as the noise explains{said}: "
+            f"the logs disagree about {case.names[worst]}, {ratio[worst]:.1f} times what noise explains{said}: "
             "something changed between them, or the model lacks something"
         )
 

@@ -1,4 +1,4 @@
-"""The paper's graph with every factor explicit (Fig. "factor graph for an observed trajectory"): to read, and to compare.
+"""The paper's graph with every factor explicit, as in its figure of Sec. IV-A: to read, and to compare.
 
 Variables: states x_k, applied controls u_k, and the parameters rho.  Factors: a prior on each control at the command of
 its step, dynamics between neighbouring states, an observation between the two states that a pose was seen between.
@@ -91,7 +91,7 @@ class PaperGraph:
         _add(graph, diagonal(noise.control), [_u(i), RHO], self._control(i))
         sigmas = noise.process * np.sqrt(chains.h[i])
         _add(graph, diagonal(sigmas), [_x(s), _u(i), _x(s + 1), RHO], self._dynamics(i))
-        seen = diagonal(noise.pose_sigmas)
+        seen: gtsam.noiseModel.Base = diagonal(noise.pose_sigmas)
         if noise.robust:
             huber = gtsam.noiseModel.mEstimator.Huber.Create(noise.threshold)
             seen = gtsam.noiseModel.Robust.Create(huber, seen)
