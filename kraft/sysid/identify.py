@@ -45,7 +45,7 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
 
     Args:
         vehicle: a vehicle file, whose parameters have bounds and priors, or a vehicle from code, which gets wide ones.
-        logs: what `kraft.logs.reader.read_logs` returns; the sandwich interval treats them as independent of each other.
+        logs: of `kraft.logs.reader.read_logs`; the sandwich interval treats them as independent of each other.
         settings: by default what suits most logs.
 
     Raises:
