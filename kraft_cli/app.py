@@ -11,6 +11,7 @@ from kraft_cli.commands.doctor import doctor
 from kraft_cli.commands.eval import eval_
 from kraft_cli.commands.listing import list_
 from kraft_cli.commands.plan import plan
+from kraft_cli.commands.record import record
 from kraft_cli.commands.run import run
 from kraft_cli.commands.validate import validate
 from kraft_cli.exit_status import ExitStatus
@@ -56,6 +57,7 @@ def common(
 app.command("plan")(plan)
 app.command("run")(run)
 app.command("eval")(eval_)
+app.command("record")(record)
 app.command("validate")(validate)
 app.command("list")(list_)
 app.command("doctor")(doctor)
