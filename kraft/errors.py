@@ -24,7 +24,8 @@ from dataclasses import dataclass
 class Diagnostic:
     """One problem in one place; prints as ``FILE:LINE:COLUMN: path.to.key: problem; expected``.
 
-    ``line`` and ``column`` count from 1 and are None when the problem is the file itself.
+    ``line`` and ``column`` count from 1. Both are None when the problem is the file itself, the column alone when
+    it is a whole row.
     ``path`` is empty when the problem is not at a key.
     """
 
@@ -37,8 +38,8 @@ class Diagnostic:
 
     @property
     def place(self) -> str:
-        """``FILE:LINE:COLUMN``, or the file alone."""
-        return self.file if self.line is None else f"{self.file}:{self.line}:{self.column}"
+        """``FILE:LINE:COLUMN``, ``FILE:LINE`` or the file alone."""
+        return ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
 
     def __str__(self) -> str:
         key = f"{self.path}: " if self.path else ""

@@ -1,0 +1,117 @@
+"""Which columns of which tables are taken for what, in which unit; as values and as a line of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kraft.errors import Diagnostic
+from kraft.logs.log import Array
+from kraft.logs.table import Flags, Table
+from kraft.logs.units import FACTOR, Unit
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One column.
+
+    Attributes:
+        role: what it is taken for: time, throttle, x, yaw, qw, ...
+        column: its name in the table.
+        unit: in which its numbers are.
+        zero: the number that stands for zero, in that unit.
+        scale: what a number is multiplied with besides the unit's factor.
+        stated: whether name or mapping file say the unit; otherwise it is the one expected.
+        place: where the mapping file names it, for errors; None if it was guessed.
+        note: what else a reader of the guess should know.
+    """
+
+    role: str
+    column: str
+    unit: Unit
+    zero: float = 0.0
+    scale: float = 1.0
+    stated: bool = False
+    place: Diagnostic | None = None
+    note: str = ""
+
+    def values(self, table: Table) -> Array:
+        """Numbers in SI units and radians, shape (n,)."""
+        return (table.columns[self.column] - self.zero) * (self.scale * FACTOR[self.unit])
+
+    def __str__(self) -> str:
+        factor = FACTOR[self.unit] != 1 or self.scale != 1 or self.zero != 0
+        details = [self.unit] if self.unit != "1" else []
+        details += ["converted"] if factor else []
+        details += [self.note] if self.note else []
+        return f"{self.role} from {self.column!r}" + (f" ({', '.join(details)})" if details else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Columns of one table that share a clock.
+
+    Attributes:
+        table: where they are.
+        time: the clock.
+        channels: the columns.
+    """
+
+    table: Table
+    time: Channel
+    channels: tuple[Channel, ...]
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """What the columns are taken for."""
+        return tuple(channel.role for channel in self.channels)
+
+    def times(self) -> Array:
+        """Time of each row as in the file, shape (n,), s."""
+        return self.time.values(self.table)
+
+    def values(self) -> Array:
+        """Numbers in SI units and radians, shape (n, channels)."""
+        return np.column_stack([channel.values(self.table) for channel in self.channels])
+
+    def present(self) -> Flags:
+        """Rows that hold a sample: a row whose cells are all empty belongs to another stream. Shape (n,)."""
+        blank = [self.table.blank.get(channel.column) for channel in self.channels]
+        masks = [mask for mask in blank if mask is not None]
+        if len(masks) < len(blank):
+            return np.ones(len(self.table), bool)
+        return ~np.logical_and.reduce(masks)
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, (self.time, *self.channels)))
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What a log is read from.
+
+    Attributes:
+        commands: streams that together have every control once.
+        poses: a stream with x, y and yaw, or with x, y, qx, qy, qz and qw.
+        dead_man: a stream whose number is 0 while the log does not count.
+        unused: tables and columns that could have been taken as well.
+    """
+
+    commands: tuple[Stream, ...]
+    poses: Stream
+    dead_man: Stream | None = None
+    unused: tuple[str, ...] = ()
+
+    def streams(self) -> Iterable[tuple[str, Stream]]:
+        """Each stream with what it is."""
+        yield from (("commands", stream) for stream in self.commands)
+        yield "poses", self.poses
+        if self.dead_man is not None:
+            yield "dead man", self.dead_man
+
+    def __str__(self) -> str:
+        one = len({id(stream.table) for _, stream in self.streams()}) == 1 and not self.poses.table.topic
+        parts = [f"{what}: {'' if one else stream.table.name + ': '}{stream}" for what, stream in self.streams()]
+        return "; ".join(parts) + (f"; not used: {', '.join(self.unused)}" if self.unused else "")

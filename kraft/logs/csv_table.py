@@ -1,0 +1,130 @@
+"""Read a CSV file as people and tools write them: any separator, with units, comments and gaps, but with a heading."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from kraft.errors import Diagnostic, InputError
+from kraft.logs.log import Array
+from kraft.logs.table import Flags, Table
+
+_SEPARATORS: Final = (",", ";", "\t", " ")
+_WORDS: Final = {"true": 1.0, "false": 0.0}
+_HEADING: Final = "expected the names of the columns, such as t,throttle,steering,x,y,yaw"
+_SECONDS: Final = {".secs": ".nsecs", ".sec": ".nanosec"}  # how exported ROS stamps are split into two columns
+
+
+def read_csv(path: Path, content: bytes) -> Table:
+    """Read a table from the bytes of a CSV file.
+
+    Raises:
+        InputError: if it is not text, has no heading or no rows.
+    """
+    heading, lines, first = _heading(str(path), _text(str(path), content))
+    names, separator = heading
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    broken: list[int] = []
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    for row in reader:
+        fields = row
+        while len(fields) > len(names) and not fields[-1].strip():
+            fields = fields[:-1]
+        if len(fields) == len(names):
+            rows.append(fields)
+            numbers.append(first + reader.line_num)
+        elif any(text.strip() for text in fields) and not fields[0].startswith("#"):
+            broken.append(first + reader.line_num)
+    if not rows:
+        raise InputError([Diagnostic(str(path), "has a heading but no rows", "expected a row for each moment")])
+    table: dict[str, Array] = {}
+    blank: dict[str, Flags] = {}
+    for name, texts in zip(names, zip(*rows, strict=True), strict=True):
+        table[name], empty = _numbers(texts, separator)
+        if empty.any():
+            blank[name] = empty
+    _join_stamps(table)
+    return Table(str(path), "", table, np.array(numbers, np.int64), blank, tuple(broken))
+
+
+def read_heading(path: Path, content: bytes) -> tuple[str, ...]:
+    """Return only the names of the columns.
+
+    Raises:
+        InputError: if it is not text or has no heading.
+    """
+    return _heading(str(path), _text(str(path), content))[0][0]
+
+
+def _text(file: str, content: bytes) -> list[str]:
+    if b"\0" in content[:4096]:
+        raise InputError.of(file, "is not a text file", "expected comma-separated values in UTF-8")
+    lines = content.decode("utf-8-sig", errors="replace").splitlines()
+    if not any(line.strip() for line in lines):
+        raise InputError.of(file, "is empty", _HEADING)
+    return lines
+
+
+def _heading(file: str, lines: list[str]) -> tuple[tuple[tuple[str, ...], str], list[str], int]:
+    """Names and separator, the lines below, and how many lines there are above those.
+
+    A heading may itself be a comment (``# t, x, y``): then it is the last comment before the first number.
+    """
+    first = next((i for i, line in enumerate(lines) if line.strip() and line.lstrip()[0] != "#"), len(lines))
+    at = first
+    if first == len(lines) or _is_numeric(lines[first]):
+        comments = [i for i in range(first) if lines[i].strip()]
+        if not comments:
+            raise InputError([Diagnostic(file, "the first line is not a heading", _HEADING, first + 1)])
+        at = comments[-1]
+    line = lines[at].strip().lstrip("#%").strip()
+    separator = max(_SEPARATORS, key=lambda s: (line.count(s) > 0, -_SEPARATORS.index(s)))
+    fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    return (_unique([text.strip() for text in fields]), separator), lines[at + 1 :], at + 1
+
+
+def _is_numeric(line: str) -> bool:
+    cells = [cell for cell in line.replace(";", " ").replace(",", " ").split() if cell]
+    return all(_number(cell) == _number(cell) for cell in cells)
+
+
+def _unique(names: Sequence[str]) -> tuple[str, ...]:
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return tuple(unique)
+
+
+def _numbers(texts: Sequence[str], separator: str) -> tuple[Array, Flags]:
+    try:
+        return np.array(texts, dtype=np.float64), np.zeros(len(texts), bool)
+    except ValueError:  # some cell is not a number: find out which
+        comma = separator != ","
+        values = np.array([_number(text.replace(",", ".") if comma else text) for text in texts])
+        return values, np.array([not text.strip() for text in texts])
+
+
+def _number(text: str) -> float:
+    word = text.strip().lower()
+    if word in _WORDS:
+        return _WORDS[word]
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")
+
+
+def _join_stamps(table: dict[str, Array]) -> None:
+    """Add ``header.stamp`` where there are ``header.stamp.secs`` and ``header.stamp.nsecs``."""
+    for name in list(table):
+        for whole, fraction in _SECONDS.items():
+            rest = name.removesuffix(whole) + fraction
+            if name.endswith(whole) and rest in table:
+                table.setdefault(name.removesuffix(whole), table.pop(name) + 1e-9 * table.pop(rest))

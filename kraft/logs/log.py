@@ -1,0 +1,108 @@
+"""What a log is once it was read and cleaned: uninterrupted parts of commands and poses, and what was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kraft.errors import Diagnostic
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One file that a log was read from.
+
+    Attributes:
+        file: its path, as given.
+        sha256: of its bytes, in hexadecimal.
+    """
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something in a log that a reader of the results should know.
+
+    Attributes:
+        kind: a short word to sort by: gap, dropout, duplicate, backward, wrap, teleport, outlier, ...
+        count: how often it was found.
+        text: what was found, where first (file or topic, row), and what was left out because of it.
+    """
+
+    kind: str
+    count: int
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """An uninterrupted stretch of a log, ready to use.
+
+    Both clocks are the same one; its zero is the first stamp of the log. The command in force at the first
+    pose is always there, so ``command_times[0] <= pose_times[0]``.
+
+    Attributes:
+        command_times: when each command took effect, strictly ascending, shape (m,), s. A command is held
+            until the next one; the last one is held to the last pose.
+        commands: their values, one column per control, shape (m, nu).
+        pose_times: when each pose was measured, strictly ascending, shape (n,), s.
+        poses: x and y in m, yaw in rad and continuous (unwrapped), shape (n, 3).
+    """
+
+    command_times: Array
+    commands: Array
+    pose_times: Array
+    poses: Array
+
+    @property
+    def duration(self) -> float:
+        """From the first pose to the last, s."""
+        return float(self.pose_times[-1] - self.pose_times[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """One drive.
+
+    Attributes:
+        name: what to call it, unique among the logs read together.
+        sources: the files it was read from.
+        controls: names of the columns of ``Part.commands``.
+        parts: in the order of time, at least one.
+        findings: what was found while reading and cleaning.
+        guess: which column or topic was taken for what, as one line to print.
+    """
+
+    name: str
+    sources: tuple[Source, ...]
+    controls: tuple[str, ...]
+    parts: tuple[Part, ...]
+    findings: tuple[Finding, ...] = ()
+    guess: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Of all parts together, s."""
+        return sum(part.duration for part in self.parts)
+
+
+@dataclass(frozen=True, eq=False)
+class LogSet:
+    """Logs that were read together, and what was wrong with those that could not be.
+
+    Attributes:
+        logs: at least one, in the order of their names.
+        problems: one or more for each log that was left out.
+    """
+
+    logs: tuple[Log, ...]
+    problems: tuple[Diagnostic, ...] = ()

@@ -1,0 +1,71 @@
+"""What a log's poses say about the motion, whatever their units: noise, chords, speeds, and where the yaw points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kraft.logs.log import Array
+
+CHORD = 0.1
+"""Least distance over which a direction of motion is told, m; noise may ask for more."""
+
+
+def position_noise(positions: Array) -> float:
+    """Standard deviation of a position, from second differences, which motion hardly changes. Shape (n, 2), m."""
+    if len(positions) < 3:
+        return 0.0
+    second = np.diff(positions, n=2, axis=0)
+    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Chords:
+    """Straight lines between poses that are far enough apart to have a direction.
+
+    Attributes:
+        directions: of each chord, shape (c,), rad.
+        speeds: along each chord, shape (c,), m/s.
+        ends: indices of first and last pose of each chord, shape (c, 2).
+    """
+
+    directions: Array
+    speeds: Array
+    ends: np.ndarray
+
+
+def chords(times: Array, positions: Array) -> Chords:
+    """Follow the positions, shape (n, 2), from one to the next that is far enough away."""
+    least = max(CHORD, 10 * position_noise(positions))
+    knots = [0]
+    for i in range(1, len(positions)):
+        dx, dy = positions[i] - positions[knots[-1]]
+        if dx * dx + dy * dy >= least * least:
+            knots.append(i)
+    ends = np.column_stack([knots[:-1], knots[1:]])
+    step = positions[ends[:, 1]] - positions[ends[:, 0]]
+    durations = times[ends[:, 1]] - times[ends[:, 0]]
+    return Chords(np.arctan2(step[:, 1], step[:, 0]), np.hypot(step[:, 0], step[:, 1]) / durations, ends)
+
+
+def agreement(found: Chords, yaw: Array) -> tuple[float, float]:
+    """How well a yaw, shape (n,), rad, follows the direction of motion, forward or backward.
+
+    Returns:
+        A number from 0 (not at all) to 1 (with a constant difference), and that difference in rad, from -pi/2 to pi/2.
+    """
+    if not len(found.directions):
+        return 0.0, 0.0
+    middle = (found.ends[:, 0] + found.ends[:, 1]) // 2
+    mean = np.mean(np.exp(2j * (found.directions - yaw[middle])))  # twice the angle: reverse is forward
+    return float(abs(mean)), float(np.angle(mean) / 2)
+
+
+def extent(times: Array, poses: Array, window: float = 0.5) -> tuple[float, float]:
+    """How far the vehicle gets (m) and turns (rad), noise averaged over ``window`` seconds; poses have shape (n, 3)."""
+    block = ((times - times[0]) / window).astype(np.int64)
+    _, block, counts = np.unique(block, return_inverse=True, return_counts=True)
+    means = np.column_stack([np.bincount(block, poses[:, k]) / counts for k in range(3)])
+    spread = means.max(axis=0) - means.min(axis=0)
+    return float(np.hypot(spread[0], spread[1])), float(spread[2])

@@ -1,0 +1,98 @@
+"""Take a column of one table for one role: the one that the mapping file names, else the one whose name fits best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kraft.errors import Diagnostic
+from kraft.logs.choice import Channel
+from kraft.logs.mapping import Column, Mapping
+from kraft.logs.names import parse
+from kraft.logs.table import Table
+from kraft.logs.units import ALLOWED, Quantity, Unit
+from kraft.source import KeyPath
+from kraft.suggest import choose, nearest
+
+Score = Callable[[str], int | None]
+HOW = "a mapping file says which column it is"
+
+
+@dataclass(frozen=True)
+class Picked:
+    """A column and how well it fits, or why there is none."""
+
+    channel: Channel | None
+    score: int = 0
+    problem: Diagnostic | None = None
+
+
+@dataclass(frozen=True)
+class Picker:
+    """Picks columns of one table.
+
+    Attributes:
+        table: where to look.
+        mapping: what the mapping file says.
+    """
+
+    table: Table
+    mapping: Mapping
+
+    def pick(self, role: str, score: Score, quantity: Quantity, path: KeyPath, wish: Column | None) -> Picked:
+        """Pick the column for a role; ``path`` is where the mapping file would say it, ``wish`` what it says."""
+        if wish is not None:
+            return self.wished(role, wish, quantity, (*path, "column"))
+        scores = {name: fit for name in self.table.columns if (fit := score(name)) is not None}
+        if not scores:
+            return Picked(None, problem=self.missing(role))
+        best = max(scores.values())
+        names = [name for name, fit in scores.items() if fit == best]
+        if len(names) > 1:
+            both = ", ".join(repr(name) for name in names)
+            return Picked(None, problem=self.table.diagnostic(f"{role} could be any of {both}", f"expected one; {HOW}"))
+        return Picked(self.channel(role, names[0], quantity), best)
+
+    def wished(self, role: str, wish: Column, quantity: Quantity, path: KeyPath) -> Picked:
+        """Take the column that the mapping file names."""
+        if wish.column not in self.table.columns:
+            problem = f"there is no column {wish.column!r} in {self.table.name}"
+            said = self.mapping.source.diagnostic(path, problem, choose(wish.column, self.table.columns))
+            return Picked(None, problem=said)
+        channel = self.channel(role, wish.column, quantity, wish.unit)
+        place = self.mapping.source.diagnostic(path, "", "")
+        full = Channel(role, channel.column, channel.unit, wish.zero, wish.scale, channel.stated, place, channel.note)
+        return Picked(full, 1000)
+
+    def channel(self, role: str, name: str, quantity: Quantity, unit: Unit | None = None) -> Channel:
+        """Make a channel of a column, with the unit that is given, that its name says, or that is expected."""
+        said = unit or parse(name).unit
+        allowed = ALLOWED[quantity]
+        stated = said in allowed or bool(self.table.topic)  # in ROS messages it is SI (REP 103)
+        found = said if said is not None and said in allowed else allowed[0]
+        note = self.table.notes.get(name, "")
+        if quantity == "time" and not stated:
+            found, note = _clock_unit(self.table.columns[name])
+        if quantity == "control" and not stated and role == "steering":
+            found = "rad"
+        return Channel(role, name, found, stated=stated, note=note)
+
+    def missing(self, role: str) -> Diagnostic:
+        """Say that nothing fits a role."""
+        names = list(self.table.columns)
+        near = nearest(role, names)
+        shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+        problem = f"no {'field' if self.table.topic else 'column'} is recognised as {role}; there are {shown}"
+        return self.table.diagnostic(problem, f"did you mean {near!r}? {HOW}" if near else f"expected one; {HOW}")
+
+
+def _clock_unit(values: np.ndarray) -> tuple[Unit, str]:
+    """Unit of stamps since 1970, told from their size; smaller numbers are seconds."""
+    finite = values[np.isfinite(values)]
+    size = float(np.max(np.abs(finite))) if len(finite) else 0.0
+    for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
+        if size > least:
+            return unit, "by their size"  # type: ignore[return-value]
+    return "s", ""

@@ -1,0 +1,105 @@
+"""Take a stream's rows out of its table: without rows that hold no numbers, in the order of time, each time once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from kraft.errors import Diagnostic, InputError
+from kraft.logs.choice import Stream
+from kraft.logs.findings import Findings
+from kraft.logs.log import Array
+from kraft.logs.table import Flags, Rows
+
+BACKWARD_MAX: Final = 0.2
+"""Share of rows that may run backwards in time; a file with more holds several recordings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Rows of a stream.
+
+    Attributes:
+        what: commands, poses, ...
+        stream: where they are from.
+        times: strictly ascending, shape (n,), s.
+        values: SI units and radians, shape (n, channels).
+        index: of each in the table, shape (n,).
+    """
+
+    what: str
+    stream: Stream
+    times: Array
+    values: Array
+    index: Rows
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def where(self, i: int) -> str:
+        """Say which row sample ``i`` is."""
+        return self.stream.table.where(int(self.index[i]))
+
+    def keep(self, flags: Flags) -> Samples:
+        """Return the samples with a flag."""
+        return Samples(self.what, self.stream, self.times[flags], self.values[flags], self.index[flags])
+
+    def diagnostic(self, problem: str, expected: str, i: int | None = None) -> Diagnostic:
+        """Make a diagnostic for all of them or for one."""
+        return self.stream.table.diagnostic(problem, expected, None if i is None else int(self.index[i]))
+
+    def refuse(self, problem: str, expected: str, i: int | None = None) -> InputError:
+        """Make an error for all of them or for one."""
+        return InputError([self.diagnostic(problem, expected, i)])
+
+
+def read_samples(what: str, stream: Stream, findings: Findings) -> Samples:
+    """Read the samples of a stream.
+
+    Raises:
+        InputError: if there are none, or if time runs backwards too often.
+    """
+    table = stream.table
+    index = np.flatnonzero(stream.present())
+    samples = Samples(what, stream, stream.times()[index], stream.values()[index], index)
+    return _forward(_numbers(samples, findings), findings, len(table))
+
+
+def _numbers(samples: Samples, findings: Findings) -> Samples:
+    cells = np.column_stack([samples.times, samples.values])
+    good = np.isfinite(cells).all(axis=1)
+    if not good.any():
+        columns = [c.column for c in (samples.stream.time, *samples.stream.channels)]
+        empty = [name for name, bad in zip(columns, ~np.isfinite(cells).any(axis=0), strict=True) if bad]
+        problem = f"{samples.what}: no row has numbers in all of {', '.join(columns)}"
+        problem += f"; {', '.join(empty)} has none at all" if empty else ""
+        raise samples.refuse(problem, "expected numbers", 0 if len(samples) else None)
+    if not good.all():
+        first, bad = int(np.argmin(good)), int(np.sum(~good))
+        text = f"{bad} of {len(good)} {samples.what} are not numbers (NaN), first in {samples.where(first)}; left out"
+        findings.add("nan", bad, text)
+    return samples.keep(good)
+
+
+def _forward(samples: Samples, findings: Findings, rows: int) -> Samples:
+    times = samples.times
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
+    backward, twice = times < before, times == before
+    if backward.any():
+        first, bad = int(np.argmax(backward)), int(np.sum(backward))
+        fact = f"time runs backwards in {bad} of {len(samples)} {samples.what}"
+        if bad > max(1.0, BACKWARD_MAX * len(samples)):
+            step = times[first] - times[first - 1]
+            raise samples.refuse(
+                f"{fact}, first by {-step:.6g} s",
+                "expected ascending time stamps; put each recording into a file of its own",
+                first,
+            )
+        findings.add("backward", bad, f"{fact}, first in {samples.where(first)}; left out")
+    if twice.any():
+        first, bad = int(np.argmax(twice)), int(np.sum(twice))
+        fact = f"{bad} of {len(samples)} {samples.what} have the time stamp of the one before"
+        findings.add("duplicate", bad, f"{fact}, first in {samples.where(first)}; left out")
+    return samples.keep(~backward & ~twice)

@@ -1,0 +1,55 @@
+"""What every format is read into first: named columns of numbers, and which row each came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kraft.errors import Diagnostic
+from kraft.logs.log import Array
+
+Flags = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A CSV file, or the messages of one topic.
+
+    Attributes:
+        file: the file, for errors.
+        topic: the topic of a bag, empty for a CSV file.
+        columns: numbers of each column, NaN where there is none, each of shape (n,).
+        rows: the line in the file, or the number of the message on its topic from 1, shape (n,).
+        blank: where a cell was empty rather than wrong, for columns that have such cells, each of shape (n,).
+        broken: lines that are no rows of this table, because they have too few or too many fields.
+        notes: what a reader of the guess should know about a column.
+    """
+
+    file: str
+    topic: str
+    columns: Mapping[str, Array]
+    rows: Rows
+    blank: Mapping[str, Flags] = field(default_factory=dict)
+    broken: tuple[int, ...] = ()
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def name(self) -> str:
+        """What to call it in a sentence: its topic, or the file's own name."""
+        return self.topic or self.file.replace("\\", "/").rsplit("/", 1)[-1]
+
+    def where(self, index: int) -> str:
+        """Say which row: ``line 12 of a.csv``, ``message 3 of /odom``."""
+        return f"{'message' if self.topic else 'line'} {self.rows[index]} of {self.name}"
+
+    def diagnostic(self, problem: str, expected: str, index: int | None = None) -> Diagnostic:
+        """Make a diagnostic for the whole table, or for one of its rows."""
+        line = None if index is None or self.topic else int(self.rows[index])
+        return Diagnostic(self.file, problem, expected, line, path=self.topic)

@@ -1,0 +1,128 @@
+"""Tell from the numbers when they are not in the units that they are taken for: degrees, millimetres, milliseconds."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from kraft.errors import Diagnostic, InputError
+from kraft.logs.choice import Channel
+from kraft.logs.findings import Findings
+from kraft.logs.log import Array
+from kraft.logs.motion import Chords, agreement, chords
+from kraft.logs.samples import Samples
+
+FASTEST: Final = 30.0
+"""Speed above which positions are not metres, m/s: small vehicles are meant here."""
+SLOWEST_POSES: Final = 2.0
+"""Time between poses above which stamps are not seconds, s."""
+STEERING_LARGEST: Final = 1.6
+"""Steering command above which it is no angle in radians, a little more than a right angle."""
+_LEAST_CHORDS: Final = 5
+
+
+class DegreesError(InputError):
+    """A column that is taken for radians holds degrees; other logs with the same columns do too."""
+
+
+def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, findings: Findings) -> None:
+    """Check clock, positions, yaw and commands; ``xyyaw`` are the poses as taken so far, shape (n, 3).
+
+    Raises:
+        DegreesError: if yaw or steering are in degrees and nothing says so.
+        InputError: if another unit is wrong.
+    """
+    problems = _clock(poses)
+    for samples in commands:
+        for channel, values in zip(samples.stream.channels, samples.values.T, strict=True):
+            problems += _pulses(samples, channel, values)
+    if problems:
+        raise InputError(problems)
+    path = chords(poses.times, xyyaw[:, :2])
+    degrees = [problem for samples in commands for problem in _steering(samples)]
+    degrees += _yaw(poses, path, xyyaw[:, 2])
+    lengths = _lengths(poses, path)
+    if lengths:
+        raise InputError([*lengths, *degrees])
+    if degrees:
+        raise DegreesError(degrees)
+    _heading(poses, path, xyyaw[:, 2], findings)
+
+
+def in_mapping(channel: Channel, key: str, unit: str) -> str:
+    """Say how to write a unit in the mapping file."""
+    return f"write {key}: {{column: {channel.column!r}, unit: {unit}}} into a mapping file, or name the column so"
+
+
+def _clock(poses: Samples) -> list[Diagnostic]:
+    time = poses.stream.time
+    if len(poses) < 3:
+        return []
+    step = float(np.median(np.diff(poses.times)))
+    if SLOWEST_POSES > step > 1e-5:
+        return []
+    problem = f"{time.column!r} taken in {time.unit} means a pose every {step:.4g} s"
+    return [poses.diagnostic(problem, f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} (time_ms)")]
+
+
+def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnostic]:
+    if channel.place is not None or not 500 <= values.min() <= values.max() <= 2500:
+        return []
+    problem = (
+        f"{channel.column!r} goes from {values.min():g} to {values.max():g}: these look like pulse widths of a servo"
+    )
+    how = f"commands.controls.{channel.role}: {{column: {channel.column!r}, zero: 1500, scale: 0.002}}"
+    return [samples.diagnostic(problem, f"expected a command; say what they mean in a mapping file, as in {how}")]
+
+
+def _steering(samples: Samples) -> list[Diagnostic]:
+    found = []
+    for channel, values in zip(samples.stream.channels, samples.values.T, strict=True):
+        largest = int(np.argmax(np.abs(values)))
+        if channel.unit == "rad" and channel.place is None and abs(values[largest]) > STEERING_LARGEST:
+            problem = f"{channel.column!r} reaches {values[largest]:g}: degrees, where radians are expected"
+            expected = in_mapping(channel, f"commands.controls.{channel.role}", "deg") + f" ({channel.column}_deg)"
+            found.append(samples.diagnostic(problem, expected, largest))
+    return found
+
+
+def _lengths(poses: Samples, path: Chords) -> list[Diagnostic]:
+    if len(path.speeds) < _LEAST_CHORDS or np.median(path.speeds) < FASTEST:
+        return []
+    x, y = poses.stream.channels[:2]
+    problem = f"{x.column!r} and {y.column!r} taken in {x.unit} mean a speed of {np.median(path.speeds):.3g} m/s"
+    return [poses.diagnostic(problem, f"expected metres; {in_mapping(x, 'poses.x', 'mm')} ({x.column}_mm), and y too")]
+
+
+def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[Diagnostic]:
+    """Degrees taken for radians do not follow the motion, or jump by 360."""
+    channel = poses.stream.channels[2]
+    if channel.role != "yaw" or channel.unit != "rad":
+        return []
+    steps = np.abs(np.diff(yaw))
+    jumps = bool(((steps > 300) & (steps < 400)).any())
+    if not jumps and not _follows_as_degrees(path, yaw):
+        return []
+    worst = int(np.argmax(np.abs(yaw)))
+    problem = f"{channel.column!r} reaches {yaw[worst]:g}: degrees, where radians are expected"
+    return [poses.diagnostic(problem, in_mapping(channel, "poses.yaw", "deg") + f" ({channel.column}_deg)", worst)]
+
+
+def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
+    if len(path.directions) < _LEAST_CHORDS:
+        return False
+    as_radians, offset = agreement(path, yaw)
+    as_degrees, offset_degrees = agreement(path, np.deg2rad(yaw))
+    if as_degrees > 0.9 and as_radians < 0.7:
+        return True
+    straight = as_degrees > 0.95 and float(np.abs(yaw).max()) > 7.0  # any constant follows a straight line
+    return straight and as_degrees >= as_radians - 0.01 and abs(offset_degrees) < 0.2 < abs(offset)
+
+
+def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> None:
+    if len(path.directions) < _LEAST_CHORDS or agreement(path, yaw)[0] > 0.7:
+        return
+    mirrored = agreement(path, -yaw)[0] > 0.9
+    why = "it follows when its sign is changed (scale: -1 in a mapping file)" if mirrored else "are x, y and yaw right?"
+    findings.add("heading", 1, f"{poses.stream.table.name}: yaw does not follow the direction of motion; {why}")
