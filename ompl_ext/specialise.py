@@ -1,4 +1,7 @@
-"""Make the compiled kernels of a vehicle: `ompl_ext.lanes` executed with the vehicle's functions as its globals."""
+"""Make the compiled kernels of a vehicle: a module executed with the vehicle's functions as its globals.
+
+The planner's kernels are those of `ompl_ext.lanes`; `ompl_ext.steps` has the model's steps alone, for identification.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from ompl_ext.arrays import Floats, Matrix32
+from ompl_ext.arrays import Floats, Matrix, Matrix32
 from ompl_ext.jit import cache_folder
 from ompl_ext.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.vehicle import Vehicle
 
 _target: list[Vehicle] = []
 _kernels: dict[str, VehicleKernels] = {}
+_steps: dict[str, StepKernels] = {}
 
 
 @dataclass(frozen=True)
@@ -30,10 +34,19 @@ class VehicleKernels:
     pose: Callable[[Matrix32, Floats, Floats, float, float, float], float]
 
 
+@dataclass(frozen=True)
+class StepKernels:
+    """Compiled steps of one vehicle's model, see `ompl_ext.steps`; `block` is the length of the working block."""
+
+    linearise: Callable[[Matrix, Matrix, Floats, Floats, Floats, Floats, Matrix, Floats], None]
+    simulate: Callable[[Matrix, Floats, Matrix, Floats, Floats, Floats], None]
+    block: int
+
+
 def take_target() -> Vehicle:
-    """The vehicle that `ompl_ext.lanes` is being executed for."""
+    """The vehicle that a module is being executed for."""
     if not _target:
-        raise ImportError("ompl_ext.lanes is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)")
+        raise ImportError("this module is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)")
     return _target[-1]
 
 
@@ -48,13 +61,30 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     Raises:
         VehicleError: the derivative or another function of the vehicle does not compile or returns the wrong shape.
     """
-    key = vehicle.hash if vehicle.source else f"{vehicle.hash}-{id(vehicle.derivative)}"
+    key = _key(vehicle)
     if key not in _kernels:
-        module = _execute(vehicle, key.replace("-", "_"))
+        module = _execute(vehicle, "lanes")
         _kernels[key] = VehicleKernels(module.grow, module.edge, module.brake, module.advance, module.pose)
         if vehicle.source:
             _done_marker(vehicle).touch()
     return _kernels[key]
+
+
+def step_kernels(vehicle: Vehicle) -> StepKernels:
+    """Compiled steps of the model of `vehicle`: from this process, else from the on-disk cache, else compiled now.
+
+    Raises:
+        VehicleError: the derivative does not compile or returns the wrong shape.
+    """
+    key = _key(vehicle)
+    if key not in _steps:
+        module = _execute(vehicle, "steps")
+        _steps[key] = StepKernels(module.linearise, module.simulate, module.BLOCK)
+    return _steps[key]
+
+
+def _key(vehicle: Vehicle) -> str:
+    return vehicle.hash if vehicle.source else f"{vehicle.hash}-{id(vehicle.derivative)}"
 
 
 def vehicle_cache_folder(vehicle: Vehicle) -> Path:
@@ -77,10 +107,10 @@ def _process_folder() -> Path:
     return Path(_temporary[0].name)
 
 
-def _execute(vehicle: Vehicle, key: str) -> ModuleType:
-    """Execute lanes.py as a module of its own: numba's machine-code symbols carry the module's name."""
-    name = f"ompl_ext.lanes_{key}"
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name("lanes.py"))
+def _execute(vehicle: Vehicle, source: str) -> ModuleType:
+    """Execute a file as a module of its own: numba's machine-code symbols carry the module's name."""
+    name = f"ompl_ext.{source}_{_key(vehicle).replace('-', '_')}"
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{source}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -1,0 +1,24 @@
+"""System identification: the parameters of a vehicle model from logs of commands and poses (paper, Sec. IV-A).
+
+    identify(vehicle, logs, settings)                  parameters, intervals, warnings, smoothed states
+    prediction_errors(vehicle, logs, values, settings) how far open-loop prediction is off
+"""
+
+from kraft.sysid.identify import identify
+from kraft.sysid.prediction import Window, prediction_errors, windows
+from kraft.sysid.result import Estimated, Identification, LogFit, PartFit, PredictionErrors
+from kraft.sysid.settings import Noise, Settings
+
+__all__ = [
+    "Estimated",
+    "Identification",
+    "LogFit",
+    "Noise",
+    "PartFit",
+    "PredictionErrors",
+    "Settings",
+    "Window",
+    "identify",
+    "prediction_errors",
+    "windows",
+]

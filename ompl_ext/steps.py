@@ -1,0 +1,133 @@
+"""Many steps of a vehicle's model at once, with or without their derivatives: for identifying and predicting.
+
+`ompl_ext.specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported
+by itself.  As in `ompl_ext.lanes`, lane i of component c stands at index c * WIDTH + i of a flat working block, so that
+LLVM vectorises the loop over lanes; here every lane has a state, a control, parameters and a step of its own.
+"""
+
+from __future__ import annotations
+
+from numba import types
+
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.kernel_types import LANE_WIDTH
+from ompl_ext.specialise import take_target, vehicle_cache_folder
+from ompl_ext.unroll import per_component, store_components
+
+Values = tuple[float, ...]
+
+VEHICLE = take_target()
+FOLDER = vehicle_cache_folder(VEHICLE)
+NX = len(VEHICLE.state)
+NU = len(VEHICLE.controls)
+NP = len(VEHICLE.parameter_array)
+WIDTH = LANE_WIDTH
+AT_CONTROL = NX * WIDTH  # the working block: state, control, parameters, step, state after the step
+AT_PARAMETERS = AT_CONTROL + NU * WIDTH
+AT_STEP = AT_PARAMETERS + NP * WIDTH
+AT_NEXT = AT_STEP + WIDTH
+BLOCK = AT_NEXT + NX * WIDTH
+
+derivative = VEHICLE.derivative
+actuation = VEHICLE.actuation or per_component("u, p", "u[{k}]", NU)
+load_state = per_component("a, i", f"a[i + {{k}} * {WIDTH}]", NX)
+load_control = per_component("a, i", f"a[{AT_CONTROL} + i + {{k}} * {WIDTH}]", NU)
+load_parameters = per_component("a, i", f"a[{AT_PARAMETERS} + i + {{k}} * {WIDTH}]", NP)
+axpy = per_component("a, k, x", "x[{k}] + a * k[{k}]", NX)
+combine = per_component("a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", NX)
+store_next = store_components(NX, WIDTH)
+
+
+@inlined
+def runge_kutta_4(x: Values, u: Values, p: Values, h: float) -> Values:
+    """One classical RK4 step of h seconds."""
+    k1 = derivative(x, u, p)
+    k2 = derivative(axpy(0.5 * h, k1, x), u, p)
+    k3 = derivative(axpy(0.5 * h, k2, x), u, p)
+    k4 = derivative(axpy(h, k3, x), u, p)
+    return combine(h / 6.0, k1, k2, k3, k4, x)
+
+
+@part
+def step_lanes(block: Floats, lanes: int) -> None:
+    """Advance every lane of the working block by its own step; this loop vectorises."""
+    for i in range(lanes):
+        p = load_parameters(block, i)
+        u = actuation(load_control(block, i), p)
+        store_next(block, AT_NEXT, i, runge_kutta_4(load_state(block, i), u, p, block[AT_STEP + i]))
+
+
+def _linearise(
+    x: Matrix, u: Matrix, p: Floats, h: Floats, change: Floats, block: Floats, after: Matrix, jacobian: Floats
+) -> None:
+    """States (n, nx) after steps `h` (n,) from `x` (n, nx) with controls `u` (n, nu), and their derivatives.
+
+    `jacobian` (n, nx, changes) holds central differences by `change` in state, control and parameters, in this order;
+    with no changes only the states are computed.
+    """
+    for first in range(0, len(h), WIDTH):
+        lanes = min(WIDTH, len(h) - first)
+        for i in range(lanes):
+            for k in range(NX):
+                block[k * WIDTH + i] = x[first + i, k]
+            for k in range(NU):
+                block[AT_CONTROL + k * WIDTH + i] = u[first + i, k]
+            for k in range(NP):
+                block[AT_PARAMETERS + k * WIDTH + i] = p[k]
+            block[AT_STEP + i] = h[first + i]
+        step_lanes(block, lanes)
+        for i in range(lanes):
+            for k in range(NX):
+                after[first + i, k] = block[AT_NEXT + k * WIDTH + i]
+        for j in range(len(change)):
+            scale = 0.5 / change[j]
+            for i in range(lanes):
+                block[j * WIDTH + i] += change[j]
+            step_lanes(block, lanes)
+            for i in range(lanes):
+                for k in range(NX):
+                    jacobian[first + i, k, j] = scale * block[AT_NEXT + k * WIDTH + i]
+                block[j * WIDTH + i] -= 2.0 * change[j]
+            step_lanes(block, lanes)
+            for i in range(lanes):
+                for k in range(NX):
+                    jacobian[first + i, k, j] -= scale * block[AT_NEXT + k * WIDTH + i]
+                block[j * WIDTH + i] += change[j]
+
+
+def _simulate(start: Matrix, u: Floats, p: Matrix, h: Floats, block: Floats, states: Floats) -> None:
+    """Open-loop motions: `states` (steps + 1, m, nx) from `start` (m, nx) with controls `u` (steps, m, nu).
+
+    Lane i of m has parameters `p` (m, np) and steps of h[i] s.
+    """
+    for first in range(0, len(start), WIDTH):
+        lanes = min(WIDTH, len(start) - first)
+        for i in range(lanes):
+            for k in range(NX):
+                block[k * WIDTH + i] = start[first + i, k]
+                states[0, first + i, k] = start[first + i, k]
+            for k in range(NP):
+                block[AT_PARAMETERS + k * WIDTH + i] = p[first + i, k]
+            block[AT_STEP + i] = h[first + i]
+        for step in range(len(u)):
+            for i in range(lanes):
+                for k in range(NU):
+                    block[AT_CONTROL + k * WIDTH + i] = u[step, first + i, k]
+            step_lanes(block, lanes)
+            for i in range(lanes):
+                for k in range(NX):
+                    value = block[AT_NEXT + k * WIDTH + i]
+                    block[k * WIDTH + i] = value
+                    states[step + 1, first + i, k] = value
+
+
+_VECTOR, _MATRIX, _CUBE = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+linearise = compiled(
+    _linearise,
+    folder=FOLDER,
+    signature=types.void(_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _CUBE),
+)
+simulate = compiled(
+    _simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _VECTOR, _VECTOR, _CUBE)
+)
