@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from kraft import resources
 from kraft.errors import Diagnostic, InputError
+from kraft.logs.mapping import Mapping
 from kraft.method import Method
 from kraft.placement import check_placement
 from kraft.scenario.loader import scenario_from
@@ -21,13 +22,14 @@ from kraft.vehicle_config import VehicleConfig
 from kraft.workspace import start_state
 from kraft.yaml_nodes import Document, read_document
 
-FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map"]
+FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping"]
 
 _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "scenario": ScenarioFile,  # first: what no key gives away is checked as a scenario
     "vehicle": VehicleConfig,
     "method": Method,
     "map": MapServerFile,
+    "mapping": Mapping,
 }
 
 
@@ -83,6 +85,8 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         method = _checked(Method, document)
         if method.planner.vehicle is not None:
             _check_vehicle(method.planner.vehicle, document, path.parent)
+    elif kind == "mapping":
+        _checked(Mapping, document)
     else:
         read_map(path, height=0.2, name=None)
 

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from kraft import resources
+from kraft.logs.mapping import Mapping
 from kraft.method import Method
 from kraft.scenario.schema import ScenarioFile
 from kraft.vehicle_config import VehicleConfig
@@ -26,6 +27,7 @@ def files() -> dict[Path, type[BaseModel]]:
         resources.folder("scenario") / "scenario.schema.json": ScenarioFile,
         resources.folder("vehicle") / "vehicle.schema.json": VehicleConfig,
         resources.folder("method") / "method.schema.json": Method,
+        resources.root() / "configs" / "logs" / "mapping.schema.json": Mapping,
     }
 
 

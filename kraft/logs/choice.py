@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -43,7 +44,7 @@ class Channel:
 
     def __str__(self) -> str:
         factor = FACTOR[self.unit] != 1 or self.scale != 1 or self.zero != 0
-        details = [self.unit] if self.unit != "1" else []
+        details: list[str] = [self.unit] if self.unit != "1" else []
         details += ["converted"] if factor else []
         details += [self.note] if self.note else []
         return f"{self.role} from {self.column!r}" + (f" ({', '.join(details)})" if details else "")
@@ -82,10 +83,16 @@ class Stream:
         masks = [mask for mask in blank if mask is not None]
         if len(masks) < len(blank):
             return np.ones(len(self.table), bool)
-        return ~np.logical_and.reduce(masks)
+        empty: Flags = np.all(np.column_stack(masks), axis=1)
+        return ~empty
 
     def __str__(self) -> str:
-        return ", ".join(map(str, (self.time, *self.channels)))
+        if "qw" not in self.roles:
+            return ", ".join(map(str, (self.time, *self.channels)))
+        turn = ", ".join(channel.column for channel in self.channels[2:])
+        common = os.path.commonprefix([channel.column for channel in self.channels[2:]]).rstrip("._")
+        first = ", ".join(map(str, (self.time, *self.channels[:2])))
+        return f"{first}, yaw from {common or turn!r} (quaternion, converted)"
 
 
 @dataclass(frozen=True, eq=False)

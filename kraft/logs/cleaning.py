@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kraft.errors import InputError
+from kraft.errors import Diagnostic, InputError
 from kraft.logs.choice import Choice
 from kraft.logs.dead_man import held_intervals, interval_of
 from kraft.logs.findings import Findings, count
@@ -62,10 +62,12 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
 def _read(choice: Choice, findings: Findings) -> tuple[tuple[Samples, ...], Samples]:
     """Read commands and poses; what is wrong with either is said together."""
     read: list[Samples] = []
-    problems = []
+    problems: list[Diagnostic] = []
+    clocks = {(id(stream.table), stream.time.column) for stream in (*choice.commands, choice.poses)}
+    rows = "rows" if len(clocks) == 1 else ""
     for what, stream in [*(("commands", stream) for stream in choice.commands), ("poses", choice.poses)]:
         try:
-            read.append(read_samples(what, stream, findings))
+            read.append(read_samples(what, stream, findings, rows))
         except InputError as error:
             problems += error.diagnostics
     if problems:

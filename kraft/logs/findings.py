@@ -16,8 +16,9 @@ class Findings:
 
     def add(self, kind: str, count: int, text: str) -> None:
         """Note a finding; one that was not found even once is none."""
-        if count:
-            self.found.append(Finding(kind, int(count), text))
+        finding = Finding(kind, int(count), text)
+        if count and finding not in self.found:  # commands and poses may share their rows
+            self.found.append(finding)
 
     def as_tuple(self) -> tuple[Finding, ...]:
         """Return all of them."""

@@ -79,11 +79,15 @@ def choose(tables: Sequence[Table], controls: Sequence[str], mapping: Mapping) -
     return Choice(commands, poses, dead_man, tuple(dict.fromkeys(unused + others)))
 
 
-def offers(table: Table, controls: Sequence[str]) -> tuple[bool, bool]:
-    """Whether a table has all of the commands, and whether it has poses."""
-    empty = Mapping()
-    commands = [_control(Picker(table, empty), control) for control in controls]
-    return all(picked.channel for picked in commands), not _pose_attempt(table, empty).problems
+def offers(table: Table, controls: Sequence[str], mapping: Mapping) -> tuple[bool, bool]:
+    """Whether a table has all of the commands, and whether it has poses; clocks apart."""
+    commands = _command_attempt(table, controls, mapping).found
+    poses = _pose_attempt(table, mapping).found
+    names = (None, table.name, table.file)
+    return (
+        mapping.commands.table in names and all(picked.problem is None for picked in commands),
+        mapping.poses.table in names and all(picked.problem is None for picked in poses),
+    )
 
 
 def _hint(table: Table) -> int:

@@ -64,7 +64,7 @@ class Commands(FileModel):
     """file name or topic"""
     time: Column | None = None
     """when a command was given"""
-    controls: dict[str, Column] = {}
+    controls: dict[str, Column] = Field(default_factory=dict)
     """the column of each control of the vehicle, by the control's name"""
 
     @field_validator("time")

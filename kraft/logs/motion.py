@@ -27,11 +27,13 @@ class Chords:
     Attributes:
         directions: of each chord, shape (c,), rad.
         speeds: along each chord, shape (c,), m/s.
+        durations: of each chord, shape (c,), s.
         ends: indices of first and last pose of each chord, shape (c, 2).
     """
 
     directions: Array
     speeds: Array
+    durations: Array
     ends: np.ndarray
 
 
@@ -43,10 +45,11 @@ def chords(times: Array, positions: Array) -> Chords:
         dx, dy = positions[i] - positions[knots[-1]]
         if dx * dx + dy * dy >= least * least:
             knots.append(i)
-    ends = np.column_stack([knots[:-1], knots[1:]])
+    ends = np.column_stack([knots[:-1], knots[1:]]).astype(np.int64)
     step = positions[ends[:, 1]] - positions[ends[:, 0]]
     durations = times[ends[:, 1]] - times[ends[:, 0]]
-    return Chords(np.arctan2(step[:, 1], step[:, 0]), np.hypot(step[:, 0], step[:, 1]) / durations, ends)
+    speeds = np.hypot(step[:, 0], step[:, 1]) / durations
+    return Chords(np.arctan2(step[:, 1], step[:, 0]), speeds, durations, ends)
 
 
 def agreement(found: Chords, yaw: Array) -> tuple[float, float]:

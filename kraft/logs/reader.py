@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
-from kraft.errors import InputError
+from kraft.errors import Diagnostic, InputError
+from kraft.logs.choice import Choice
 from kraft.logs.cleaning import clean
 from kraft.logs.csv_table import read_csv
 from kraft.logs.discover import Candidate, discover
@@ -14,8 +17,9 @@ from kraft.logs.guess import choose
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Mapping
 from kraft.logs.table import Table
+from kraft.logs.unit_checks import DegreesError, doubtful
 
-CONTROLS = ("throttle", "steering")
+CONTROLS: Final = ("throttle", "steering")
 
 
 def read_logs(
@@ -34,30 +38,84 @@ def read_logs(
         InputError: if there is no log at all, or if none can be read; with every problem.
     """
     given = [paths] if isinstance(paths, str | Path) else list(paths)
-    candidates, problems = discover([Path(path) for path in given], controls)
-    logs = []
+    said = mapping or Mapping()
+    candidates, problems = discover([Path(path) for path in given], controls, said)
+    read: list[tuple[Log, Choice]] = []
+    degrees: set[tuple[str, str]] = set()
     for candidate in candidates:
         try:
-            logs.append(read_log(candidate, controls, mapping or Mapping()))
+            read.append(_read(candidate, controls, said))
+        except DegreesError as error:
+            degrees |= error.columns
+            problems += error.diagnostics
         except InputError as error:
             problems += error.diagnostics
+    logs, alike = _without_degrees(read, degrees)
+    problems += alike
     if not logs:
         raise InputError(problems)
-    return LogSet(tuple(logs), tuple(problems))
+    return LogSet(tuple(logs), tuple(dict.fromkeys(problems)))
 
 
-def read_log(candidate: Candidate, controls: Sequence[str], mapping: Mapping) -> Log:
-    """Read one log.
-
-    Raises:
-        InputError: with everything that is wrong with it.
-    """
-    sources = []
-    tables: list[Table] = []
-    for path in candidate.files:
-        content = path.read_bytes()
-        sources.append(Source(str(path), hashlib.sha256(content).hexdigest()))
-        tables.append(read_csv(path, content))
+def _read(candidate: Candidate, controls: Sequence[str], mapping: Mapping) -> tuple[Log, Choice]:
+    if candidate.kind == "bag":
+        sources, tables = _bag(candidate.files[0], mapping)
+    else:
+        sources, tables = _csv_files(candidate.files)
+    if candidate.kind == "run":  # its columns are known, and its truth is not asked
+        mapping = Mapping(limits=mapping.limits)
+        tables = [_without_truth(table) for table in tables]
     choice = choose(tables, controls, mapping)
     parts, findings = clean(choice, controls, mapping)
-    return Log(candidate.name, tuple(sources), tuple(controls), parts, findings, str(choice))
+    return Log(candidate.name, tuple(sources), tuple(controls), parts, findings, str(choice)), choice
+
+
+def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:
+    sources, tables = [], []
+    for path in files:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise InputError.of(str(path), f"cannot be read: {error.strerror}", "expected a CSV file") from error
+        sources.append(Source(str(path), hashlib.sha256(content).hexdigest()))
+        tables.append(read_csv(path, content))
+    return sources, tables
+
+
+def _without_truth(table: Table) -> Table:
+    """Commands of the steps of a run; what was seen of it is in another file."""
+    if not table.file.endswith("steps.csv"):
+        return table
+    kept = {name: values for name, values in table.columns.items() if name == "time" or name.startswith("command_")}
+    return replace(table, columns=kept)
+
+
+def _bag(path: Path, mapping: Mapping) -> tuple[list[Source], list[Table]]:
+    from kraft.logs.bag_tables import read_bag  # takes 0.2 s to import, and most logs are no bags
+
+    named = [mapping.commands.table, mapping.poses.table, mapping.dead_man.table if mapping.dead_man else None]
+    named += [column.table for column in mapping.commands.controls.values()]
+    tables = read_bag(path, [name for name in named if name is not None])
+    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    return [_hashed(file) for file in files], list(tables)
+
+
+def _hashed(path: Path) -> Source:
+    with path.open("rb") as file:
+        return Source(str(path), hashlib.file_digest(file, "sha256").hexdigest())
+
+
+def _without_degrees(
+    read: Sequence[tuple[Log, Choice]], columns: set[tuple[str, str]]
+) -> tuple[list[Log], list[Diagnostic]]:
+    """Leave out logs whose columns hold degrees in other logs, even where a straight drive does not show it."""
+    logs, problems = [], []
+    for log, choice in read:
+        channels = [(s.table, channel) for _, s in choice.streams() for channel in s.channels if doubtful(channel)]
+        alike = [(table, channel) for table, channel in channels if (channel.role, channel.column) in columns]
+        for table, channel in alike:
+            problem = f"{channel.column!r} is in degrees in other logs, so it is not believed to be in radians here"
+            problems.append(table.diagnostic(problem, "expected radians, or the unit in a mapping file"))
+        if not alike:
+            logs.append(log)
+    return logs, problems

@@ -55,24 +55,24 @@ class Samples:
         return InputError([self.diagnostic(problem, expected, i)])
 
 
-def read_samples(what: str, stream: Stream, findings: Findings) -> Samples:
-    """Read the samples of a stream.
+def read_samples(what: str, stream: Stream, findings: Findings, rows: str = "") -> Samples:
+    """Read the samples of a stream; ``rows`` is what to call them when it is about time, if not ``what``.
 
     Raises:
         InputError: if there are none, or if time runs backwards too often.
     """
-    table = stream.table
     index = np.flatnonzero(stream.present())
     samples = Samples(what, stream, stream.times()[index], stream.values()[index], index)
-    return _forward(_numbers(samples, findings), findings, len(table))
+    return _forward(_numbers(samples, findings), findings, rows or what)
 
 
 def _numbers(samples: Samples, findings: Findings) -> Samples:
     cells = np.column_stack([samples.times, samples.values])
-    good = np.isfinite(cells).all(axis=1)
+    finite = np.isfinite(cells)
+    good: Flags = np.all(finite, axis=1)
     if not good.any():
         columns = [c.column for c in (samples.stream.time, *samples.stream.channels)]
-        empty = [name for name, bad in zip(columns, ~np.isfinite(cells).any(axis=0), strict=True) if bad]
+        empty = [name for name, bad in zip(columns, ~np.any(finite, axis=0), strict=True) if bad]
         problem = f"{samples.what}: no row has numbers in all of {', '.join(columns)}"
         problem += f"; {', '.join(empty)} has none at all" if empty else ""
         raise samples.refuse(problem, "expected numbers", 0 if len(samples) else None)
@@ -83,13 +83,13 @@ def _numbers(samples: Samples, findings: Findings) -> Samples:
     return samples.keep(good)
 
 
-def _forward(samples: Samples, findings: Findings, rows: int) -> Samples:
+def _forward(samples: Samples, findings: Findings, rows: str) -> Samples:
     times = samples.times
     before = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
     backward, twice = times < before, times == before
     if backward.any():
         first, bad = int(np.argmax(backward)), int(np.sum(backward))
-        fact = f"time runs backwards in {bad} of {len(samples)} {samples.what}"
+        fact = f"time runs backwards in {bad} of {len(samples)} {rows}"
         if bad > max(1.0, BACKWARD_MAX * len(samples)):
             step = times[first] - times[first - 1]
             raise samples.refuse(
@@ -100,6 +100,6 @@ def _forward(samples: Samples, findings: Findings, rows: int) -> Samples:
         findings.add("backward", bad, f"{fact}, first in {samples.where(first)}; left out")
     if twice.any():
         first, bad = int(np.argmax(twice)), int(np.sum(twice))
-        fact = f"{bad} of {len(samples)} {samples.what} have the time stamp of the one before"
+        fact = f"{bad} of {len(samples)} {rows} have the time stamp of the one before"
         findings.add("duplicate", bad, f"{fact}, first in {samples.where(first)}; left out")
     return samples.keep(~backward & ~twice)

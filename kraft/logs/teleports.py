@@ -23,9 +23,14 @@ OUTLIER, FIRST_TRACK = -1, 0
 
 
 def top_speed(times: Array, positions: Array) -> float:
-    """Speed that the vehicle does not exceed: three times what it drives for nine tenths of its way."""
-    speeds = chords(times, positions).speeds
-    return max(LEAST_TOP_SPEED, 3.0 * float(np.quantile(speeds, 0.9))) if len(speeds) else LEAST_TOP_SPEED
+    """Speed that the vehicle does not exceed: three times what it stays below for nine tenths of the time."""
+    path = chords(times, positions)
+    if not len(path.speeds):
+        return LEAST_TOP_SPEED
+    order = np.argsort(path.speeds)
+    passed = np.cumsum(path.durations[order])  # weighed by time: jumps to and fro are many, but short
+    usual = path.speeds[order][int(np.searchsorted(passed, 0.9 * passed[-1]))]
+    return max(LEAST_TOP_SPEED, 3.0 * float(usual))
 
 
 def tracks(times: Array, poses: Array, speed: float) -> Rows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -23,7 +24,19 @@ _LEAST_CHORDS: Final = 5
 
 
 class DegreesError(InputError):
-    """A column that is taken for radians holds degrees; other logs with the same columns do too."""
+    """Columns that are taken for radians hold degrees; in other logs with the same columns they do too."""
+
+    columns: frozenset[tuple[str, str]]
+    """Role and name of each."""
+
+    def __init__(self, diagnostics: Iterable[Diagnostic], columns: Iterable[tuple[str, str]]) -> None:
+        super().__init__(diagnostics)
+        self.columns = frozenset(columns)
+
+
+def doubtful(channel: Channel) -> bool:
+    """Whether a column is only believed to be in radians."""
+    return channel.unit == "rad" and not (channel.place is not None and channel.stated)
 
 
 def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, findings: Findings) -> None:
@@ -40,13 +53,14 @@ def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, fin
     if problems:
         raise InputError(problems)
     path = chords(poses.times, xyyaw[:, :2])
-    degrees = [problem for samples in commands for problem in _steering(samples)]
+    degrees = [found for samples in commands for found in _steering(samples)]
     degrees += _yaw(poses, path, xyyaw[:, 2])
+    said = [problem for problem, _ in degrees]
     lengths = _lengths(poses, path)
     if lengths:
-        raise InputError([*lengths, *degrees])
+        raise InputError([*lengths, *said])
     if degrees:
-        raise DegreesError(degrees)
+        raise DegreesError(said, ((channel.role, channel.column) for _, channel in degrees))
     _heading(poses, path, xyyaw[:, 2], findings)
 
 
@@ -63,7 +77,7 @@ def _clock(poses: Samples) -> list[Diagnostic]:
     if SLOWEST_POSES > step > 1e-5:
         return []
     problem = f"{time.column!r} taken in {time.unit} means a pose every {step:.4g} s"
-    return [poses.diagnostic(problem, f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} (time_ms)")]
+    return [poses.diagnostic(problem, f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} ({time.column}_ms)")]
 
 
 def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnostic]:
@@ -76,14 +90,14 @@ def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnosti
     return [samples.diagnostic(problem, f"expected a command; say what they mean in a mapping file, as in {how}")]
 
 
-def _steering(samples: Samples) -> list[Diagnostic]:
+def _steering(samples: Samples) -> list[tuple[Diagnostic, Channel]]:
     found = []
     for channel, values in zip(samples.stream.channels, samples.values.T, strict=True):
         largest = int(np.argmax(np.abs(values)))
-        if channel.unit == "rad" and channel.place is None and abs(values[largest]) > STEERING_LARGEST:
+        if doubtful(channel) and abs(values[largest]) > STEERING_LARGEST:
             problem = f"{channel.column!r} reaches {values[largest]:g}: degrees, where radians are expected"
             expected = in_mapping(channel, f"commands.controls.{channel.role}", "deg") + f" ({channel.column}_deg)"
-            found.append(samples.diagnostic(problem, expected, largest))
+            found.append((samples.diagnostic(problem, expected, largest), channel))
     return found
 
 
@@ -95,29 +109,30 @@ def _lengths(poses: Samples, path: Chords) -> list[Diagnostic]:
     return [poses.diagnostic(problem, f"expected metres; {in_mapping(x, 'poses.x', 'mm')} ({x.column}_mm), and y too")]
 
 
-def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[Diagnostic]:
+def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[tuple[Diagnostic, Channel]]:
     """Degrees taken for radians do not follow the motion, or jump by 360."""
     channel = poses.stream.channels[2]
-    if channel.role != "yaw" or channel.unit != "rad":
+    if channel.role != "yaw" or not doubtful(channel):
         return []
     steps = np.abs(np.diff(yaw))
-    jumps = bool(((steps > 300) & (steps < 400)).any())
-    if not jumps and not _follows_as_degrees(path, yaw):
+    if not ((steps > 300) & (steps < 400)).any() and not _follows_as_degrees(path, yaw):
         return []
     worst = int(np.argmax(np.abs(yaw)))
     problem = f"{channel.column!r} reaches {yaw[worst]:g}: degrees, where radians are expected"
-    return [poses.diagnostic(problem, in_mapping(channel, "poses.yaw", "deg") + f" ({channel.column}_deg)", worst)]
+    expected = in_mapping(channel, "poses.yaw", "deg") + f" ({channel.column}_deg)"
+    return [(poses.diagnostic(problem, expected, worst), channel)]
 
 
 def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
-    if len(path.directions) < _LEAST_CHORDS:
+    """Whether yaw follows the motion as degrees and not as radians; up to 7 it may as well be noise on a straight."""
+    if len(path.directions) < _LEAST_CHORDS or float(np.abs(yaw).max()) < 7.0:
         return False
     as_radians, offset = agreement(path, yaw)
     as_degrees, offset_degrees = agreement(path, np.deg2rad(yaw))
     if as_degrees > 0.9 and as_radians < 0.7:
         return True
-    straight = as_degrees > 0.95 and float(np.abs(yaw).max()) > 7.0  # any constant follows a straight line
-    return straight and as_degrees >= as_radians - 0.01 and abs(offset_degrees) < 0.2 < abs(offset)
+    straight = as_degrees > 0.95 and as_degrees >= as_radians - 0.01  # any constant follows a straight line
+    return straight and abs(offset_degrees) < 0.2 < abs(offset)
 
 
 def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> None:

@@ -1,0 +1,149 @@
+"""Read a ROS bag (ROS 1, ROS 2, MCAP; no ROS installation) into a table per topic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from kraft.errors import InputError
+from kraft.logs.table import Table
+
+TYPES: Final = {
+    *("ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"),
+    *("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
+    *("geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    *("geometry_msgs/msg/Pose2D", "geometry_msgs/msg/TransformStamped", "nav_msgs/msg/Odometry", "std_msgs/msg/Bool"),
+}
+"""Messages that are read without being named in a mapping file."""
+LOG_TIME: Final = "log_time"
+STAMP: Final = "header.stamp"
+STAMP_TOLERANCE: Final = 1.0
+"""How far the clocks of the senders and of the recorder may be apart, s."""
+_LIST_MAX: Final = 32  # longer lists are covariances and scans
+_ACKERMANN: Final = """
+float32 steering_angle
+float32 steering_angle_velocity
+float32 speed
+float32 acceleration
+float32 jerk
+"""
+
+
+@dataclass
+class _Topic:
+    """What was read of a topic so far."""
+
+    getters: dict[str, Any]
+    times: list[int] = field(default_factory=list)
+    stamps: list[int] = field(default_factory=list)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
+    """Read the topics that may hold commands and poses, and those that are named.
+
+    Raises:
+        InputError: if the bag is truncated or damaged, or has none of them.
+    """
+    wanted = set(topics)
+    try:
+        with AnyReader([path], default_typestore=_typestore()) as reader:
+            known = {c.topic: c.msgtype for c in reader.connections}
+            chosen = [c for c in reader.connections if c.topic in wanted or c.msgtype in TYPES]
+            read = _read(reader, chosen)
+    except Exception as error:  # whatever a parser may trip over in bytes that are not what they should be
+        raise InputError.of(str(path), f"is not a whole bag ({_reason(error)})", _repair(path)) from error
+    if not read:
+        there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(known.items())) or "none"
+        expected = "expected AckermannDriveStamped or Twist, and Odometry, PoseStamped or the like; or a mapping file"
+        raise InputError.of(str(path), f"has no messages on topics that kraft knows; there are {there}", expected)
+    origin = min(topic.times[0] for topic in read.values())
+    tables = [_table(str(path), name, topic, origin) for name, topic in sorted(read.items())]
+    return tuple(_trusted(tables))
+
+
+@cache
+def _typestore() -> Typestore:
+    """Types for bags that hold no definitions: ROS 2 wrote none into SQLite before Iron."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(_ACKERMANN, "ackermann_msgs/msg/AckermannDrive"))
+    stamped = "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
+    store.register(get_types_from_msg(stamped, "ackermann_msgs/msg/AckermannDriveStamped"))
+    return store
+
+
+def _read(reader: AnyReader, chosen: Sequence[Any]) -> dict[str, _Topic]:
+    read: dict[str, _Topic] = {}
+    for connection, time, raw in reader.messages(connections=chosen) if chosen else ():
+        message = reader.deserialize(raw, connection.msgtype)
+        topic = read.get(connection.topic)
+        if topic is None:
+            topic = read[connection.topic] = _Topic(dict(_getters(message, "")))
+        topic.times.append(time)
+        header = getattr(message, "header", None)
+        if header is not None:
+            topic.stamps.append(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
+        topic.rows.append(tuple(float(get(message)) for get in topic.getters.values()))
+    return read
+
+
+def _getters(value: Any, name: str) -> Iterable[tuple[str, Any]]:
+    """Name and getter of each number in a message: ``pose.position.x``, ``buttons[4]``."""
+    for part in fields(value):
+        inner, path = getattr(value, part.name), f"{name}{part.name}"
+        if part.name in ("header", "covariance") or part.name.startswith("__"):
+            continue
+        if is_dataclass(inner):
+            yield from _getters(inner, f"{path}.")
+        elif isinstance(inner, bool | int | float | np.number):
+            yield path, attrgetter(path)
+        elif (
+            isinstance(inner, np.ndarray | list) and len(inner) <= _LIST_MAX and np.asarray(inner).dtype.kind in "biuf"
+        ):
+            yield from ((f"{path}[{i}]", _item(path, i)) for i in range(len(inner)))
+
+
+def _item(path: str, i: int) -> Any:
+    get = attrgetter(path)
+    return lambda message: get(message)[i] if i < len(get(message)) else float("nan")
+
+
+def _table(file: str, name: str, topic: _Topic, origin: int) -> Table:
+    """Times are subtracted as whole nanoseconds: as floats they would lose some hundred of them."""
+    columns = {LOG_TIME: np.array([1e-9 * (time - origin) for time in topic.times])}
+    if topic.stamps and any(topic.stamps):
+        columns[STAMP] = np.array([1e-9 * (stamp - origin) for stamp in topic.stamps])
+    columns.update(zip(topic.getters, np.array(topic.rows, float).reshape(len(topic.rows), -1).T, strict=True))
+    return Table(file, name, columns, np.arange(1, len(topic.rows) + 1))
+
+
+def _trusted(tables: Sequence[Table]) -> list[Table]:
+    """Drop the senders' stamps where some are by another clock than the rest."""
+    lags = [float(np.median(t.columns[STAMP] - t.columns[LOG_TIME])) if STAMP in t.columns else 0.0 for t in tables]
+    if max(lags) - min(lags) <= STAMP_TOLERANCE:
+        return list(tables)
+    note = {LOG_TIME: f"the stamps in the headers are up to {max(map(abs, lags)):.3g} s off"}
+    return [replace(t, columns=_without(t.columns, STAMP), notes=note) for t in tables]
+
+
+def _without(columns: Mapping[str, Any], name: str) -> dict[str, Any]:
+    return {key: value for key, value in columns.items() if key != name}
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 120 else text[:117] + "..."
+
+
+def _repair(path: Path) -> str:
+    tool = {".bag": "rosbag reindex", ".mcap": "mcap recover"}.get(path.suffix, "ros2 bag reindex")
+    return f"expected a bag that was closed properly; `{tool}` may save what is there"
