@@ -11,7 +11,7 @@ import numpy as np
 from kraft.errors import InputError
 
 if TYPE_CHECKING:
-    from kraft.logs import Log
+    from kraft.logs.log import Log
 
 FRACTION: Final = 0.25
 FEW: Final = 4

@@ -8,13 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from kraft.sysid.forecast import Predicted
 from kraft.sysid.holdout import Split
 from kraft.sysid.result import Identification, PredictionErrors
 from kraft.version import VERSION
 from kraft.vehicle_identification import Covariance, Extra, IdentificationRecord, Logged, PoseNoise, Prediction
 
 if TYPE_CHECKING:
-    from kraft.logs import Log
+    from kraft.logs.log import Log
 
 DISTRIBUTIONS: Final = ("gtsam", "numba", "numpy", "scipy")
 
@@ -23,9 +24,7 @@ def record_of(
     started_from: str,
     identification: Identification,
     split: Split,
-    fitted: PredictionErrors,
-    held_out: PredictionErrors | None,
-    before: PredictionErrors | None,
+    predicted: Predicted,
 ) -> IdentificationRecord:
     """Record an identification.
 
@@ -33,10 +32,9 @@ def record_of(
         started_from: the vehicle that was asked for.
         identification: what came out.
         split: the logs that were fitted and held out.
-        fitted: prediction errors on the first.
-        held_out: on the second, if there are any.
-        before: on the second, with the values before.
+        predicted: how far their predictions are off.
     """
+    unseen = predicted.held_out
     matrix = tuple(tuple(map(float, row)) for row in identification.covariance)
     return IdentificationRecord(
         started_from=started_from,
@@ -48,9 +46,9 @@ def record_of(
             yaw=identification.noise.yaw,
             measured=identification.noise_measured,
         ),
-        fitted=_prediction(fitted),
-        held_out=None if held_out is None else _prediction(held_out),
-        held_out_before=None if before is None else _prediction(before),
+        fitted=_prediction(predicted.fitted.errors),
+        held_out=None if unseen is None else _prediction(unseen.errors),
+        held_out_before=None if unseen is None else _prediction(unseen.errors_before),
         warnings=identification.warnings,
         logs=(*_logged(split.fitted, held_out=False), *_logged(split.held_out, held_out=True)),
         versions=versions(),

@@ -8,18 +8,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from kraft.errors import InputError, KraftError, NegativeResult
-from kraft.logs import Log, LogSet, load_mapping, read_logs
+from kraft.atomic_file import check_writable
+from kraft.errors import InputError, NegativeResult
+from kraft.logs.discover import discover
+from kraft.logs.log import Log, LogSet
+from kraft.logs.mapping import Mapping, load_mapping
+from kraft.logs.reader import read_logs
 from kraft.plot.output import picture_format
-from kraft.sysid import Identification, PredictionErrors, Settings, identify, prediction_errors
+from kraft.sysid.forecast import Predicted, predicted
 from kraft.sysid.holdout import Split, split
+from kraft.sysid.identify import identify
 from kraft.sysid.options import Options, settings_of
+from kraft.sysid.parameters import check_names
 from kraft.sysid.record import record_of
+from kraft.sysid.result import Identification
+from kraft.sysid.settings import Settings
 from kraft.sysid.subject import Subject, load_subject
 from kraft.sysid.vehicle_file import check_target, write_vehicle
 from kraft.sysid.verdict import objections
 
 MODEL: Final = "mushr"
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -36,65 +45,132 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Prediction errors of the identified parameters and of those before: on the fitted logs, on those held out."""
-
-    fitted: PredictionErrors
-    fitted_before: PredictionErrors
-    held_out: PredictionErrors | None
-    held_out_before: PredictionErrors | None
-
-
-@dataclass(frozen=True)
 class Identified:
-    """A request and what came of it; `objections` say why the parameters must not be used, if so."""
+    """A request and what came of it.
+
+    Attributes:
+        request: what was asked for.
+        subject: the vehicle before.
+        logs: everything that was read.
+        split: which of it was fitted and which held out.
+        result: the parameters.
+        predicted: what they predict, and what those before predicted.
+        objections: why the parameters must not be used; empty if they may.
+        seconds: that identifying took, without reading and predicting.
+    """
 
     request: Request
     subject: Subject
     logs: LogSet
     split: Split
-    settings: Settings
     result: Identification
-    errors: Errors
+    predicted: Predicted
     objections: tuple[str, ...]
     seconds: float
 
 
-def carry_out(request: Request, say: Callable[[str], None]) -> Identified:
-    """Load, check, read, identify, predict, write, draw; `say` is told what was read and what takes long.
+def carry_out(request: Request, say: Say, warn: Say) -> Identified:
+    """Load, check, read, identify, predict, write, draw.
 
-    A vehicle file is written only if there are no objections; the page is drawn in any case.
+    A vehicle file is written only if there are no objections.  The page is drawn in any case; where nothing could be
+    identified it shows the logs.
+
+    Args:
+        request: what to do.
+        say: is told what was read and decided.
+        warn: is told what is wrong with logs that are left out.
 
     Raises:
-        InputError: with what is wrong with the request or the files it names.
-        NegativeResult: if there are logs and none of them can be used.
+        InputError: with what is wrong with the request or the files it names, before anything is identified.
+        NegativeResult: if there are logs, and none of them can be used.
     """
     subject = load_subject(request.model)
-    settings = settings_of(request.options, subject.vehicle)
-    if request.out is not None:
-        check_target(request.out)
-    if request.plot is not None:
-        picture_format(request.plot)
-    logs = _read(request, subject)
-    _tell(logs, say)
+    settings = _checked(request, subject)
+    logs = _read(request, subject, say, warn)
     parted = split(logs.logs, request.holdout)
     say(parted.note)
     began = time.perf_counter()
     try:
         result = identify(subject.given, parted.fitted, settings)
-        errors = _errors(subject, parted, result, settings)
-    except KraftError as error:
-        _draw_data(request, subject, parted, str(error))
-        raise
-    seconds = time.perf_counter() - began
-    done = Identified(request, subject, logs, parted, settings, result, errors, objections(result), seconds)
+        seconds = time.perf_counter() - began
+        found = predicted(subject.given, parted, result, settings)
+    except InputError as error:  # of the logs: everything else was checked
+        _draw_logs(request, subject, parted, error)
+        _warn(error, warn)
+        raise NegativeResult("the parameters cannot be identified from these logs") from None
+    done = Identified(request, subject, logs, parted, result, found, objections(result), seconds)
+    _draw(done)
+    _write(done)
+    return done
+
+
+def _checked(request: Request, subject: Subject) -> Settings:
+    """The settings, after everything that can be wrong before the logs are read."""
+    settings = settings_of(request.options)
+    check_names(subject.vehicle, settings)
+    if request.out is not None:
+        check_target(request.out)
     if request.plot is not None:
+        picture_format(request.plot)
+        check_writable(request.plot)
+    return settings
+
+
+def _read(request: Request, subject: Subject, say: Say, warn: Say) -> LogSet:
+    """Read every log, and say what it was taken for and what was found in it."""
+    mapping = Mapping() if request.mapping is None else load_mapping(request.mapping)
+    controls = tuple(subject.vehicle.controls)
+    candidates, _ = discover(request.logs, controls, mapping)
+    try:
+        found = read_logs(request.logs, controls, mapping)
+    except InputError as error:
+        if not candidates:
+            raise
+        _warn(error, warn)
+        count = len(candidates)
+        raise NegativeResult("the only log cannot be used" if count == 1 else f"none of the {count} logs can be used") from None
+    _tell(found.logs, say)
+    for problem in found.problems:
+        warn(f"left out: {problem}")
+    return found
+
+
+def _warn(error: InputError, warn: Say) -> None:
+    for diagnostic in error.diagnostics:
+        warn(str(diagnostic))
+
+
+def _tell(logs: Sequence[Log], say: Say) -> None:
+    """Say what was taken for what, once for logs of one kind, and what was found."""
+    kinds: dict[str, list[str]] = {}
+    for log in logs:
+        kinds.setdefault(log.guess, []).append(log.name)
+    for guess, names in kinds.items():
+        whose = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        say(f"{whose}: {guess}")
+    for log in logs:
+        for finding in log.findings:
+            say(f"{log.name}: {finding}")
+
+
+def _draw(done: Identified) -> None:
+    if done.request.plot is not None:
         from kraft.plot.sysid import plot_identification
 
-        plot_identification(request.plot, subject.vehicle, parted, result, predicted(done))
-    if request.out is not None and not done.objections:
-        record = record_of(
-            request.model, result, parted, errors.fitted, errors.held_out, errors.held_out_before
+        plot_identification(
+            done.request.plot, done.subject.vehicle, done.split, done.result, done.predicted, done.objections
         )
-        write_vehicle(request.out, subject, result.parameters, record)
-    return done
+
+
+def _draw_logs(request: Request, subject: Subject, parted: Split, error: InputError) -> None:
+    if request.plot is not None:
+        from kraft.plot.sysid_logs import plot_logs
+
+        plot_logs(request.plot, subject.vehicle, (*parted.fitted, *parted.held_out), error.diagnostics[0].problem)
+
+
+def _write(done: Identified) -> None:
+    request = done.request
+    if request.out is not None and not done.objections:
+        record = record_of(request.model, done.result, done.split, done.predicted)
+        write_vehicle(request.out, done.subject, done.result.parameters, record)

@@ -110,7 +110,7 @@ def identified(parameter: Parameter, estimate: Estimated) -> Parameter:
     if std is not None and not estimate.frozen:
         std = float(f"{min(std, max(LOOSER * estimate.std, LOOSEST * std)):.2g}")
     return Parameter(
-        value=value, unit=estimate.unit, description=estimate.description, min=low, max=high, std=std
+        value=value, unit=estimate.unit or "1", description=estimate.description, min=low, max=high, std=std
     )
 
 
