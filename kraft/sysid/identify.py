@@ -1,18 +1,39 @@
-"""Identify a vehicle from logs."""
+"""Identify a vehicle from logs: from the data to initial values, through the graph to parameters and what to say of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from kraft.errors import Defect
+import numpy as np
+
+from kraft.sysid.assembly import assemble, starting_point
+from kraft.sysid.chains import whole
+from kraft.sysid.checks import Case, warnings_of
+from kraft.sysid.extras import extras_of
+from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.input import usable_logs
+from kraft.sysid.noise_model import NoiseModel, noise_model
+from kraft.sysid.optimiser import Linearised, Optimum, optimise
+from kraft.sysid.parameters import Parameters, check_names, parameters_of, vehicle_of
+from kraft.sysid.problem import Point, Problem
+from kraft.sysid.reporting import identification
 from kraft.sysid.result import Identification
+from kraft.sysid.selection import AUTOMATIC, shown
 from kraft.sysid.settings import Settings
+from kraft.sysid.smoothing import measured_noise
+from kraft.sysid.start import Search, Smooth, smooth
+from kraft.sysid.uncertainty import Uncertainty, uncertainty
 from kraft.vehicle_config import VehicleConfig
+from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from kraft.logs import Log
+    from kraft.logs.log import Log
+
+REFITS = 3
+"""Most times that extras are dropped and the rest is fitted anew."""
 
 
 def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Settings | None = None) -> Identification:
@@ -27,4 +48,106 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
         InputError: if the logs cannot be used (no motion, controls that the vehicle does not have), or a setting names
             a parameter that does not exist.
     """
-    raise Defect("identify is not written yet")
+    settings = settings or Settings()
+    model = vehicle_of(vehicle)
+    check_names(model, settings)
+    task = _Task(vehicle, model, settings, usable_logs(model, logs))
+    extras = task.extras_to_try()
+    fit = task.fit(task.start(extras), settings.iterations)
+    iterations = fit.optimum.iterations
+    notes: list[str] = []
+    if settings.extras == "auto":
+        for _ in range(REFITS):
+            kept = shown(fit.problem.parameters, fit.optimum.point.rho, fit.uncertain, task.asked)
+            if kept == fit.problem.parameters.extras:
+                break
+            fit = task.fit(task.without(fit, kept), settings.iterations)
+            iterations += fit.optimum.iterations
+        notes.append(_choice(extras, fit.problem.parameters.extras))
+    case = Case(fit.problem, fit.optimum, fit.uncertain, task.data, [log.name for log in task.logs], not settings.noise)
+    return identification(case, warnings_of(case), tuple(notes), iterations)
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """A problem and where to begin with it."""
+
+    problem: Problem
+    point: Point
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A problem solved."""
+
+    problem: Problem
+    optimum: Optimum
+    uncertain: Uncertainty
+
+
+class _Task:
+    """What stays the same while extras come and go."""
+
+    def __init__(
+        self, vehicle: VehicleConfig | Vehicle, model: Vehicle, settings: Settings, logs: Sequence[Log]
+    ) -> None:
+        self.vehicle, self.model, self.settings, self.logs = vehicle, model, settings, logs
+        self.stretches = [whole(part, i, settings.step) for i, log in enumerate(logs) for part in log.parts]
+        self.noise: NoiseModel = noise_model(
+            model,
+            settings,
+            settings.noise
+            or measured_noise([s.part.pose_times for s in self.stretches], [s.part.poses for s in self.stretches]),
+        )
+        self.asked = frozenset(settings.values) | frozenset(settings.frozen)
+
+    def extras_to_try(self) -> tuple[str, ...]:
+        """Extras that are in the first fit."""
+        known, wanted = extras_of(self.model), self.settings.extras
+        if wanted == "none":
+            return ()
+        names = set(AUTOMATIC) | self.asked if wanted == "auto" else set(wanted)
+        return tuple(name for name in known if name in names)
+
+    def problem(self, parameters: Parameters) -> Problem:
+        """The problem with some parameters."""
+        return assemble(self.stretches, len(self.logs), parameters, self.noise)
+
+    def start(self, extras: tuple[str, ...]) -> _Start:
+        """Begin with what the data alone say."""
+        problem = self.problem(parameters_of(self.vehicle, self.settings, extras))
+        self.data: Smooth = smooth(problem.chains)
+        nominal = problem.parameters.nominal
+        search = Search(
+            problem.parameters, problem.motion, problem.chains, self.data, problem.commands.mean(nominal)[0]
+        )
+        return _Start(problem, starting_point(problem, self.data, search.best()))
+
+    def without(self, fit: _Fit, extras: tuple[str, ...]) -> _Start:
+        """Begin where a fit with more extras ended."""
+        problem = self.problem(parameters_of(self.vehicle, self.settings, extras))
+        before = dict(zip(fit.problem.parameters.names, fit.optimum.point.rho, strict=True))
+        rho: Floats = np.array([before[name] for name in problem.parameters.names])
+        deviations = fit.problem.control_residuals(fit.optimum.point)
+        controls = problem.commands.mean(rho)[0] + deviations
+        return _Start(problem, replace(fit.optimum.point, rho=rho, controls=controls))
+
+    def fit(self, start: _Start, iterations: int) -> _Fit:
+        """Solve a problem."""
+        optimum = optimise(self._graph(start.problem), start.point, iterations)
+        return _Fit(start.problem, optimum, uncertainty(optimum.factors, start.problem.parameters.free))
+
+    def _graph(self, problem: Problem) -> Linearised:
+        if self.settings.graph == "fast":
+            return FastGraph(problem)
+        from kraft.sysid.paper_graph import PaperGraph
+
+        return PaperGraph(problem)
+
+
+def _choice(tried: tuple[str, ...], kept: tuple[str, ...]) -> str:
+    dropped = [name for name in tried if name not in kept]
+    if not tried:
+        return "there are no extra parameters for this vehicle"
+    said = f"the data show {', '.join(kept)}" if kept else "the data show no extra parameter"
+    return f"{said}; not shown, and left out: {', '.join(dropped)}" if dropped else said

@@ -1,44 +1,196 @@
-"""How far the model's open-loop prediction is off after 1, 2 and 3 s, from poses up to a window's start only."""
+"""How far the model's open-loop prediction is off after 1, 2 and 3 s.
+
+A window's prediction knows the commands and the poses up to its beginning, no later ones.  A part that begins at rest
+begins its first window there, at its first pose; every other window begins at the state that the graph, with the
+parameters held, makes of the three seconds before.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from kraft.errors import Defect
+import numpy as np
+
+from kraft.errors import InputError
+from kraft.sysid.assembly import assemble, simulated, starting_point
+from kraft.sysid.chains import Stretch, begins_at_rest, between
+from kraft.sysid.extras import extras_of
+from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.input import usable_logs
+from kraft.sysid.noise_model import noise_model
+from kraft.sysid.optimiser import optimise
+from kraft.sysid.parameters import Parameters, check_names, parameters_of, vehicle_of
+from kraft.sysid.problem import Problem
 from kraft.sysid.result import PredictionErrors
 from kraft.sysid.settings import Settings
+from kraft.sysid.smoothing import measured_noise
+from kraft.sysid.start import smooth
 from kraft.vehicle_config import VehicleConfig
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from kraft.logs import Log
+    from kraft.logs.log import Log, Part
+
+LENGTH = 3.0
+"""Of a window, s; and of what is seen before it."""
+LEAST_HISTORY, LEAST_LENGTH = 0.5, 0.5
+"""s"""
+AFTER = (1.0, 2.0, 3.0)
+"""When errors are taken, s after a window's beginning."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Window:
     """A stretch of at most 3 s that was predicted from its start."""
 
     log: str
     times: Floats
     """(n,) of the poses, s, as in the log"""
-    poses: Floats
+    poses: Matrix
     """(n, 3) observed"""
-    predicted: Floats
+    predicted: Matrix
     """(n, 3)"""
 
 
 def windows(
-    vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], values: Mapping[str, float], settings: Settings | None = None
+    vehicle: VehicleConfig | Vehicle,
+    logs: Sequence[Log],
+    values: Mapping[str, float] | None = None,
+    settings: Settings | None = None,
 ) -> tuple[Window, ...]:
-    """Predict every window of the logs with the parameters and extras `values` (by default the vehicle's)."""
-    raise Defect("windows is not written yet")
+    """Predict every window of the logs with the parameters and extras `values` (by default the vehicle's).
+
+    Raises:
+        InputError: if the logs cannot be used, or `values` has a parameter that does not exist.
+    """
+    values, settings = dict(values or {}), settings or Settings()
+    model = vehicle_of(vehicle)
+    extras = tuple(name for name in extras_of(model) if values.get(name, 0.0) != 0.0)
+    known = {name: values[name] for name in values if name in model.parameters or name in extras}
+    given = replace(settings, values={**settings.values, **values}, frozen=(*model.parameters, *extras))
+    check_names(model, given)
+    parameters = parameters_of(vehicle, replace(given, values={**settings.values, **known}), extras)
+    usable = usable_logs(model, logs)
+    pieces = [
+        (i, before, ahead)
+        for i, log in enumerate(usable)
+        for part in log.parts
+        for before, ahead in _pieces(part, i, settings.step)
+    ]
+    if not pieces:
+        raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict")
+    problem = _problem(vehicle, [ahead for _, _, ahead in pieces], len(usable), parameters, settings)
+    start = _starts(vehicle, pieces, len(usable), parameters, settings)
+    states = simulated(problem, start, problem.commands.mean(parameters.nominal)[0], parameters.nominal)
+    predicted = problem.observation.predict(problem.between(states), parameters.nominal)
+    ends = np.cumsum([len(ahead.part.pose_times[ahead.poses]) for _, _, ahead in pieces])[:-1]
+    return tuple(
+        Window(usable[i].name, ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses], part)
+        for (i, _, ahead), part in zip(pieces, np.split(predicted, ends), strict=True)
+    )
 
 
 def prediction_errors(
-    vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], values: Mapping[str, float], settings: Settings | None = None
+    vehicle: VehicleConfig | Vehicle,
+    logs: Sequence[Log],
+    values: Mapping[str, float] | None = None,
+    settings: Settings | None = None,
 ) -> PredictionErrors:
-    """Root mean square errors over all windows of the logs with the parameters and extras `values`."""
-    raise Defect("prediction_errors is not written yet")
+    """Root mean square errors over all windows of the logs with the parameters and extras `values`.
+
+    Raises:
+        InputError: as `windows`.
+    """
+    return errors_of(windows(vehicle, logs, values, settings))
+
+
+def errors_of(predicted: Sequence[Window]) -> PredictionErrors:
+    """Root mean square errors of windows that were predicted."""
+    since = np.concatenate([w.times - w.times[0] for w in predicted])
+    interval = float(np.median(np.concatenate([np.diff(w.times) for w in predicted])))
+    off = np.concatenate([w.predicted - w.poses for w in predicted])
+    position, yaw = np.hypot(off[:, 0], off[:, 1]), off[:, 2]
+    at = {after: np.abs(since - after) <= 0.75 * interval for after in AFTER}
+    reached = {after: chosen for after, chosen in at.items() if chosen.any()}
+    later = since > 0.0
+    return PredictionErrors(
+        {after: _rms(position, chosen) for after, chosen in reached.items()},
+        {after: _rms(yaw, chosen) for after, chosen in reached.items()},
+        _rms(position, later),
+        _rms(yaw, later),
+        len(predicted),
+        int(later.sum()),
+    )
+
+
+def _rms(values: Floats, chosen: Bools) -> float:
+    return float(np.sqrt(np.mean(values[chosen] ** 2)))
+
+
+def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Stretch | None, Stretch]]:
+    """What is seen before each window (None: it begins at rest), and the window."""
+    times = part.pose_times
+    resting = begins_at_rest(part)
+    begin = times[0] if resting else times[0] + LEAST_HISTORY
+    while times[-1] - begin >= LEAST_LENGTH:
+        first = int(np.searchsorted(times, begin - 1e-9))
+        last = int(np.searchsorted(times, times[first] + LENGTH + 0.5 * step, side="right"))
+        if last - first < 2:
+            return
+        ahead = between(part, log, step, first, last, resting)
+        seen = int(np.searchsorted(times, times[first] - LENGTH))
+        if first == 0:
+            yield None, ahead
+        elif first - seen >= 2:
+            yield between(part, log, step, seen, first + 1, resting), ahead
+        begin = times[last - 1]
+
+
+def _problem(
+    vehicle: VehicleConfig | Vehicle, stretches: list[Stretch], logs: int, parameters: Parameters, settings: Settings
+) -> Problem:
+    noise = settings.noise or measured_noise(
+        [s.part.pose_times[s.poses] for s in stretches], [s.part.poses[s.poses] for s in stretches]
+    )
+    return assemble(stretches, logs, parameters, noise_model(parameters.vehicle, settings, noise))
+
+
+def _starts(
+    vehicle: VehicleConfig | Vehicle,
+    pieces: Sequence[tuple[int, Stretch | None, Stretch]],
+    logs: int,
+    parameters: Parameters,
+    settings: Settings,
+) -> Matrix:
+    """(windows, nx) states at which the windows begin."""
+    model = parameters.vehicle
+    rho = parameters.nominal
+    start = np.zeros((len(pieces), len(model.state)))
+    histories = [before for _, before, _ in pieces if before is not None]
+    if histories:
+        problem = _problem(vehicle, histories, logs, parameters, settings)
+        point = starting_point(problem, smooth(problem.chains), rho)
+        optimum = optimise(FastGraph(problem), point, settings.iterations)
+        moving = np.array([before is not None for _, before, _ in pieces])
+        start[moving] = optimum.point.states[problem.chains.first[1:] - 1]
+    for row, (_, before, ahead) in zip(start, pieces, strict=True):
+        if before is None:
+            row[:] = _at_rest(model, parameters, ahead.part.poses[0])
+    return start
+
+
+def _at_rest(model: Vehicle, parameters: Parameters, pose: Floats) -> Floats:
+    """State at rest that shows an observed pose."""
+    value = dict(zip(parameters.names, parameters.nominal, strict=True))
+    lever, side = value.get("lever", 0.0), value.get("side", 0.0)
+    yaw = pose[2] - value.get("yaw_offset", 0.0)
+    c, s = np.cos(yaw), np.sin(yaw)
+    state = np.zeros(len(model.state))
+    found = {"x": pose[0] - lever * c + side * s, "y": pose[1] - lever * s - side * c, "theta": yaw}
+    for name, number in found.items():
+        if name in model.state:
+            state[model.index(name)] = number
+    return state

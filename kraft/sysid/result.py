@@ -80,8 +80,11 @@ class Identification:
     """whether uncertainty follows from the stated noise, or from how much the logs differ"""
     graph_covariance: Floats
     """(names, names) that follows from the stated noise"""
+    unidentified: tuple[str, ...]
+    """parameters about which the data say next to nothing beyond the prior"""
     converged: bool
     iterations: int
+    """of the optimiser, trying extras included"""
     cost: float
     """half of the weighted squared residuals at the end, priors included"""
     noise: Noise
@@ -94,7 +97,7 @@ class Identification:
     """decisions that were taken for the user, such as which extras were kept"""
     logs: tuple[LogFit, ...]
     rear_axle: float | None
-    """how far the tracked point is ahead of the rear axle, m; None for a model without a wheelbase L"""
+    """how far the tracked point is ahead of the axle that does not slip sideways, m; None for a model without steering"""
 
     @property
     def values(self) -> dict[str, float]:

@@ -1,0 +1,129 @@
+"""Logs cut into equal steps: chains of states, with the poses seen between them, all chains in the same arrays.
+
+Chain c has states first[c] ... first[c + 1] - 1, one more than it has steps.  Step i leads from state `state[i]` to the
+next one; pose j was seen in step `step[j]` a share `share[j]` of it after its beginning (the paper's epsilon).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Ints, Matrix
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Part
+
+GLIMPSE = 0.2
+"""Time over which a speed is taken, s."""
+SLOW = 0.6
+"""Share of a part's high speeds that counts as being at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A part of a log, or a piece of it, on its time grid."""
+
+    log: int
+    """which log it belongs to"""
+    part: Part
+    begin: float
+    """time of the first state, s"""
+    steps: int
+    h: float
+    """s"""
+    poses: slice
+    """those of the part's poses that are seen"""
+    resting: bool
+    """whether the part begins at rest, so that nothing was commanded before its first command"""
+
+    @property
+    def times(self) -> Floats:
+        """(steps + 1,) of the states, s."""
+        times: Floats = self.begin + self.h * np.arange(self.steps + 1)
+        return times
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """All stretches in common arrays: S states, N steps, n poses."""
+
+    stretches: tuple[Stretch, ...]
+    first: Ints
+    """(chains + 1,) where each chain's states begin"""
+    log: Ints
+    """(chains,) log of each chain"""
+    logs: int
+    state: Ints
+    """(N,) state at which each step begins"""
+    h: Floats
+    """(N,) its duration, s"""
+    seen: Ints
+    """(N + 1,) where each step's poses begin"""
+    step: Ints
+    """(n,)"""
+    share: Floats
+    """(n,) in [0, 1]"""
+    poses: Matrix
+    """(n, 3) x, y, yaw"""
+
+    @property
+    def states(self) -> int:
+        """How many there are in all."""
+        return int(self.first[-1])
+
+
+def whole(part: Part, log: int, step: float) -> Stretch:
+    """All of a part, in steps of at most `step` s."""
+    return between(part, log, step, 0, len(part.pose_times), begins_at_rest(part))
+
+
+def between(part: Part, log: int, step: float, first: int, last: int, resting: bool) -> Stretch:
+    """From pose `first` to the one before `last`, in steps of at most `step` s."""
+    begin, end = float(part.pose_times[first]), float(part.pose_times[last - 1])
+    steps = max(1, math.ceil((end - begin) / step - 1e-9))
+    return Stretch(log, part, begin, steps, max(end - begin, 1e-6) / steps, slice(first, last), resting)
+
+
+def begins_at_rest(part: Part) -> bool:
+    """Whether the first quarter of a second is far slower than the part is at its fastest."""
+    times, places = part.pose_times, part.poses[:, :2]
+    spacing = max(1, round(GLIMPSE / float(np.median(np.diff(times))))) if len(times) > 1 else 1
+    if len(times) <= spacing:
+        return True
+    ahead = places[spacing:] - places[:-spacing]
+    speeds = np.hypot(ahead[:, 0], ahead[:, 1]) / (times[spacing:] - times[:-spacing])
+    early = np.median(speeds[: max(1, spacing // 2)])
+    return bool(early <= SLOW * np.quantile(speeds, 0.9))
+
+
+def chains_of(stretches: Sequence[Stretch], logs: int) -> Chains:
+    """Stack stretches."""
+    steps = np.array([s.steps for s in stretches])
+    first = np.concatenate([[0], np.cumsum(steps + 1)])
+    offset = np.concatenate([[0], np.cumsum(steps)])
+    places = [_places(s) for s in stretches]
+    step = np.concatenate([at + offset[c] for c, (at, _) in enumerate(places)])
+    return Chains(
+        stretches=tuple(stretches),
+        first=first.astype(np.int64),
+        log=np.array([s.log for s in stretches], dtype=np.int64),
+        logs=logs,
+        state=np.concatenate([first[c] + np.arange(s.steps) for c, s in enumerate(stretches)]).astype(np.int64),
+        h=np.concatenate([np.full(s.steps, s.h) for s in stretches]),
+        seen=np.searchsorted(step, np.arange(offset[-1] + 1)).astype(np.int64),
+        step=step.astype(np.int64),
+        share=np.concatenate([share for _, share in places]),
+        poses=np.ascontiguousarray(np.concatenate([s.part.poses[s.poses] for s in stretches]), dtype=np.float64),
+    )
+
+
+def _places(stretch: Stretch) -> tuple[Ints, Floats]:
+    """Step and share of each pose."""
+    since = (stretch.part.pose_times[stretch.poses] - stretch.begin) / stretch.h
+    step = np.clip(np.floor(since + 1e-9), 0, stretch.steps - 1).astype(np.int64)
+    return step, np.clip(since - step, 0.0, 1.0)

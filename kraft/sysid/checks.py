@@ -1,0 +1,202 @@
+"""What is doubtful about an identification, said in sentences that name what to drive or to change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kraft.sysid.manoeuvres import lacking
+from kraft.sysid.optimiser import Optimum
+from kraft.sysid.problem import Problem
+from kraft.sysid.start import Smooth
+from kraft.sysid.uncertainty import Uncertainty
+from ompl_ext.arrays import Floats
+
+ALIKE = 0.95
+"""Correlation from which two parameters cannot be told apart."""
+NOT_TIGHTER = 0.8
+"""Share of the prior's standard deviation that the data must stay below."""
+TOO_LARGE, TOO_SMALL = 2.0, 0.4
+"""Mean squared residual, in those that the noise lets expect."""
+DISAGREE = 3.0
+"""Standard deviations by the logs, in those by the stated noise."""
+UNRELATED = 0.5
+"""Correlation of steering and curvature."""
+SLOW = 0.3
+"""Share of the highest speed below which curvature is not looked at."""
+STEERS = 0.02
+"""Standard deviation of a steering that shows anything, rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Everything that the checks look at."""
+
+    problem: Problem
+    optimum: Optimum
+    uncertain: Uncertainty
+    data: Smooth
+    logs: Sequence[str]
+    """names"""
+    noise_measured: bool
+
+    @property
+    def names(self) -> list[str]:
+        """Of the parameters that were estimated."""
+        parameters = self.problem.parameters
+        return [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
+
+
+def warnings_of(case: Case) -> tuple[str, ...]:
+    """All that is doubtful, most important first."""
+    checks = (_convergence, _steering, _bounds, _prior, _correlation, _residuals, _disagreement)
+    return tuple(warning for check in checks for warning in check(case))
+
+
+def at_bound(case: Case) -> dict[str, str]:
+    """Parameters at a bound and which one it is; 0 of an extra that cannot be negative is none."""
+    p = case.problem.parameters
+    margin = 1e-6 * (p.high - p.low)
+    rho = case.optimum.point.rho
+    found = {}
+    for k, name in enumerate(p.names):
+        if p.free[k] and (rho[k] <= p.low[k] + margin[k] or rho[k] >= p.high[k] - margin[k]):
+            found[name] = "lower" if rho[k] <= p.low[k] + margin[k] else "upper"
+    return found
+
+
+def unidentified(case: Case) -> tuple[str, ...]:
+    """Parameters of the model about which the data say next to nothing beyond the prior."""
+    p = case.problem.parameters
+    prior = p.std[p.free]
+    std = np.sqrt(np.diag(case.uncertain.graph))
+    return tuple(name for name, a, b in zip(case.names, std, prior, strict=True) if a > NOT_TIGHTER * b)
+
+
+def _convergence(case: Case) -> Iterator[str]:
+    if not case.optimum.converged:
+        yield (
+            f"the optimiser had not converged after {case.optimum.iterations} iterations: values and intervals are "
+            "where it stopped; allow more iterations or freeze parameters that are not identifiable"
+        )
+
+
+def _bounds(case: Case) -> Iterator[str]:
+    p = case.problem.parameters
+    for name, which in at_bound(case).items():
+        number = p.numbers[p.index(name)]
+        bound = number.min if which == "lower" else number.max
+        yield (
+            f"{name} is at its {which} bound {bound:g} {number.unit}".rstrip()
+            + ": widen the bound if it is wrong, else the model lacks something that this parameter stands in for"
+        )
+
+
+def _prior(case: Case) -> Iterator[str]:
+    p = case.problem.parameters
+    for name in unidentified(case):
+        yield (
+            f"{name} is known no better than before: the logs do not show it; drive {lacking(p, name)}, or freeze it"
+        )
+
+
+def _correlation(case: Case) -> Iterator[str]:
+    covariance = case.uncertain.graph
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std)
+    names = case.names
+    for i in range(len(names)):
+        for j in range(i):
+            if abs(correlation[i, j]) > ALIKE:
+                yield (
+                    f"{names[j]} and {names[i]} cannot be told apart (correlation {correlation[i, j]:.2f}): drive "
+                    f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
+                )
+
+
+def residual_ratio(case: Case) -> float:
+    """Mean squared residual in those that the noise lets expect, 1 if everything is as stated."""
+    chains = case.problem.chains
+    freedom = 3 * len(chains.share) - case.problem.motion.nx * len(chains.log)
+    return 2.0 * case.optimum.cost / max(freedom, 1)
+
+
+def _residuals(case: Case) -> Iterator[str]:
+    ratio = residual_ratio(case)
+    whose = "measured" if case.noise_measured else "stated"
+    noise = case.problem.noise.noise
+    said = f"the {whose} noise ({noise.position:.3g} m, {noise.yaw:.3g} rad) and the process noise"
+    if ratio > TOO_LARGE:
+        yield (
+            f"residuals are {np.sqrt(ratio):.1f} times as large as {said} let expect: either is stated too small, or "
+            "the model lacks something"
+        )
+    elif ratio < TOO_SMALL:
+        yield f"residuals are {np.sqrt(ratio):.2f} times as large as {said} let expect: either is stated too large"
+
+
+def _disagreement(case: Case) -> Iterator[str]:
+    if case.uncertain.kind != "sandwich":
+        return
+    graph = np.sqrt(np.diag(case.uncertain.graph))
+    ratio = case.uncertain.std / graph
+    worst = int(np.argmax(ratio))
+    if ratio[worst] > DISAGREE:
+        odd = int(np.argmax(np.abs(case.uncertain.moves[:, worst])))
+        share = case.uncertain.moves[odd, worst] ** 2 / max(np.sum(case.uncertain.moves[:, worst] ** 2), 1e-300)
+        said = f"; {case.logs[odd]} differs most" if share > 2.0 / len(case.logs) else ""
+        yield (
+            f"the logs disagree about {case.names[worst]}, {ratio[worst]:.1f} times as much as the noise explains{said}: "
+            "something changed between them, or the model lacks something"
+        )
+
+
+def _steering(case: Case) -> Iterator[str]:
+    vehicle = case.problem.parameters.vehicle
+    controls = list(vehicle.controls)
+    if "steering" not in controls or vehicle.index("theta") < 0:
+        return
+    steering = case.problem.commands.mean(case.optimum.point.rho)[0][:, controls.index("steering")]
+    at = case.problem.chains.state
+    rates, yaw = case.data.rates[at], case.data.poses[at, 2]
+    speed = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
+    moving = speed > SLOW * np.quantile(speed, 0.95)
+    if moving.sum() < 10 or np.std(steering[moving]) < STEERS:
+        low, high = (float(np.min(steering)), float(np.max(steering))) if len(steering) else (0.0, 0.0)
+        yield (
+            f"the steering hardly changes while driving ({low:.2f} to {high:.2f} rad): drive arcs to the left and to "
+            "the right"
+        )
+        return
+    correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving)
+    if correlation < -UNRELATED:
+        yield f"steering and curvature have opposite signs (correlation {correlation:.2f}): is positive to the left?"
+    elif correlation < UNRELATED:
+        yield (
+            f"steering does not correlate with curvature (correlation {correlation:.2f}): are commands and poses of "
+            "the same drive, on the same clock, the steering in radians?"
+        )
+    elif np.min(steering[moving]) > -STEERS or np.max(steering[moving]) < STEERS:
+        side = "left" if np.min(steering[moving]) > -STEERS else "right"
+        yield f"the vehicle only steers to the {side}: drive arcs to the left and to the right"
+
+
+def _best_correlation(steering: Floats, curvature: Floats, moving: Floats) -> float:
+    """Rank correlation (outliers do not count), the largest in size over delays of up to half a second."""
+    best = 0.0
+    for shift in range(0, 11, 2):
+        chosen = moving[shift:]
+        a = _ranks(steering[: len(steering) - shift][chosen])
+        b = _ranks(curvature[shift:][chosen])
+        value = float(np.corrcoef(a, b)[0, 1]) if np.std(a) > 0.0 and np.std(b) > 0.0 else 0.0
+        best = value if abs(value) > abs(best) else best
+    return best
+
+
+def _ranks(values: Floats) -> Floats:
+    """Ranks, equal for equal values."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: Floats = (np.cumsum(counts) - 0.5 * counts)[inverse]
+    return ranks

@@ -1,0 +1,50 @@
+"""Parameters beside the model's own that a real log needs: what lies between commands, model and observed poses.
+
+    delay, delay_<control>   commands take effect later: all of them, or one of them later still
+    dead_band_<control>      command that does nothing, and is taken off every larger one: friction, play of a linkage
+    lever, side              where the tracked point is in the model's frame
+    yaw_offset               observed yaw less the model's
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ompl_ext.vehicle import Vehicle
+
+DEAD_BANDS = {"throttle": 0.5, "steering": 0.25}
+"""Controls that a dead band makes sense for, and the share of their range that it may take."""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A parameter that every model may be given; 0 is its nominal value and means that it is not there."""
+
+    name: str
+    unit: str
+    min: float
+    max: float
+    std: float
+    """of what is known beforehand"""
+    description: str
+
+
+def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
+    """The extras that make sense for a vehicle, by name."""
+    found = [Extra("delay", "s", 0.0, 0.5, 0.3, "time until a command takes effect")]
+    found += [
+        Extra(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"time that {name} takes effect later still")
+        for name in vehicle.controls
+    ]
+    for name, share in DEAD_BANDS.items():
+        if name in vehicle.controls:
+            most = share * max(map(abs, vehicle.controls[name]))
+            unit = "rad" if name == "steering" else "1"
+            found.append(Extra(f"dead_band_{name}", unit, 0.0, most, most, f"{name} that does nothing"))
+    if vehicle.index("theta") >= 0:
+        found += [
+            Extra("lever", "m", -1.0, 1.0, 0.5, "tracked point ahead of the model's point"),
+            Extra("side", "m", -0.5, 0.5, 0.2, "tracked point left of the model's point"),
+            Extra("yaw_offset", "rad", -0.5, 0.5, 0.2, "observed yaw less the model's"),
+        ]
+    return {extra.name: extra for extra in found}

@@ -1,0 +1,71 @@
+"""The paper's graph in its fast form: linearised for all steps at once, controls and states eliminated in compiled code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kraft.sysid.elimination import Eliminated, Graph, allocate, back_substitute, eliminate
+from kraft.sysid.problem import Point, Problem
+from kraft.sysid.rho_graph import RhoFactors
+from ompl_ext.arrays import Floats
+
+
+class FastGraph:
+    """Linearises a problem at a point, reduces it to rho, and moves the point by a change of rho."""
+
+    def __init__(self, problem: Problem) -> None:
+        """Allocate what the elimination needs."""
+        self.problem = problem
+        self._out: Eliminated = allocate(problem.chains, problem.motion.nx, len(problem.parameters.names))
+
+    def linearise(self, point: Point) -> None:
+        """Make the factors at a point."""
+        p, chains, noise = self.problem, self.problem.chains, self.problem.noise
+        x = point.states[chains.state]
+        led, jacobian = p.motion.linearise(x, point.controls, p.parameters.model_values(point.rho), chains.h)
+        mean, slopes = p.commands.mean(point.rho)
+        seen = p.between(point.states)
+        by_state, by_rho = p.observation.linearise(seen, point.rho)
+        residuals = p.observation.residual(seen, point.rho, chains.poses)
+        self._point = point
+        self._graph = Graph(
+            first=chains.first,
+            log=chains.log,
+            h=chains.h,
+            seen=chains.seen,
+            share=chains.share,
+            dynamics=point.states[chains.state + 1] - led,
+            jacobian=jacobian[:, :, : p.motion.nx + p.motion.nu + p.parameters.own],
+            control=point.controls - mean,
+            command=slopes,
+            pose=residuals,
+            pose_state=by_state,
+            pose_rho=by_rho,
+            weight=noise.weights(residuals),
+            pose_information=noise.pose_sigmas**-2.0,
+            process=noise.process**2,
+            control_variance=noise.control**2,
+        )
+
+    def reduce(self, damping: float) -> RhoFactors:
+        """Eliminate controls and states; `damping` raises the states' own information by that share."""
+        eliminate(self._graph, damping, self._out)
+        parameters = self.problem.parameters
+        inverse = np.where(parameters.free, 1.0 / parameters.std, 0.0)
+        return RhoFactors(
+            information=self._out.information.copy(),
+            gradient=self._out.gradient.copy(),
+            prior_information=inverse**2,
+            prior_gradient=inverse * self.problem.prior_residuals(self._point.rho),
+        )
+
+    def moved(self, change: Floats) -> Point:
+        """The point that minimises the linearised problem among those whose rho has changed by `change`.
+
+        What controls deviate from the commands is kept, not the controls: a delay moves commands by more than is linear.
+        """
+        states, deviations = np.empty_like(self._point.states), np.empty_like(self._point.controls)
+        back_substitute(self._graph, self._out, change, states, deviations)
+        rho = self._point.rho + change
+        controls = self.problem.commands.mean(rho)[0] + self._graph.control + deviations
+        return Point(self._point.states + states, controls, rho)

@@ -1,0 +1,69 @@
+"""The paper's observation: a pose seen between two states is that of the state interpolated between them.
+
+Interpolation is linear, also of the continuous yaw, so that the factor is linear in the states where the tracked point
+is the model's own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kraft.sysid.parameters import Parameters
+from ompl_ext.arrays import Floats, Matrix
+
+
+class Observation:
+    """Poses that a camera sees of a vehicle's states, with a lever arm and a yaw offset if rho has them."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        """Look up where pose and extras are."""
+        self._np = len(parameters.names)
+        self._x, self._y, self._theta = (parameters.vehicle.index(name) for name in ("x", "y", "theta"))
+        self._lever, self._side, self._offset = (parameters.index(name) for name in ("lever", "side", "yaw_offset"))
+
+    def predict(self, states: Matrix, rho: Floats, out: Matrix | None = None) -> Matrix:
+        """Poses (n, 3) seen of states (n, nx); yaw is 0 for a vehicle that does not turn."""
+        poses = np.zeros((len(states), 3)) if out is None else out
+        poses[:, 0], poses[:, 1] = states[:, self._x], states[:, self._y]
+        if self._theta < 0:
+            return poses
+        yaw = states[:, self._theta]
+        lever, side, offset = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
+        poses[:, 2] = yaw + offset
+        if lever != 0.0 or side != 0.0:
+            c, s = np.cos(yaw), np.sin(yaw)
+            poses[:, 0] += lever * c - side * s
+            poses[:, 1] += lever * s + side * c
+        return poses
+
+    def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
+        """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
+        by_state, by_rho = np.zeros((len(states), 3, states.shape[1])), np.zeros((len(states), 3, self._np))
+        by_state[:, 0, self._x] = by_state[:, 1, self._y] = 1.0
+        if self._theta < 0:
+            return by_state, by_rho
+        by_state[:, 2, self._theta] = 1.0
+        if self._offset >= 0:
+            by_rho[:, 2, self._offset] = 1.0
+        if self._lever >= 0 or self._side >= 0:
+            c, s = np.cos(states[:, self._theta]), np.sin(states[:, self._theta])
+            lever, side = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side))
+            by_state[:, 0, self._theta] = -lever * s - side * c
+            by_state[:, 1, self._theta] = lever * c - side * s
+            if self._lever >= 0:
+                by_rho[:, 0, self._lever], by_rho[:, 1, self._lever] = c, s
+            if self._side >= 0:
+                by_rho[:, 0, self._side], by_rho[:, 1, self._side] = -s, c
+        return by_state, by_rho
+
+    @property
+    def turns(self) -> bool:
+        """Whether yaw is observed."""
+        return self._theta >= 0
+
+    def residual(self, states: Matrix, rho: Floats, poses: Matrix) -> Matrix:
+        """Predicted less observed (n, 3)."""
+        difference = self.predict(states, rho) - poses
+        if not self.turns:
+            difference[:, 2] = 0.0
+        return difference

@@ -1,0 +1,193 @@
+"""Initial values from the data alone: smoothed poses, parameters by search over their bounds, speeds by simulation.
+
+Each part of a log is simulated from its beginning; what the model covers in windows of one second, seen from where it
+is at their beginning, is compared with what the smoothed poses say.  Errors therefore do not add up over a log, and the
+hidden components of the state (speeds) come from the commands.  Many parameter vectors are simulated together, as
+lanes; the best few are refined.  Works for any model whose motion does not depend on where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from kraft.sysid.chains import Chains
+from kraft.sysid.motion import Motion
+from kraft.sysid.parameters import Parameters
+from kraft.sysid.smoothing import smoothed
+from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.vehicle import Vehicle
+
+WINDOW = 1.0
+"""Of motion that is compared, s."""
+CANDIDATES = 128
+REFINED = 6
+ROUNDS = 12
+MOST_CHAINS, MOST_STEPS = 12, 400
+"""Data that the search looks at: enough to come close."""
+WIDE_RANGE = 5.0
+"""Bounds further apart than this factor are searched in logarithms."""
+YAW_RATES = ("omega", "yaw_rate", "r", "w")
+"""Names of a state component that is the derivative of theta."""
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """Smoothed poses and their rates at the states' times."""
+
+    poses: Matrix
+    """(S, 3)"""
+    rates: Matrix
+    """(S, 3)"""
+
+
+def smooth(chains: Chains) -> Smooth:
+    """Smooth the poses of all chains."""
+    found = [
+        smoothed(s.part.pose_times[s.poses], s.part.poses[s.poses], s.times) for s in chains.stretches
+    ]
+    return Smooth(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]))
+
+
+def first_states(vehicle: Vehicle, chains: Chains, data: Smooth) -> Matrix:
+    """(chains, nx) state at each chain's beginning, as far as poses tell it."""
+    at = chains.first[:-1]
+    states = np.zeros((len(at), len(vehicle.state)))
+    poses, rates = data.poses[at], data.rates[at]
+    states[:, vehicle.index("x")], states[:, vehicle.index("y")] = poses[:, 0], poses[:, 1]
+    speed = np.hypot(rates[:, 0], rates[:, 1])
+    if vehicle.index("theta") >= 0:
+        states[:, vehicle.index("theta")] = poses[:, 2]
+        speed = rates[:, 0] * np.cos(poses[:, 2]) + rates[:, 1] * np.sin(poses[:, 2])
+    for k, name in enumerate(vehicle.state):
+        if name in YAW_RATES:
+            states[:, k] = rates[:, 2]
+    if vehicle.rest and vehicle.rest[0] not in YAW_RATES:
+        states[:, vehicle.rest_indices[0]] = speed
+    return states
+
+
+class Search:
+    """Finds parameters with which simulated windows cover what the observed ones do."""
+
+    def __init__(self, parameters: Parameters, motion: Motion, chains: Chains, data: Smooth, mean: Matrix) -> None:
+        """`mean` (N, nu) are the controls that act in the steps."""
+        self._parameters, self._motion = parameters, motion
+        steps = np.diff(chains.first) - 1
+        chosen = np.unique(np.linspace(0, len(steps) - 1, min(MOST_CHAINS, len(steps))).round().astype(int))
+        longest = int(min(MOST_STEPS, steps[chosen].max()))
+        self._start = first_states(parameters.vehicle, chains, data)[chosen]
+        self._h = np.array([chains.stretches[c].h for c in chosen])
+        self._u = np.zeros((longest, len(chosen), motion.nu))
+        index, lane = [], []
+        for place, c in enumerate(chosen):
+            count = min(longest, int(steps[c]))
+            begin = int(chains.first[c]) - c  # of its steps
+            self._u[:count, place] = mean[begin : begin + count]
+            width = max(1, min(round(WINDOW / self._h[place]), count))
+            windows = np.arange(0, count - width + 1, max(1, width // 2))
+            index.append(np.column_stack([windows, windows + width]))
+            lane.append(np.full(len(windows), place))
+        self._index: Ints = np.concatenate(index)
+        self._lane: Ints = np.concatenate(lane)
+        offset = chains.first[chosen][self._lane]
+        self._pose = [parameters.vehicle.index(name) for name in ("x", "y", "theta")]
+        observed = _covered(data.poses[offset + self._index[:, 0]], data.poses[offset + self._index[:, 1]])
+        self._observed = observed
+        typical = np.median(np.hypot(observed[:, 0], observed[:, 1]))
+        self._scale = np.array([0.05 * typical + 0.005, 0.05 * typical + 0.005, 0.05 * np.std(observed[:, 2]) + 0.01])
+
+    def best(self) -> Floats:
+        """The parameters rho (np,) that explain the windows best; frozen ones and extras keep their values."""
+        free = self._parameters.free.copy()
+        free[self._parameters.own :] = False
+        if not free.any():
+            return self._parameters.nominal.copy()
+        candidates = self._candidates(free)
+        order = np.argsort(_loss(self._residuals(candidates)))
+        return self._refine(candidates[order[:REFINED]], free)
+
+    def _candidates(self, free: np.typing.NDArray[np.bool_]) -> Matrix:
+        p = self._parameters
+        low, high = p.low[free], p.high[free]
+        logarithmic = (low > 0.0) & (high > WIDE_RANGE * low)
+        unit = qmc.Halton(len(low), scramble=False).random(CANDIDATES)[1:]
+        lower = np.where(logarithmic, np.log(np.where(logarithmic, low, 1.0)), low)
+        upper = np.where(logarithmic, np.log(np.where(logarithmic, high, 1.0)), high)
+        values = lower + unit * (upper - lower)
+        spread = np.tile(p.nominal, (CANDIDATES, 1))  # the last one stays nominal
+        spread[:-1, free] = np.where(logarithmic, np.exp(np.where(logarithmic, values, 0.0)), values)
+        return spread
+
+    def _refine(self, rho: Matrix, free: np.typing.NDArray[np.bool_]) -> Floats:
+        """Damped Gauss-Newton steps of several starts together, under Cauchy's loss."""
+        p, count, columns = self._parameters, len(rho), np.flatnonzero(free)
+        change = 1e-4 * np.maximum(np.abs(p.high - p.low), 1e-6)
+        damping = np.full(count, 1e-2)
+        residual = self._residuals(rho)
+        loss = _loss(residual)
+        for _ in range(ROUNDS):
+            moved = np.repeat(rho, len(columns), axis=0)
+            for j, column in enumerate(columns):
+                moved[j :: len(columns), column] += change[column]
+            there = self._residuals(moved).reshape(count, len(columns), -1)
+            jacobian = (there - residual[:, None]) / change[columns][:, None]  # (count, columns, residuals)
+            weight = 1.0 / (1.0 + residual**2)
+            normal = np.einsum("cir,cjr,cr->cij", jacobian, jacobian, weight)
+            gradient = np.einsum("cir,cr->ci", jacobian, weight * residual)
+            diagonal = np.einsum("cii->ci", normal) + 1e-12
+            step = np.zeros_like(gradient)
+            for c in range(count):
+                step[c] = np.linalg.solve(normal[c] + np.diag(damping[c] * diagonal[c]), -gradient[c])
+            candidate = rho.copy()
+            candidate[:, columns] = np.clip(rho[:, columns] + step, p.low[columns], p.high[columns])
+            residual_there = self._residuals(candidate)
+            loss_there = _loss(residual_there)
+            better = loss_there < loss
+            rho = np.where(better[:, None], candidate, rho)
+            residual = np.where(better[:, None], residual_there, residual)
+            gained = np.max(np.where(better, loss - loss_there, 0.0))
+            loss = np.where(better, loss_there, loss)
+            damping = np.where(better, 0.1 * damping, 10.0 * damping)
+            if gained < 1e-6 and damping.min() > 1.0:
+                break
+        result: Floats = rho[np.argmin(loss)]
+        return result
+
+    def _residuals(self, rho: Matrix) -> Matrix:
+        """(candidates, residuals) of parameter vectors (candidates, np)."""
+        count, lanes = len(rho), len(self._start)
+        own = np.array([self._parameters.model_values(r) for r in rho])
+        states = self._motion.simulate(
+            np.tile(self._start, (count, 1)),
+            np.ascontiguousarray(np.tile(self._u, (1, count, 1))),
+            np.repeat(own, lanes, axis=0),
+            np.tile(self._h, count),
+        )
+        lane = self._lane[None] + lanes * np.arange(count)[:, None]
+        before, after = (self._pose_of(states[self._index[:, k][None], lane]) for k in (0, 1))
+        covered = _covered(before, after)
+        residuals = (covered - self._observed) / self._scale
+        residuals = np.nan_to_num(residuals, nan=1e6, posinf=1e6, neginf=-1e6)
+        return np.clip(residuals, -1e6, 1e6).reshape(count, -1)
+
+    def _pose_of(self, states: Floats) -> Floats:
+        poses = states[..., self._pose]
+        if self._pose[2] < 0:
+            poses[..., 2] = 0.0
+        return poses
+
+
+def _covered(before: Floats, after: Floats) -> Floats:
+    """(..., 3) from one pose to another, as seen from the first."""
+    c, s = np.cos(before[..., 2]), np.sin(before[..., 2])
+    d = after - before
+    return np.stack([c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0], d[..., 2]], axis=-1)
+
+
+def _loss(residuals: Matrix) -> Floats:
+    """Cauchy's loss of each candidate (candidates,): windows with outliers hardly count."""
+    loss: Floats = np.mean(np.log1p(residuals**2), axis=1)
+    return loss

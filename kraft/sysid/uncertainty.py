@@ -1,0 +1,70 @@
+"""How well the parameters are known: by the stated noise (graph), or by how much the logs differ (sandwich).
+
+The graph's covariance is the inverse of the information on rho.  It is right if noise and process noise are as stated
+and the model is true.  The sandwich needs neither: it asks what each log, left out, would change.  With A the
+information of all logs and A_l, b_l that of log l and its gradient at the optimum, leaving log l out moves rho by
+(A - A_l)^-1 b_l; the spread of these moves is the covariance (the jackknife, known as CR3 for clusters), and a t
+quantile with one degree of freedom less than there are logs makes the interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.stats import norm, t
+
+from kraft.sysid.rho_graph import RhoFactors
+from ompl_ext.arrays import Bools, Floats, Matrix
+
+LEAST_LOGS = 5
+"""For the sandwich."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Covariances of the free parameters."""
+
+    kind: Literal["graph", "sandwich"]
+    graph: Matrix
+    covariance: Matrix
+    """of the kind"""
+    quantile: float
+    """half width of a 95 % interval in standard deviations"""
+    moves: Matrix
+    """(logs, free) how rho would move without each log"""
+
+    @property
+    def std(self) -> Floats:
+        """(free,)"""
+        std: Floats = np.sqrt(np.diag(self.covariance))
+        return std
+
+
+def uncertainty(factors: RhoFactors, free: Bools) -> Uncertainty:
+    """The sandwich covariance from five logs up, the graph's below."""
+    chosen = np.ix_(free, free)
+    total = factors.total_information[chosen]
+    graph = _inverse(total)
+    logs = len(factors.information)
+    if logs < 2:
+        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), np.zeros((logs, len(total))))
+    moves = np.array(
+        [
+            np.linalg.lstsq(total - information[chosen], gradient[free], rcond=None)[0]
+            for information, gradient in zip(factors.information, factors.gradient, strict=True)
+        ]
+    )
+    if logs < LEAST_LOGS:
+        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), moves)
+    centred = moves - moves.mean(axis=0)
+    sandwich = (logs - 1) / logs * centred.T @ centred
+    return Uncertainty("sandwich", graph, sandwich, float(t.ppf(0.975, logs - 1)), moves)
+
+
+def _inverse(information: Matrix) -> Matrix:
+    """Inverse of a positive definite matrix whose components may differ by many orders of magnitude."""
+    scale = 1.0 / np.sqrt(np.diag(information))
+    inverse: Matrix = scale[:, None] * np.linalg.inv(scale[:, None] * information * scale[None, :]) * scale[None, :]
+    return inverse
