@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 from kraft.sysid.forecast import Predicted
 from kraft.sysid.holdout import Split
 from kraft.sysid.result import Identification, PredictionErrors
-from kraft.version import VERSION
 from kraft.vehicle_identification import Covariance, Extra, IdentificationRecord, Logged, PoseNoise, Prediction
+from kraft.version import VERSION
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log

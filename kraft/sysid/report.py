@@ -40,7 +40,11 @@ def json_content(done: Identified) -> dict[str, Any]:
         "held_out": [log.name for log in done.split.held_out],
         "left_out": [str(problem) for problem in done.logs.problems],
         "correlation": {"names": list(result.names), "matrix": result.correlation.tolist()},
-        "pose_noise": {"position_m": result.noise.position, "yaw_rad": result.noise.yaw, "measured": result.noise_measured},
+        "pose_noise": {
+            "position_m": result.noise.position,
+            "yaw_rad": result.noise.yaw,
+            "measured": result.noise_measured,
+        },
         "rear_axle_m": result.rear_axle,
         "converged": bool(result.converged),
         "identifiable": not done.objections,
@@ -79,8 +83,9 @@ def remarks(done: Identified) -> list[str]:
     result = done.result
     noise, origin = result.noise, "measured from the logs" if result.noise_measured else "as stated"
     state = "converged" if result.converged else "NOT converged"
+    why = INTERVALS[result.interval]
     said = [
-        f"{state} after {result.iterations} iterations, {done.seconds:.2f} s; intervals follow {INTERVALS[result.interval]}",
+        f"{state} after {result.iterations} iterations, {done.seconds:.2f} s; intervals follow {why}",
         f"noise of the poses {1000 * noise.position:.3g} mm, {math.degrees(noise.yaw):.2g} deg, {origin}",
         *result.notes,
     ]

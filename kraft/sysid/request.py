@@ -128,7 +128,9 @@ def _read(request: Request, subject: Subject, say: Say, warn: Say) -> LogSet:
             raise
         _warn(error, warn)
         count = len(candidates)
-        raise NegativeResult("the only log cannot be used" if count == 1 else f"none of the {count} logs can be used") from None
+        raise NegativeResult(
+            "the only log cannot be used" if count == 1 else f"none of the {count} logs can be used"
+        ) from None
     _tell(found.logs, say)
     for problem in found.problems:
         warn(f"left out: {problem}")

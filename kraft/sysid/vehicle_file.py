@@ -166,6 +166,8 @@ def _number(value: float) -> str:
 
 def _text(text: str) -> str:
     """Plain where every YAML reader takes it for text, else quoted."""
+    if re.fullmatch(r"[0-9a-f]{64}", text):
+        return f'"{text}"'  # a hash of digits alone would be a number
     plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_/^.-]*( [A-Za-z0-9_/^.,-]+)*", text) and not re.fullmatch(
         r"(?i)true|false|null|yes|no|on|off|y|n", text
     )

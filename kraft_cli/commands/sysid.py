@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 Logs = Annotated[list[Path], typer.Argument(metavar="LOGS...", help="Folders and files with logs.")]
 Model = Annotated[
-    str, typer.Option("--model", metavar="NAME|FILE", help="Vehicle to identify (kraft list vehicles), a file, or code.")
+    str,
+    typer.Option("--model", metavar="NAME|FILE", help="Vehicle to identify (kraft list vehicles), a file, or code."),
 ]
 Holdout = Annotated[
     float | None,
@@ -26,18 +27,19 @@ Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw data and f
 MappingFile = Annotated[
     Path | None, typer.Option("--mapping", metavar="FILE", help="Which column or topic is what, if the guess is wrong.")
 ]
-Freeze = Annotated[
-    list[str] | None, typer.Option("--freeze", metavar="A,B", help="Parameters that keep their value.")
-]
+Freeze = Annotated[list[str] | None, typer.Option("--freeze", metavar="A,B", help="Parameters that keep their value.")]
 Parameters = Annotated[
     list[str] | None, typer.Option("--param", metavar="K=V", help="Another initial value of a parameter.")
 ]
 Extras = Annotated[
-    str, typer.Option(metavar="auto|none|A,B", help="Parameters beside the model's: those that the data show, or these.")
+    str,
+    typer.Option(metavar="auto|none|A,B", help="Parameters beside the model's: those that the data show, or these."),
 ]
 PoseNoise = Annotated[
     str | None,
-    typer.Option("--pose-noise", metavar="M,RAD", help="Standard deviations of position and yaw; measured if left out."),
+    typer.Option(
+        "--pose-noise", metavar="M,RAD", help="Standard deviations of position and yaw; measured if left out."
+    ),
 ]
 Graph = Annotated[str, typer.Option(metavar="fast|paper", help="The same graph: eliminated, or every factor explicit.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
