@@ -11,8 +11,11 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
-ACKERMANN = "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
+ACKERMANN = (
+    "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
+)
 STAMPED = "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
 EPOCH = 1_700_000_000_000_000_000  # ns
 
@@ -77,7 +80,7 @@ def write_pair(folder: Path, made: Drive, commands: str = "commands.csv", poses:
     return folder
 
 
-def store(ros1: bool, old: bool = False):  # noqa: ANN201 - a Typestore
+def store(ros1: bool) -> Typestore:
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     types.register(get_types_from_msg(ACKERMANN, "ackermann_msgs/msg/AckermannDrive"))
     types.register(get_types_from_msg(STAMPED, "ackermann_msgs/msg/AckermannDriveStamped"))
@@ -123,7 +126,10 @@ class Bag:
         self.send(topic, kind, stamp + lag, self.make(kind, self.header(stamp), inner))
 
     def twist(self, topic: str, stamp: int, speed: float, turn: float) -> None:
-        vectors = [self.make("geometry_msgs/msg/Vector3", speed, 0.0, 0.0), self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, turn)]
+        vectors = [
+            self.make("geometry_msgs/msg/Vector3", speed, 0.0, 0.0),
+            self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, turn),
+        ]
         self.send(topic, "geometry_msgs/msg/Twist", stamp, self.make("geometry_msgs/msg/Twist", *vectors))
 
     def boolean(self, topic: str, stamp: int, value: bool) -> None:
@@ -131,7 +137,11 @@ class Bag:
 
     def pose(self, x: float, y: float, yaw: float) -> object:
         point = self.make("geometry_msgs/msg/Point", x, y, 0.0)
-        return self.make("geometry_msgs/msg/Pose", point, self.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
+        return self.make(
+            "geometry_msgs/msg/Pose",
+            point,
+            self.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)),
+        )
 
     def stamped_pose(self, topic: str, stamp: int, x: float, y: float, yaw: float, lag: int = 0) -> None:
         kind = "geometry_msgs/msg/PoseStamped"
@@ -141,7 +151,9 @@ class Bag:
         zero = np.zeros(36)
         pose = self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(x, y, yaw), zero)
         vector = self.make("geometry_msgs/msg/Vector3", 0.8, 0.0, 0.0)
-        twist = self.make("geometry_msgs/msg/TwistWithCovariance", self.make("geometry_msgs/msg/Twist", vector, vector), zero)
+        twist = self.make(
+            "geometry_msgs/msg/TwistWithCovariance", self.make("geometry_msgs/msg/Twist", vector, vector), zero
+        )
         kind = "nav_msgs/msg/Odometry"
         self.send(topic, kind, stamp + lag, self.make(kind, self.header(stamp), "base", pose, twist))
 
@@ -150,7 +162,9 @@ def nanoseconds(time: float) -> int:
     return EPOCH + round(float(time) * 1e9)
 
 
-def write_bag(path: Path, kind: str, made: Drive, poses: str = "odometry", commands: str = "ackermann", lag: float = 0.0) -> Path:
+def write_bag(
+    path: Path, kind: str, made: Drive, poses: str = "odometry", commands: str = "ackermann", lag: float = 0.0
+) -> Path:
     """Write a drive as a bag: ``bag`` (ROS 1), ``sqlite`` or ``mcap`` (folders of ROS 2). Headers arrive ``lag`` s late."""
     late = round(lag * 1e9)
     with Bag(path, kind) as bag:

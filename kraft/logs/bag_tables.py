@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rosbags.highlevel import AnyReader
+from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -60,6 +60,7 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
             known = {c.topic: c.msgtype for c in reader.connections}
             chosen = [c for c in reader.connections if c.topic in wanted or c.msgtype in TYPES]
             read = _read(reader, chosen)
+            _check_counts(chosen, read)
     except Exception as error:  # whatever a parser may trip over in bytes that are not what they should be
         raise InputError.of(str(path), f"is not a whole bag ({_reason(error)})", _repair(path)) from error
     if not read:
@@ -94,6 +95,15 @@ def _read(reader: AnyReader, chosen: Sequence[Any]) -> dict[str, _Topic]:
             topic.stamps.append(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
         topic.rows.append(tuple(float(get(message)) for get in topic.getters.values()))
     return read
+
+
+def _check_counts(chosen: Sequence[Any], read: Mapping[str, _Topic]) -> None:
+    """Refuse a bag that lost messages which its index counts; not all formats have checksums."""
+    for topic in {connection.topic for connection in chosen}:
+        counted = sum(connection.msgcount for connection in chosen if connection.topic == topic)
+        there = len(read[topic].rows) if topic in read else 0
+        if there < counted:
+            raise AnyReaderError(f"{there} of {counted} messages on {topic}")
 
 
 def _getters(value: Any, name: str) -> Iterable[tuple[str, Any]]:

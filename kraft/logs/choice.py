@@ -90,7 +90,7 @@ class Stream:
         if "qw" not in self.roles:
             return ", ".join(map(str, (self.time, *self.channels)))
         turn = ", ".join(channel.column for channel in self.channels[2:])
-        common = os.path.commonprefix([channel.column for channel in self.channels[2:]]).rstrip("._")
+        common = os.path.commonprefix([channel.column for channel in self.channels[2:]]).rstrip("._")  # noqa: RUF071
         first = ", ".join(map(str, (self.time, *self.channels[:2])))
         return f"{first}, yaw from {common or turn!r} (quaternion, converted)"
 

@@ -21,6 +21,7 @@ from kraft.logs.parts import (
     make_part,
     pose_gap,
     report_dropouts,
+    report_gaps,
     stretches,
 )
 from kraft.logs.samples import Samples, read_samples
@@ -50,6 +51,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     check_units(commands, poses, xyyaw, findings)
     merged = _merge(commands, controls, mapping.limits)
     _check_overlap(merged, poses, choice)
+    report_dropouts(poses, pose_gap(poses.times, mapping.limits), findings)
     repeated = stale(poses.times, xyyaw)
     _report_stale(poses, repeated, findings)
     poses, xyyaw = poses.keep(~repeated), xyyaw[~repeated]
@@ -148,7 +150,7 @@ def _cut(
     findings: Findings,
 ) -> tuple[Part, ...]:
     gap = pose_gap(poses.times, mapping.limits)
-    report_dropouts(poses, gap, findings)
+    report_gaps(poses, gap, findings)
     speed = mapping.limits.top_speed or top_speed(poses.times, xyyaw[:, :2])
     labels = tracks(poses.times, xyyaw, speed)
     _report_teleports(poses, labels, speed, findings)

@@ -7,7 +7,7 @@ from typing import Final
 from kraft.logs.names import parse
 
 TIME: Final = {"t", "time", "timestamp", "stamp", "ts", "clock", "seconds", "secs"}
-YAW: Final = ("yaw", "heading", "theta", "psi", "th", "phi")
+YAW: Final = ("yaw", "heading", "theta", "psi", "th", "phi", "hdg")
 COMMAND: Final = {
     *("cmd", "cmds", "command", "commands", "commanded", "control", "controls", "ctrl", "action", "input", "u", "act"),
     *("des", "desired", "target", "setpoint", "sp", "ref", "drive", "ackermann"),

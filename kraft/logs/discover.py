@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -105,12 +106,18 @@ def _logs_of(files: Sequence[Path], root: Path, controls: Sequence[str], mapping
     bags = [path for path in files if path.suffix.lower() in BAGS]
     tables = [path for path in files if path not in bags and path.name != TRUTH]
     found = [Candidate(_name(path, root), "bag", (path,)) for path in bags]
-    found += [Candidate(_name(paths[0], root), "csv", paths) for paths in group(tables, controls, mapping)]
+    found += [Candidate(_shared_name(paths, root), "csv", paths) for paths in group(tables, controls, mapping)]
     return sorted(found, key=lambda candidate: candidate.name)
 
 
 def _name(path: Path, root: Path) -> str:
     return path.relative_to(root).with_suffix("").as_posix()
+
+
+def _shared_name(paths: Sequence[Path], root: Path) -> str:
+    """What the names of the files begin with: ``run1`` for ``run1_commands.csv`` and ``run1_poses.csv``."""
+    names = [_name(path, root) for path in paths]
+    return os.path.commonprefix(names).rstrip("_-. /") or names[0]  # noqa: RUF071 - characters are meant
 
 
 def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:

@@ -21,7 +21,7 @@ from kraft.logs.columns import (
 )
 from kraft.logs.mapping import Column, Mapping
 from kraft.logs.names import parse
-from kraft.logs.pick import HOW, Picked, Picker
+from kraft.logs.pick import HOW, Picked, Picker, missing
 from kraft.logs.table import Table
 from kraft.suggest import choose as suggest
 
@@ -45,7 +45,14 @@ class _Attempt:
 
     @property
     def problems(self) -> list[Diagnostic]:
-        return [picked.problem for picked in (self.time, *self.found) if picked.problem is not None]
+        picked = (self.time, *self.found)
+        roles = [one.missing for one in picked if one.missing]
+        said = [one.problem for one in picked if one.problem is not None]
+        return [missing(self.table, roles), *said] if roles else said
+
+    @property
+    def gaps(self) -> int:
+        return sum(picked.channel is None for picked in (self.time, *self.found))
 
     @property
     def score(self) -> int:
@@ -85,8 +92,8 @@ def offers(table: Table, controls: Sequence[str], mapping: Mapping) -> tuple[boo
     poses = _pose_attempt(table, mapping).found
     names = (None, table.name, table.file)
     return (
-        mapping.commands.table in names and all(picked.problem is None for picked in commands),
-        mapping.poses.table in names and all(picked.problem is None for picked in poses),
+        mapping.commands.table in names and all(picked.channel for picked in commands),
+        mapping.poses.table in names and all(picked.channel for picked in poses),
     )
 
 
@@ -238,8 +245,8 @@ def _best(attempts: Sequence[_Attempt], what: str) -> tuple[Stream, tuple[str, .
     """Stream of the best complete attempt, and the names of the other complete ones."""
     complete = sorted((a for a in attempts if not a.problems), key=lambda a: -a.score)
     if not complete:
-        fewest = min(len(a.problems) for a in attempts)
-        nearest = [a for a in attempts if len(a.problems) == fewest]
+        fewest = min(a.gaps for a in attempts)
+        nearest = [a for a in attempts if a.gaps == fewest]
         raise InputError(chain.from_iterable(a.problems for a in nearest))
     if len(complete) > 1 and complete[0].score == complete[1].score:
         both = " and ".join(a.table.name for a in complete if a.score == complete[0].score)

@@ -100,7 +100,7 @@ class LogSet:
     """Logs that were read together, and what was wrong with those that could not be.
 
     Attributes:
-        logs: at least one, in the order of their names.
+        logs: at least one; those of a folder in the order of their names, its own before those of its folders.
         problems: one or more for each log that was left out.
     """
 

@@ -58,14 +58,20 @@ def pose_gap(times: Array, limits: Limits) -> float:
 
 
 def report_dropouts(poses: Samples, gap: float, findings: Findings) -> None:
-    """Note missing poses that end no part, and gaps that do."""
+    """Note missing poses that end no part."""
     steps = np.diff(poses.times)
     usual = float(np.median(steps))
-    missing, long = (steps > DROPOUT_STEPS * usual) & (steps <= gap), steps > gap
+    missing = (steps > DROPOUT_STEPS * usual) & (steps <= gap)
     if missing.any():
         first, lost = int(np.argmax(missing)), int(np.sum(np.round(steps[missing] / usual) - 1))
         at = poses.where(first)
         findings.add("dropout", lost, f"about {count(lost, 'pose')} missing, first after {at}; nothing is left out")
+
+
+def report_gaps(poses: Samples, gap: float, findings: Findings) -> None:
+    """Note gaps in the poses that end a part."""
+    steps = np.diff(poses.times)
+    long = steps > gap
     if long.any():
         first, worst = int(np.argmax(long)), float(steps.max())
         text = f"{count(int(long.sum()), 'gap')} without poses of up to {worst:.3g} s, first after {poses.where(first)}"
@@ -120,8 +126,6 @@ def make_part(times: Array, poses: Array, commands: Commands, since: float) -> P
     """
     begin = max(since, times[0] - HISTORY)
     first = max(0, int(np.searchsorted(commands.times, begin, side="right")) - 1)
-    while first > 0 and commands.times[first] > times[0]:
-        first -= 1
     steps = np.diff(commands.times[first : int(np.searchsorted(commands.times, times[0], side="right"))])
     if (steps > commands.timeout).any():
         first += int(np.flatnonzero(steps > commands.timeout)[-1]) + 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,11 +22,12 @@ HOW = "a mapping file says which column it is"
 
 @dataclass(frozen=True)
 class Picked:
-    """A column and how well it fits, or why there is none."""
+    """A column and how well it fits, or why there is none: nothing fits the role, or something is wrong."""
 
     channel: Channel | None
     score: int = 0
     problem: Diagnostic | None = None
+    missing: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,11 @@ class Picker:
     def pick(self, role: str, score: Score, quantity: Quantity, path: KeyPath, wish: Column | None) -> Picked:
         """Pick the column for a role; ``path`` is where the mapping file would say it, ``wish`` what it says."""
         if wish is not None:
-            return self.wished(role, wish, quantity, (*path, "column"))
+            written = (*path, "column")
+            return self.wished(role, wish, quantity, written if written in self.mapping.source.values else path)
         scores = {name: fit for name in self.table.columns if (fit := score(name)) is not None}
         if not scores:
-            return Picked(None, problem=self.missing(role))
+            return Picked(None, missing=role)
         best = max(scores.values())
         names = [name for name, fit in scores.items() if fit == best]
         if len(names) > 1:
@@ -79,13 +81,15 @@ class Picker:
             found = "rad"
         return Channel(role, name, found, stated=stated, note=note)
 
-    def missing(self, role: str) -> Diagnostic:
-        """Say that nothing fits a role."""
-        names = list(self.table.columns)
-        near = nearest(role, names)
-        shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-        problem = f"no {'field' if self.table.topic else 'column'} is recognised as {role}; there are {shown}"
-        return self.table.diagnostic(problem, f"did you mean {near!r}? {HOW}" if near else f"expected one; {HOW}")
+
+def missing(table: Table, roles: Sequence[str]) -> Diagnostic:
+    """Say for which roles nothing fits in a table."""
+    names = list(table.columns)
+    shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+    noun = "field" if table.topic else "column"
+    problem = f"no {noun} is recognised as {' or as '.join(roles)}; there are {shown}"
+    near = [f"{name!r} for {role}" for role in roles if (name := nearest(role, names)) is not None]
+    return table.diagnostic(problem, f"did you mean {', '.join(near)}? {HOW}" if near else f"expected one; {HOW}")
 
 
 def _clock_unit(values: np.ndarray) -> tuple[Unit, str]:

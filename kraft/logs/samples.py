@@ -16,6 +16,9 @@ from kraft.logs.table import Flags, Rows
 BACKWARD_MAX: Final = 0.2
 """Share of rows that may run backwards in time; a file with more holds several recordings."""
 
+HUGE: Final = 1e30
+"""No quantity of a log is as large in any unit: what is larger are bytes that were no number."""
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -68,7 +71,7 @@ def read_samples(what: str, stream: Stream, findings: Findings, rows: str = "") 
 
 def _numbers(samples: Samples, findings: Findings) -> Samples:
     cells = np.column_stack([samples.times, samples.values])
-    finite = np.isfinite(cells)
+    finite = np.abs(cells) < HUGE  # neither NaN nor infinite, and squares of it are finite
     good: Flags = np.all(finite, axis=1)
     if not good.any():
         columns = [c.column for c in (samples.stream.time, *samples.stream.channels)]
