@@ -58,41 +58,50 @@ def step_lanes(block: Floats, lanes: int) -> None:
         store_next(block, AT_NEXT, i, runge_kutta_4(load_state(block, i), u, p, block[AT_STEP + i]))
 
 
+@part
+def load_lanes(first: int, lanes: int, x: Matrix, u: Matrix, p: Floats, h: Floats, block: Floats) -> None:
+    """Fill the working block with steps first ... first + lanes - 1."""
+    for i in range(lanes):
+        for k in range(NX):
+            block[k * WIDTH + i] = x[first + i, k]
+        for k in range(NU):
+            block[AT_CONTROL + k * WIDTH + i] = u[first + i, k]
+        for k in range(NP):
+            block[AT_PARAMETERS + k * WIDTH + i] = p[k]
+        block[AT_STEP + i] = h[first + i]
+
+
+@part
+def add_change(first: int, lanes: int, j: int, change: float, factor: float, block: Floats, jacobian: Floats) -> None:
+    """Step with component j changed, and add the states after it, times `factor`, to column j of the derivatives."""
+    for i in range(lanes):
+        block[j * WIDTH + i] += change
+    step_lanes(block, lanes)
+    for i in range(lanes):
+        for k in range(NX):
+            jacobian[first + i, k, j] += factor * block[AT_NEXT + k * WIDTH + i]
+
+
 def _linearise(
     x: Matrix, u: Matrix, p: Floats, h: Floats, change: Floats, block: Floats, after: Matrix, jacobian: Floats
 ) -> None:
     """States (n, nx) after steps `h` (n,) from `x` (n, nx) with controls `u` (n, nu), and their derivatives.
 
-    `jacobian` (n, nx, changes) holds central differences by `change` in state, control and parameters, in this order;
-    with no changes only the states are computed.
+    `jacobian` (n, nx, changes), zeros, receives central differences by `change` in state, control and parameters, in
+    this order; with no changes only the states are computed.
     """
     for first in range(0, len(h), WIDTH):
         lanes = min(WIDTH, len(h) - first)
-        for i in range(lanes):
-            for k in range(NX):
-                block[k * WIDTH + i] = x[first + i, k]
-            for k in range(NU):
-                block[AT_CONTROL + k * WIDTH + i] = u[first + i, k]
-            for k in range(NP):
-                block[AT_PARAMETERS + k * WIDTH + i] = p[k]
-            block[AT_STEP + i] = h[first + i]
+        load_lanes(first, lanes, x, u, p, h, block)
         step_lanes(block, lanes)
         for i in range(lanes):
             for k in range(NX):
                 after[first + i, k] = block[AT_NEXT + k * WIDTH + i]
         for j in range(len(change)):
-            scale = 0.5 / change[j]
+            factor = 0.5 / change[j]
+            add_change(first, lanes, j, change[j], factor, block, jacobian)
+            add_change(first, lanes, j, -2.0 * change[j], -factor, block, jacobian)
             for i in range(lanes):
-                block[j * WIDTH + i] += change[j]
-            step_lanes(block, lanes)
-            for i in range(lanes):
-                for k in range(NX):
-                    jacobian[first + i, k, j] = scale * block[AT_NEXT + k * WIDTH + i]
-                block[j * WIDTH + i] -= 2.0 * change[j]
-            step_lanes(block, lanes)
-            for i in range(lanes):
-                for k in range(NX):
-                    jacobian[first + i, k, j] -= scale * block[AT_NEXT + k * WIDTH + i]
                 block[j * WIDTH + i] += change[j]
 
 
@@ -128,6 +137,4 @@ linearise = compiled(
     folder=FOLDER,
     signature=types.void(_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _CUBE),
 )
-simulate = compiled(
-    _simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _VECTOR, _VECTOR, _CUBE)
-)
+simulate = compiled(_simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _VECTOR, _VECTOR, _CUBE))

@@ -1,7 +1,7 @@
 """System identification: the parameters of a vehicle model from logs of commands and poses (paper, Sec. IV-A).
 
-    identify(vehicle, logs, settings)                  parameters, intervals, warnings, smoothed states
-    prediction_errors(vehicle, logs, values, settings) how far open-loop prediction is off
+identify(vehicle, logs, settings)                  parameters, intervals, warnings, smoothed states
+prediction_errors(vehicle, logs, values, settings) how far open-loop prediction is off
 """
 
 from kraft.sysid.identify import identify

@@ -44,7 +44,7 @@ class Stretch:
     @property
     def times(self) -> Floats:
         """(steps + 1,) of the states, s."""
-        times: Floats = self.begin + self.h * np.arange(self.steps + 1)
+        times: Floats = self.begin + self.h * np.arange(self.steps + 1, dtype=np.float64)
         return times
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
@@ -16,7 +17,7 @@ from ompl_ext.arrays import Floats
 
 ALIKE = 0.95
 """Correlation from which two parameters cannot be told apart."""
-NOT_TIGHTER = 0.8
+NOT_TIGHTER = 0.7
 """Share of the prior's standard deviation that the data must stay below."""
 TOO_LARGE, TOO_SMALL = 2.0, 0.4
 """Mean squared residual, in those that the noise lets expect."""
@@ -87,6 +88,9 @@ def _bounds(case: Case) -> Iterator[str]:
     p = case.problem.parameters
     for name, which in at_bound(case).items():
         number = p.numbers[p.index(name)]
+        if name in p.extras and number.min == 0.0 and which == "lower":
+            yield f"{name} is 0, the least it can be: the data show none"
+            continue
         bound = number.min if which == "lower" else number.max
         yield (
             f"{name} is at its {which} bound {bound:g} {number.unit}".rstrip()
@@ -117,10 +121,15 @@ def _correlation(case: Case) -> Iterator[str]:
 
 
 def residual_ratio(case: Case) -> float:
-    """Mean squared residual in those that the noise lets expect, 1 if everything is as stated."""
-    chains = case.problem.chains
-    freedom = 3 * len(chains.share) - case.problem.motion.nx * len(chains.log)
-    return 2.0 * case.optimum.cost / max(freedom, 1)
+    """Squared residual of a typical pose in what the noise lets expect, 1 if everything is as stated.
+
+    The median, so that outliers do not count; the states take up some of the noise, one per degree of freedom.
+    """
+    problem = case.problem
+    squares = problem.noise.distance(problem.pose_residuals(case.optimum.point)) ** 2
+    shown = 3.0 if problem.observation.turns else 2.0
+    taken = problem.motion.nx * len(problem.chains.log) / (shown * len(squares))
+    return float(np.median(squares) / (chi2.median(shown) * max(1.0 - taken, 0.1)))
 
 
 def _residuals(case: Case) -> Iterator[str]:
@@ -130,11 +139,11 @@ def _residuals(case: Case) -> Iterator[str]:
     said = f"the {whose} noise ({noise.position:.3g} m, {noise.yaw:.3g} rad) and the process noise"
     if ratio > TOO_LARGE:
         yield (
-            f"residuals are {np.sqrt(ratio):.1f} times as large as {said} let expect: either is stated too small, or "
+            f"residuals are {np.sqrt(ratio):.1f} times as large as {said} let expect: one is stated too small, or "
             "the model lacks something"
         )
     elif ratio < TOO_SMALL:
-        yield f"residuals are {np.sqrt(ratio):.2f} times as large as {said} let expect: either is stated too large"
+        yield f"residuals are {np.sqrt(ratio):.2f} times as large as {said} let expect: one is stated too large"
 
 
 def _disagreement(case: Case) -> Iterator[str]:
@@ -148,7 +157,7 @@ def _disagreement(case: Case) -> Iterator[str]:
         share = case.uncertain.moves[odd, worst] ** 2 / max(np.sum(case.uncertain.moves[:, worst] ** 2), 1e-300)
         said = f"; {case.logs[odd]} differs most" if share > 2.0 / len(case.logs) else ""
         yield (
-            f"the logs disagree about {case.names[worst]}, {ratio[worst]:.1f} times as much as the noise explains{said}: "
+            f"the logs disagree about {case.names[worst]}, {ratio[worst]:.1f} times what noise explains{said}: "
             "something changed between them, or the model lacks something"
         )
 

@@ -131,36 +131,43 @@ def fold_control(i: int, g: Graph, out: Eliminated) -> None:
 
 
 @part
-def add_dynamics(i: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
-    """Add step i, from state s to s + 1: columns -F, I, -P with F and P the derivatives by state and rho."""
+def weigh(i: int, g: Graph, out: Eliminated) -> None:
+    """Information times the derivatives by state (scratch 1), by rho, and the residual (scratch 2, last column)."""
     nx, np_ = out.left.shape[1], out.by_rho.shape[2]
-    w, weighted_f, weighted_p, here = out.noise[i], out.scratch[1], out.scratch[2], out.solved[s]
-    there = out.solved[s + 1]
+    w, weighted_f, weighted_p = out.noise[i], out.scratch[1], out.scratch[2]
     for a in range(nx):
         for c in range(nx):
             weighted_f[a, c] = 0.0
-            for b in range(nx):
-                weighted_f[a, c] += w[a, b] * g.jacobian[i, b, c]
-        for r in range(np_):
+        for r in range(np_ + 1):
             weighted_p[a, r] = 0.0
-            for b in range(nx):
-                weighted_p[a, r] += w[a, b] * out.by_rho[i, b, r]
-        weighted_p[a, np_] = 0.0
         for b in range(nx):
+            for c in range(nx):
+                weighted_f[a, c] += w[a, b] * g.jacobian[i, b, c]
+            for r in range(np_):
+                weighted_p[a, r] += w[a, b] * out.by_rho[i, b, r]
             weighted_p[a, np_] += w[a, b] * out.left[i, b]
+
+
+@part
+def add_dynamics(i: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
+    """Add step i, from state s to s + 1: columns -F, I, -P with F and P the derivatives by state and rho."""
+    nx, np_ = out.left.shape[1], out.by_rho.shape[2]
+    weigh(i, g, out)
+    weighted_f, weighted_p, here, there = out.scratch[1], out.scratch[2], out.solved[s], out.solved[s + 1]
     for a in range(nx):
         for c in range(nx):
-            out.diagonal[s + 1, a, c] += w[a, c]
+            out.diagonal[s + 1, a, c] += out.noise[i, a, c]
             here[a, c] -= weighted_f[c, a]  # -F^T W, W symmetric
-            for b in range(nx):
-                out.diagonal[s, a, c] += g.jacobian[i, b, a] * weighted_f[b, c]
         for r in range(np_):
             there[a, nx + r] -= weighted_p[a, r]
-            for b in range(nx):
-                here[a, nx + r] += g.jacobian[i, b, a] * weighted_p[b, r]
         there[a, nx + np_] += weighted_p[a, np_]
         for b in range(nx):
-            here[a, nx + np_] -= g.jacobian[i, b, a] * weighted_p[b, np_]
+            f = g.jacobian[i, b, a]
+            for c in range(nx):
+                out.diagonal[s, a, c] += f * weighted_f[b, c]
+            for r in range(np_):
+                here[a, nx + r] += f * weighted_p[b, r]
+            here[a, nx + np_] -= f * weighted_p[b, np_]
     for r in range(np_):
         for b in range(nx):
             out.gradient[log, r] -= out.by_rho[i, b, r] * weighted_p[b, np_]
@@ -169,33 +176,38 @@ def add_dynamics(i: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
 
 
 @part
-def add_pose(j: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
-    """Add pose j, seen between states s and s + 1."""
+def add_pose_to_states(j: int, row: int, s: int, g: Graph, out: Eliminated) -> None:
+    """Add one row of pose j to states s and s + 1, between which it was seen."""
     nx, np_ = out.left.shape[1], out.by_rho.shape[2]
     there, here = g.share[j], 1.0 - g.share[j]
-    for row in range(3):
-        w = g.weight[j] * g.pose_information[row]
-        e = g.pose[j, row]
-        for a in range(nx):
-            slope = w * g.pose_state[j, row, a]
-            if slope == 0.0:
-                continue
-            for c in range(nx):
-                product = slope * g.pose_state[j, row, c]
-                out.diagonal[s, a, c] += here * here * product
-                out.solved[s, a, c] += here * there * product
-                out.diagonal[s + 1, a, c] += there * there * product
-            for r in range(np_):
-                product = slope * g.pose_rho[j, row, r]
-                out.solved[s, a, nx + r] += here * product
-                out.solved[s + 1, a, nx + r] += there * product
-            out.solved[s, a, nx + np_] += here * slope * e
-            out.solved[s + 1, a, nx + np_] += there * slope * e
+    for a in range(nx):
+        slope = g.weight[j] * g.pose_information[row] * g.pose_state[j, row, a]
+        if slope == 0.0:
+            continue
+        for c in range(nx):
+            product = slope * g.pose_state[j, row, c]
+            out.diagonal[s, a, c] += here * here * product
+            out.solved[s, a, c] += here * there * product
+            out.diagonal[s + 1, a, c] += there * there * product
         for r in range(np_):
-            slope = w * g.pose_rho[j, row, r]
+            product = slope * g.pose_rho[j, row, r]
+            out.solved[s, a, nx + r] += here * product
+            out.solved[s + 1, a, nx + r] += there * product
+        out.solved[s, a, nx + np_] += here * slope * g.pose[j, row]
+        out.solved[s + 1, a, nx + np_] += there * slope * g.pose[j, row]
+
+
+@part
+def add_pose(j: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
+    """Add pose j, seen between states s and s + 1."""
+    np_ = out.by_rho.shape[2]
+    for row in range(3):
+        add_pose_to_states(j, row, s, g, out)
+        for r in range(np_):
+            slope = g.weight[j] * g.pose_information[row] * g.pose_rho[j, row, r]
             if slope == 0.0:
                 continue
-            out.gradient[log, r] += slope * e
+            out.gradient[log, r] += slope * g.pose[j, row]
             for q in range(np_):
                 out.information[log, r, q] += slope * g.pose_rho[j, row, q]
 
@@ -242,8 +254,25 @@ def _eliminate(g: Graph, damping: float, out: Eliminated) -> None:
         eliminate_state(g.first[chain + 1] - 1, True, log, damping, out)
 
 
+@part
+def deviation(i: int, s: int, g: Graph, out: Eliminated, rho: Floats, states: Matrix, controls: Matrix) -> None:
+    """Change of the deviation of step i's control: to zero, then what it takes to lead from state s to the next."""
+    nx, nu = g.dynamics.shape[1], g.control.shape[1]
+    for k in range(nu):
+        controls[i, k] = -g.control[i, k]
+    for a in range(nx):
+        e = out.left[i, a] + states[s + 1, a]
+        for b in range(nx):
+            e -= g.jacobian[i, a, b] * states[s, b]
+        for r in range(len(rho)):
+            e -= out.by_rho[i, a, r] * rho[r]
+        for b in range(nx):
+            for k in range(nu):
+                controls[i, k] += g.control_variance[k] * g.jacobian[i, b, nx + k] * out.noise[i, b, a] * e
+
+
 def _back_substitute(g: Graph, out: Eliminated, rho: Floats, states: Matrix, controls: Matrix) -> None:
-    nx, nu, np_ = g.dynamics.shape[1], g.control.shape[1], len(rho)
+    nx, np_ = g.dynamics.shape[1], len(rho)
     for chain in range(len(g.log)):
         last = g.first[chain + 1] - 1
         for s in range(last, g.first[chain] - 1, -1):
@@ -256,18 +285,7 @@ def _back_substitute(g: Graph, out: Eliminated, rho: Floats, states: Matrix, con
                         total += out.solved[s, a, b] * states[s + 1, b]
                 states[s, a] = -total
         for s in range(g.first[chain], last):
-            i = s - chain
-            for k in range(nu):
-                controls[i, k] = -g.control[i, k]
-            for a in range(nx):
-                e = out.left[i, a] + states[s + 1, a]
-                for b in range(nx):
-                    e -= g.jacobian[i, a, b] * states[s, b]
-                for r in range(np_):
-                    e -= out.by_rho[i, a, r] * rho[r]
-                for b in range(nx):
-                    for k in range(nu):
-                        controls[i, k] += g.control_variance[k] * g.jacobian[i, b, nx + k] * out.noise[i, b, a] * e
+            deviation(s - chain, s, g, out, rho, states, controls)
 
 
 _FOLDER = cache_folder(f"sysid-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")
@@ -276,5 +294,5 @@ eliminate = compiled(_eliminate, folder=_FOLDER)
 """eliminate(graph, damping, out): fill `out`, each state's own information raised by the share `damping`."""
 
 back_substitute = compiled(_back_substitute, folder=_FOLDER)
-"""back_substitute(graph, out, rho, states, controls): changes of states (S, nx) and of the controls' deviations from the
+"""back_substitute(graph, out, rho, states, controls): changes of states (S, nx) and of the deviations of controls from
 commands (N, nu) that go with a change of rho (np,), written to the last two."""

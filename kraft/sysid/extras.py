@@ -1,9 +1,9 @@
 """Parameters beside the model's own that a real log needs: what lies between commands, model and observed poses.
 
-    delay, delay_<control>   commands take effect later: all of them, or one of them later still
-    dead_band_<control>      command that does nothing, and is taken off every larger one: friction, play of a linkage
-    lever, side              where the tracked point is in the model's frame
-    yaw_offset               observed yaw less the model's
+delay, delay_<control>   commands take effect later: all of them, or one of them later still
+dead_band_<control>      command that does nothing, and is taken off every larger one: friction, play of a linkage
+lever, side              where the tracked point is in the model's frame
+yaw_offset               observed yaw less the model's
 """
 
 from __future__ import annotations

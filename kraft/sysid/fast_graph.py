@@ -1,4 +1,4 @@
-"""The paper's graph in its fast form: linearised for all steps at once, controls and states eliminated in compiled code."""
+"""The paper's graph in its fast form: all steps linearised at once, controls and states eliminated in compiled code."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ class FastGraph:
         """Allocate what the elimination needs."""
         self.problem = problem
         self._out: Eliminated = allocate(problem.chains, problem.motion.nx, len(problem.parameters.names))
+
+    def cost(self, point: Point) -> float:
+        """What a point costs."""
+        return self.problem.cost(point)
 
     def linearise(self, point: Point) -> None:
         """Make the factors at a point."""
@@ -62,7 +66,7 @@ class FastGraph:
     def moved(self, change: Floats) -> Point:
         """The point that minimises the linearised problem among those whose rho has changed by `change`.
 
-        What controls deviate from the commands is kept, not the controls: a delay moves commands by more than is linear.
+        What controls deviate from commands is kept, not the controls: a delay moves commands by more than is linear.
         """
         states, deviations = np.empty_like(self._point.states), np.empty_like(self._point.controls)
         back_substitute(self._graph, self._out, change, states, deviations)

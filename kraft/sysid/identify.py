@@ -1,4 +1,4 @@
-"""Identify a vehicle from logs: from the data to initial values, through the graph to parameters and what to say of them."""
+"""Identify a vehicle from logs: from data to initial values, through the graph to parameters and their doubts."""
 
 from __future__ import annotations
 

@@ -43,8 +43,9 @@ def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
 def _problems(vehicle: Vehicle, log: Log) -> list[Diagnostic]:
     problems = [
         Diagnostic(
-            log.name, f"has no control {name}, only {', '.join(log.controls)}", f"{vehicle.name} takes "
-            f"{alternatives(vehicle.controls)}"
+            log.name,
+            f"has no control {name}, only {', '.join(log.controls)}",
+            f"{vehicle.name} takes {alternatives(vehicle.controls)}",
         )
         for name in vehicle.controls
         if name not in log.controls

@@ -31,7 +31,7 @@ class Motion:
     def linearise(self, x: Matrix, u: Matrix, p: Floats, h: Floats) -> tuple[Matrix, Floats]:
         """The same, and derivatives (n, nx, nx + nu + np) with respect to state, control and parameters."""
         change = np.concatenate([np.full(self.nx, CHANGE), self._control_change, CHANGE * np.maximum(np.abs(p), 0.05)])
-        after, jacobian = np.empty_like(x), np.empty((len(x), self.nx, len(change)))
+        after, jacobian = np.empty_like(x), np.zeros((len(x), self.nx, len(change)))
         self._kernels.linearise(x, u, p, h, change, self._block, after, jacobian)
         return after, jacobian
 

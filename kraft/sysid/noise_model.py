@@ -46,8 +46,10 @@ class NoiseModel:
 
     def weights(self, residuals: Matrix) -> Floats:
         """(n,) weight of each pose by Huber's loss: 1 up to the threshold, then falling with the distance."""
-        return self.threshold / np.maximum(self.distance(residuals), self.threshold) if self.robust else np.ones(
-            len(residuals)
+        return (
+            self.threshold / np.maximum(self.distance(residuals), self.threshold)
+            if self.robust
+            else np.ones(len(residuals))
         )
 
     def loss(self, residuals: Matrix) -> float:

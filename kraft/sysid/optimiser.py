@@ -15,7 +15,7 @@ from kraft.sysid.rho_graph import RhoFactors, bounded_step
 from ompl_ext.arrays import Floats
 
 ENOUGH = 1e-9
-"""Share of the cost by which it must still fall, else it has converged."""
+"""Share of the cost by which a step must change it, else it has converged."""
 EXPECTED = 1e-6
 """And the decrease that is then expected: a change of rho by a thousandth of its standard deviation."""
 RELAXATIONS = 2
@@ -29,6 +29,9 @@ class Linearised(Protocol):
     """One of the two forms of the graph."""
 
     problem: Problem
+
+    def cost(self, point: Point) -> float:
+        """What a point costs."""
 
     def linearise(self, point: Point) -> None:
         """Make the factors at a point."""
@@ -56,7 +59,7 @@ def optimise(graph: Linearised, start: Point, most: int) -> Optimum:
     """Minimise the cost within the parameters' bounds, in at most `most` iterations."""
     problem = graph.problem
     low, high, free = problem.parameters.low, problem.parameters.high, problem.parameters.free
-    point, cost = start, problem.cost(start)
+    point, cost = start, graph.cost(start)
     damping, converged, iterations = FIRST_DAMPING, False, 0
     graph.linearise(point)
     while iterations < most and not converged and damping < MOST_DAMPING:
@@ -65,8 +68,8 @@ def optimise(graph: Linearised, start: Point, most: int) -> Optimum:
         candidate = graph.moved(change)
         candidate, lower = _relaxed(graph, candidate, cost)
         iterations += 1
+        converged = abs(cost - lower) < ENOUGH * cost and factors.decrease(change) < EXPECTED
         if lower <= cost:
-            converged = cost - lower < ENOUGH * cost and factors.decrease(change) < EXPECTED
             point, cost, damping = candidate, lower, max(0.1 * damping, LEAST_DAMPING)
         else:
             damping *= 10.0
@@ -76,12 +79,12 @@ def optimise(graph: Linearised, start: Point, most: int) -> Optimum:
 
 def _relaxed(graph: Linearised, candidate: Point, cost: float) -> tuple[Point, float]:
     """A candidate and its cost; one that costs too much after states and controls followed where the model bends."""
-    lower = graph.problem.cost(candidate)
+    lower = graph.cost(candidate)
     for _ in range(RELAXATIONS):
         if lower <= cost or not np.isfinite(lower):
             break
         graph.linearise(candidate)
         graph.reduce(0.0)
         candidate = graph.moved(np.zeros_like(candidate.rho))
-        lower = graph.problem.cost(candidate)
+        lower = graph.cost(candidate)
     return candidate, lower if np.isfinite(lower) else np.inf

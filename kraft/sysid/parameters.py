@@ -183,7 +183,9 @@ def _at(number: Number, values: Mapping[str, float]) -> Number:
     value = float(values[number.name])
     if not number.min <= value <= number.max:
         raise InputError.of(
-            number.name, f"is {value:g}", f"expected a value from {number.min:g} to {number.max:g} {number.unit}".strip()
+            number.name,
+            f"is {value:g}",
+            f"expected a value from {number.min:g} to {number.max:g} {number.unit}".strip(),
         )
     return Number(
         number.name, value, number.min, number.max, number.std, number.unit, number.description, number.stated

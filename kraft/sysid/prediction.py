@@ -1,8 +1,8 @@
 """How far the model's open-loop prediction is off after 1, 2 and 3 s.
 
-A window's prediction knows the commands and the poses up to its beginning, no later ones.  A part that begins at rest
-begins its first window there, at its first pose; every other window begins at the state that the graph, with the
-parameters held, makes of the three seconds before.
+A window's prediction knows the commands, and the poses up to its beginning, no later ones (but for how noisy they
+are).  A part that begins at rest begins its first window there, at its first pose; every other window begins at the
+state that the graph, with the parameters held, makes of the three seconds before.
 """
 
 from __future__ import annotations

@@ -63,9 +63,7 @@ class Problem:
 
     def prior_residuals(self, rho: Floats) -> Floats:
         """(np,) in standard deviations; 0 for frozen ones."""
-        residuals: Floats = np.where(
-            self.parameters.free, (rho - self.parameters.nominal) / self.parameters.std, 0.0
-        )
+        residuals: Floats = np.where(self.parameters.free, (rho - self.parameters.nominal) / self.parameters.std, 0.0)
         return residuals
 
     def cost(self, point: Point) -> float:

@@ -97,7 +97,7 @@ class Identification:
     """decisions that were taken for the user, such as which extras were kept"""
     logs: tuple[LogFit, ...]
     rear_axle: float | None
-    """how far the tracked point is ahead of the axle that does not slip sideways, m; None for a model without steering"""
+    """how far the tracked point is ahead of the axle that does not slip sideways, m; None without steering"""
 
     @property
     def values(self) -> dict[str, float]:

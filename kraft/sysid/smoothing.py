@@ -5,28 +5,46 @@ from __future__ import annotations
 import numpy as np
 
 from kraft.sysid.settings import Noise
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Matrix
 
 NEIGHBOURS = 9
 """Poses of a local fit."""
 LEAST_POSITION, LEAST_YAW = 1e-4, 1e-4
 """Noise below which nobody measures, m and rad: logs without noise shall not have infinite weight."""
+LEAST_POSES = 5
+"""Of which noise can be measured."""
+FAR = 5.0
+"""Standard deviations from the neighbours from which a pose is an outlier."""
 MAD = 1.4826  # standard deviation per median absolute deviation of a normal distribution
 
 
 def measured_noise(times: list[Floats], poses: list[Matrix]) -> Noise:
     """Noise of poses by how far each is from a cubic through its two neighbours on either side.
 
-    The median absolute deviation keeps outliers out; a vehicle's own motion is smooth enough not to count.
+    A vehicle's own motion is smooth enough not to count.  An outlier spoils the deviations of its neighbours too, so
+    these are left out once it is known, and the median absolute deviation keeps out what remains.
     """
-    deviations = [_deviations(t, p) for t, p in zip(times, poses, strict=True) if len(t) >= 5]
+    deviations = [_deviations(t, p) for t, p in zip(times, poses, strict=True) if len(t) >= LEAST_POSES]
     if not deviations:
         return Noise(0.01, 0.02)
-    together = np.concatenate(deviations)
-    sigma = MAD * np.median(np.abs(together), axis=0)
-    return Noise(
-        max(float(np.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2))), LEAST_POSITION), max(float(sigma[2]), LEAST_YAW)
-    )
+    first = _spread(np.concatenate(deviations))
+    clean = np.concatenate([d[_undisturbed(d, first)] for d in deviations])
+    sigma = _spread(clean) if len(clean) else first
+    position = float(np.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2)))
+    return Noise(max(position, LEAST_POSITION), max(float(sigma[2]), LEAST_YAW))
+
+
+def _spread(deviations: Matrix) -> Floats:
+    spread: Floats = MAD * np.median(np.abs(deviations), axis=0)
+    return spread
+
+
+def _undisturbed(deviations: Matrix, sigma: Floats) -> Bools:
+    """Which deviations (n, 3) are of poses without an outlier among them and their two neighbours on either side."""
+    size = np.pad(np.max(np.abs(deviations) / np.maximum(sigma, 1e-12), axis=1), 2)
+    around = np.max(np.stack([size[k : len(size) - 4 + k] for k in range(5)]), axis=0)
+    outlier = np.pad((size[2:-2] > FAR) & (size[2:-2] == around), 2)
+    return ~np.any(np.stack([outlier[k : len(outlier) - 4 + k] for k in range(5)]), axis=0)
 
 
 def _deviations(t: Floats, poses: Matrix) -> Matrix:

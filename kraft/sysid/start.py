@@ -45,9 +45,7 @@ class Smooth:
 
 def smooth(chains: Chains) -> Smooth:
     """Smooth the poses of all chains."""
-    found = [
-        smoothed(s.part.pose_times[s.poses], s.part.poses[s.poses], s.times) for s in chains.stretches
-    ]
+    found = [smoothed(s.part.pose_times[s.poses], s.part.poses[s.poses], s.times) for s in chains.stretches]
     return Smooth(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]))
 
 
@@ -171,7 +169,8 @@ class Search:
         covered = _covered(before, after)
         residuals = (covered - self._observed) / self._scale
         residuals = np.nan_to_num(residuals, nan=1e6, posinf=1e6, neginf=-1e6)
-        return np.clip(residuals, -1e6, 1e6).reshape(count, -1)
+        limited: Matrix = np.clip(residuals, -1e6, 1e6).reshape(count, -1)
+        return limited
 
     def _pose_of(self, states: Floats) -> Floats:
         poses = states[..., self._pose]

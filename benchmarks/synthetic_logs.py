@@ -1,0 +1,135 @@
+"""Logs that a vehicle model makes of itself, with known parameters: for the tests and benchmarks of identification."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from kraft.logs.log import Log, Part
+from kraft.sysid.motion import Motion
+from kraft.sysid.parameters import vehicle_of
+from kraft.vehicle_config import VehicleConfig
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.vehicle import Vehicle
+
+FINE = 0.005
+"""Integration step, s: ten times finer than what identification uses."""
+CONTROL_HOLD = 10  # fine steps for which the noise of a control stays the same
+FIRST_POSE = 0.0123
+"""Time of the first pose, s: the clocks of commands and poses have nothing to do with each other."""
+OUTLIER = 0.5  # m
+
+Commands = tuple[Floats, Matrix]
+
+
+def random_commands(vehicle: Vehicle, seconds: float, rng: np.random.Generator, hold: float = 1.0) -> Commands:
+    """Commands that jump about every `hold` s, to anything between their bounds, but never far back."""
+    times = np.cumsum([0.0, *(hold * rng.uniform(0.5, 1.5, round(2 * seconds / hold) + 1))])
+    times = times[times < seconds]
+    columns = []
+    for name, (low, high) in vehicle.controls.items():
+        least = high * 0.3 if name == "throttle" else low
+        columns.append(rng.uniform(least, high, len(times)))
+    return times, np.column_stack(columns)
+
+
+def synthetic_logs(
+    vehicle: VehicleConfig | Vehicle,
+    truth: Mapping[str, float],
+    seeds: Sequence[int],
+    *,
+    seconds: float = 20.0,
+    noise: tuple[float, float] = (0.01, 0.02),
+    process: Sequence[float] = (),
+    control_noise: Sequence[float] = (),
+    rate: float = 30.0,
+    outliers: float = 0.0,
+    commands: Sequence[Commands] | None = None,
+) -> list[Log]:
+    """One log per seed, each from rest at the origin, of a vehicle with parameters and extras `truth`.
+
+    `noise` of the poses is in m and rad; `process` (nx,) what disturbs the state per square root of a second,
+    `control_noise` (nu,) the deviation of controls held for 50 ms; `outliers` the share of poses that are off by 0.5 m.
+    """
+    model = vehicle_of(vehicle)
+    generators = [np.random.default_rng(seed) for seed in seeds]
+    given = commands or [random_commands(model, seconds, rng) for rng in generators]
+    acting = np.stack([_acting(model, truth, c, seconds) for c in given], axis=1)
+    if len(control_noise):
+        acting += _held(generators, acting.shape, np.array(control_noise))
+    states = _driven(model, truth, acting, generators, np.array(process))
+    return [
+        Log(
+            f"log-{seed:03d}",
+            (),
+            tuple(model.controls),
+            (Part(*c, *_seen(model, truth, states[:, k], rng, seconds, noise, rate, outliers)),),
+        )
+        for k, (seed, c, rng) in enumerate(zip(seeds, given, generators, strict=True))
+    ]
+
+
+def _acting(model: Vehicle, truth: Mapping[str, float], commands: Commands, seconds: float) -> Matrix:
+    """Controls (steps, nu) as they act: delayed, and less the dead band."""
+    times, values = commands
+    middles = FINE * (np.arange(round(seconds / FINE)) + 0.5)
+    acting = np.empty((len(middles), len(model.controls)))
+    for k, (name, bounds) in enumerate(model.controls.items()):
+        delay = truth.get("delay", 0.0) + truth.get(f"delay_{name}", 0.0)
+        column = np.concatenate([[float(np.clip(0.0, *bounds))], values[:, k]])
+        u = column[np.searchsorted(times, middles - delay, side="right")]
+        acting[:, k] = np.sign(u) * np.maximum(np.abs(u) - truth.get(f"dead_band_{name}", 0.0), 0.0)
+    return acting
+
+
+def _held(generators: Sequence[np.random.Generator], shape: tuple[int, ...], sigma: Floats) -> Floats:
+    blocks = [rng.normal(size=(shape[0] // CONTROL_HOLD + 1, shape[2])) * sigma for rng in generators]
+    held: Floats = np.repeat(np.stack(blocks, axis=1), CONTROL_HOLD, axis=0)[: shape[0]]
+    return held
+
+
+def _driven(
+    model: Vehicle,
+    truth: Mapping[str, float],
+    acting: Floats,
+    generators: Sequence[np.random.Generator],
+    process: Floats,
+) -> Floats:
+    """States (steps + 1, logs, nx)."""
+    motion, count = Motion(model), acting.shape[1]
+    p = np.array([truth.get(name, value) for name, value in model.parameters.items()] or [0.0])
+    h = np.full(count, FINE)
+    start = np.zeros((count, len(model.state)))
+    if not len(process):
+        return motion.simulate(start, acting, np.tile(p, (count, 1)), h)
+    pushes = np.stack([rng.normal(size=(len(acting), len(process))) for rng in generators], axis=1)
+    pushes *= process * np.sqrt(FINE)
+    states = np.empty((len(acting) + 1, *start.shape))
+    states[0] = start
+    for i, push in enumerate(pushes):
+        states[i + 1] = motion.after(states[i], acting[i], p, h) + push
+    return states
+
+
+def _seen(
+    model: Vehicle,
+    truth: Mapping[str, float],
+    states: Matrix,
+    rng: np.random.Generator,
+    seconds: float,
+    noise: tuple[float, float],
+    rate: float,
+    outliers: float,
+) -> tuple[Floats, Matrix]:
+    times = np.arange(FIRST_POSE, seconds, 1.0 / rate)
+    grid = FINE * np.arange(len(states))
+    x, y, theta = (np.interp(times, grid, states[:, model.index(name)]) for name in ("x", "y", "theta"))
+    lever, side = truth.get("lever", 0.0), truth.get("side", 0.0)
+    c, s = np.cos(theta), np.sin(theta)
+    poses = np.column_stack([x + lever * c - side * s, y + lever * s + side * c, theta + truth.get("yaw_offset", 0.0)])
+    poses += rng.normal(size=poses.shape) * np.array([noise[0], noise[0], noise[1]])
+    bad, angle = rng.random(len(poses)) < outliers, rng.uniform(0.0, 2.0 * np.pi, len(poses))
+    poses[:, 0] += np.where(bad, OUTLIER * np.cos(angle), 0.0)
+    poses[:, 1] += np.where(bad, OUTLIER * np.sin(angle), 0.0)
+    return times, poses

@@ -1,0 +1,175 @@
+"""The paper's graph with every factor explicit, as in its figure of Sec. IV-A: to read, and to compare.
+
+Variables: states x_k, applied controls u_k, and the parameters rho.  Factors: a prior on each control at the command of
+its step, dynamics between neighbouring states, an observation between the two states that a pose was seen between.
+GTSAM linearises and eliminates; one graph per log, because the sandwich asks what each log says about rho.
+
+A CustomFactor must fill every H it is given, with the right shape, and must never return a NaN: GTSAM does not check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+
+from kraft.errors import Defect
+from kraft.sysid.problem import Point, Problem
+from kraft.sysid.rho_graph import RHO, RhoFactors
+from ompl_ext.arrays import Floats, Matrix
+
+Jacobians = list[Matrix] | None
+Evaluate = Callable[[list[Floats]], tuple[Floats, list[Matrix]]]
+
+
+class PaperGraph:
+    """The same interface as `FastGraph`: linearise at a point, reduce to rho, move the point by a change of rho."""
+
+    def __init__(self, problem: Problem) -> None:
+        """Make all factors."""
+        self.problem = problem
+        self._mean: tuple[bytes, Matrix, Floats] | None = None
+        chains = problem.chains
+        self._graphs = [gtsam.NonlinearFactorGraph() for _ in range(chains.logs)]
+        self._orderings = [gtsam.Ordering() for _ in range(chains.logs)]
+        for c, log in enumerate(chains.log):
+            for s in range(int(chains.first[c]), int(chains.first[c + 1])):
+                if s < chains.first[c + 1] - 1:
+                    self._add_step(self._graphs[log], s - c, s)
+                    self._orderings[log].push_back(_u(s - c))
+                self._orderings[log].push_back(_x(s))
+
+    def cost(self, point: Point) -> float:
+        """What GTSAM says that all factors cost, and the priors on rho."""
+        values = self._values(point)
+        priors = 0.5 * float(np.sum(self.problem.prior_residuals(point.rho) ** 2))
+        return priors + sum(graph.error(values) for graph in self._graphs)
+
+    def linearise(self, point: Point) -> None:
+        """Make the linear factors at a point."""
+        self._point = point
+        values = self._values(point)
+        self._linear = [graph.linearize(values) for graph in self._graphs]
+
+    def reduce(self, damping: float) -> RhoFactors:
+        """Eliminate controls and states of each log; only rho is damped, later."""
+        del damping
+        p = self.problem.parameters
+        size = len(p.names)
+        information, gradient = np.zeros((len(self._linear), size, size)), np.zeros((len(self._linear), size))
+        self._nets = []
+        for log, (linear, ordering) in enumerate(zip(self._linear, self._orderings, strict=True)):
+            net, rest = linear.eliminatePartialSequential(ordering)
+            matrix, vector = rest.hessian()
+            information[log], gradient[log] = matrix, -vector
+            self._nets.append(net)
+        inverse = np.where(p.free, 1.0 / p.std, 0.0)
+        return RhoFactors(information, gradient, inverse**2, inverse * self.problem.prior_residuals(self._point.rho))
+
+    def moved(self, change: Floats) -> Point:
+        """The point that minimises the linearised problem among those whose rho has changed by `change`."""
+        given = gtsam.VectorValues()
+        given.insert(RHO, change)
+        states, controls = self._point.states.copy(), self._point.controls.copy()
+        chains = self.problem.chains
+        solutions = [net.optimize(given) for net in self._nets]
+        for c, log in enumerate(chains.log):
+            for s in range(int(chains.first[c]), int(chains.first[c + 1])):
+                states[s] += solutions[log].at(_x(s))
+                if s < chains.first[c + 1] - 1:
+                    controls[s - c] += solutions[log].at(_u(s - c))
+        rho = self._point.rho + change
+        before, slopes = self._commands(self._point.rho)
+        bend = self._commands(rho)[0] - before - slopes @ change  # a delay moves commands by more than is linear
+        return Point(states, controls + bend, rho)
+
+    def _add_step(self, graph: gtsam.NonlinearFactorGraph, i: int, s: int) -> None:
+        """Add the control's prior, the dynamics, and the poses of step i, from state s."""
+        noise, chains = self.problem.noise, self.problem.chains
+        diagonal = gtsam.noiseModel.Diagonal.Sigmas
+        _add(graph, diagonal(noise.control), [_u(i), RHO], self._control(i))
+        sigmas = noise.process * np.sqrt(chains.h[i])
+        _add(graph, diagonal(sigmas), [_x(s), _u(i), _x(s + 1), RHO], self._dynamics(i))
+        seen: gtsam.noiseModel.Base = diagonal(noise.pose_sigmas)
+        if noise.robust:
+            huber = gtsam.noiseModel.mEstimator.Huber.Create(noise.threshold)
+            seen = gtsam.noiseModel.Robust.Create(huber, seen)
+        for j in range(int(chains.seen[i]), int(chains.seen[i + 1])):
+            _add(graph, seen, [_x(s), _x(s + 1), RHO], self._pose(j))
+
+    def _control(self, i: int) -> Evaluate:
+        def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
+            control, rho = given
+            means, slopes = self._commands(rho)
+            return control - means[i], [np.eye(len(control)), -slopes[i]]
+
+        return evaluate
+
+    def _dynamics(self, i: int) -> Evaluate:
+        motion, p, h = self.problem.motion, self.problem.parameters, self.problem.chains.h[i : i + 1]
+
+        def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
+            x, u, after, rho = given
+            led, jacobian = motion.linearise(x[None].copy(), u[None].copy(), p.model_values(rho), h)
+            by_x, by_u = jacobian[0, :, : motion.nx], jacobian[0, :, motion.nx : motion.nx + motion.nu]
+            by_rho = np.zeros((motion.nx, len(rho)))
+            by_rho[:, : p.own] = jacobian[0, :, motion.nx + motion.nu :][:, : p.own]
+            return after - led[0], [-by_x, -by_u, np.eye(motion.nx), -by_rho]
+
+        return evaluate
+
+    def _pose(self, j: int) -> Evaluate:
+        observation, share = self.problem.observation, float(self.problem.chains.share[j])
+        pose = self.problem.chains.poses[j]
+
+        def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
+            before, after, rho = given
+            state = ((1.0 - share) * before + share * after)[None]
+            by_state, by_rho = observation.linearise(state, rho)
+            residual = observation.residual(state, rho, pose[None])[0]
+            return residual, [(1.0 - share) * by_state[0], share * by_state[0], by_rho[0]]
+
+        return evaluate
+
+    def _commands(self, rho: Floats) -> tuple[Matrix, Floats]:
+        """Mean commands of all steps and their derivatives; those of the last rho are kept."""
+        key = rho.tobytes()
+        if self._mean is None or self._mean[0] != key:
+            self._mean = (key, *self.problem.commands.mean(rho))
+        return self._mean[1], self._mean[2]
+
+    def _values(self, point: Point) -> gtsam.Values:
+        values = gtsam.Values()
+        for s, state in enumerate(point.states):
+            values.insert(_x(s), state)
+        for i, control in enumerate(point.controls):
+            values.insert(_u(i), control)
+        values.insert(RHO, point.rho)
+        return values
+
+
+def _x(s: int) -> int:
+    key: int = gtsam.symbol("x", s)
+    return key
+
+
+def _u(i: int) -> int:
+    key: int = gtsam.symbol("u", i)
+    return key
+
+
+def _add(graph: gtsam.NonlinearFactorGraph, noise: gtsam.noiseModel.Base, keys: list[int], evaluate: Evaluate) -> None:
+    """Add a factor whose residual and derivatives `evaluate` gives for the values of its keys."""
+
+    def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> Floats:
+        del factor
+        residual, derivatives = evaluate([values.atVector(key) for key in keys])
+        if not np.isfinite(residual).all() or len(derivatives) != len(keys):
+            raise Defect("a factor's residual is not finite, or lacks a derivative")
+        if jacobians is not None:
+            for k, derivative in enumerate(derivatives):
+                jacobians[k] = np.asfortranarray(derivative)
+        return residual
+
+    graph.add(gtsam.CustomFactor(noise, keys, error))

@@ -1,0 +1,268 @@
+"""Identification from the inside: every derivative against differences, the elimination against a dense solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_logs import synthetic_logs
+from benchmarks.sysid import NOISE, TRUTH
+from kraft.errors import Defect
+from kraft.sysid.assembly import assemble, starting_point
+from kraft.sysid.chains import begins_at_rest, between, whole
+from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.motion import Motion
+from kraft.sysid.noise_model import noise_model, threshold
+from kraft.sysid.parameters import parameters_of, vehicle_of
+from kraft.sysid.problem import Point, Problem
+from kraft.sysid.rho_graph import RhoFactors, bounded_step
+from kraft.sysid.settings import Settings
+from kraft.sysid.smoothing import measured_noise, smoothed
+from kraft.sysid.start import smooth
+from kraft.sysid.uncertainty import uncertainty
+from kraft.vehicle import load_vehicle
+from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.mushr import MUSHR_DRIVE
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.specialise import kernels
+
+EXTRAS = ("delay", "delay_steering", "dead_band_throttle", "dead_band_steering", "lever", "side", "yaw_offset")
+VALUES = {**TRUTH, "delay": 0.07, "delay_steering": 0.03, "dead_band_throttle": 0.1, "dead_band_steering": 0.02,
+          "lever": 0.1, "side": -0.05, "yaw_offset": 0.03}  # fmt: skip
+
+
+def small_problem(robust: float | None = None, frozen: tuple[str, ...] = ()) -> tuple[Problem, Point]:
+    """Two short logs with every extra, and a point near their explanation."""
+    vehicle = load_vehicle_config("mushr-lag")
+    logs = synthetic_logs(vehicle, VALUES, range(2), seconds=1.5, outliers=0.05)
+    settings = Settings(values=VALUES, robust=robust, frozen=frozen)
+    parameters = parameters_of(vehicle, settings, EXTRAS)
+    stretches = [whole(log.parts[0], i, settings.step) for i, log in enumerate(logs)]
+    problem = assemble(stretches, 2, parameters, noise_model(parameters.vehicle, settings, NOISE))
+    point = starting_point(problem, smooth(problem.chains), parameters.nominal)
+    rng = np.random.default_rng(0)
+    controls = point.controls + 0.01 * rng.normal(size=point.controls.shape)
+    return problem, replace(point, controls=controls)
+
+
+def whitened(problem: Problem, point: Point) -> Floats:
+    """All residuals in standard deviations."""
+    variance = problem.noise.process * np.sqrt(problem.chains.h)[:, None]
+    return np.concatenate(
+        [
+            (problem.dynamics_residuals(point) / variance).ravel(),
+            (problem.control_residuals(point) / problem.noise.control).ravel(),
+            (problem.pose_residuals(point) / problem.noise.pose_sigmas).ravel(),
+            problem.prior_residuals(point.rho),
+        ]
+    )
+
+
+def flat(point: Point) -> Floats:
+    return np.concatenate([point.states.ravel(), point.controls.ravel(), point.rho])
+
+
+def shaped(vector: Floats, like: Point) -> Point:
+    states, controls, rho = np.split(vector, np.cumsum([like.states.size, like.controls.size]))
+    return Point(states.reshape(like.states.shape), controls.reshape(like.controls.shape), rho)
+
+
+def differences(function: Callable[[Floats], Floats], at: Floats, change: float = 1e-6) -> Matrix:
+    columns = []
+    for k in range(len(at)):
+        step = np.zeros(len(at))
+        step[k] = change
+        columns.append((function(at + step) - function(at - step)) / (2 * change))
+    return np.array(columns).T
+
+
+def test_one_step_of_the_fast_graph_is_that_of_the_dense_problem() -> None:
+    """Every derivative that the fast graph uses is checked by this, and all of the elimination."""
+    problem, point = small_problem()
+    jacobian = differences(lambda x: whitened(problem, shaped(x, point)), flat(point))
+    dense = shaped(np.linalg.lstsq(jacobian, -whitened(problem, point), rcond=None)[0], point)
+    graph = FastGraph(problem)
+    graph.linearise(point)
+    factors = graph.reduce(0.0)
+    wide, free = np.full(len(point.rho), 1e9), problem.parameters.free
+    change = bounded_step(factors, 0.0, -wide, wide, free)
+    assert change == pytest.approx(dense.rho, rel=1e-3, abs=1e-6)
+    moved = graph.moved(change)
+    assert moved.states - point.states == pytest.approx(dense.states, rel=1e-3, abs=1e-5)
+    mean = problem.commands.mean
+    bend = mean(moved.rho)[0] - mean(point.rho)[0] - mean(point.rho)[1] @ change
+    assert moved.controls - point.controls - bend == pytest.approx(dense.controls, rel=1e-3, abs=1e-5)
+    information = np.linalg.inv(np.linalg.inv(jacobian.T @ jacobian)[-len(change) :, -len(change) :])
+    assert factors.total_information == pytest.approx(information, rel=1e-3, abs=1e-3 * np.abs(information).max())
+
+
+def test_reweighted_gradients_are_those_of_the_robust_cost() -> None:
+    problem, point = small_problem(robust=1.345)
+    assert problem.noise.weights(problem.pose_residuals(point)).min() < 0.5
+    graph = FastGraph(problem)
+    for _ in range(40):  # states and controls at their best for this rho
+        graph.linearise(point)
+        factors = graph.reduce(0.0)
+        point = graph.moved(np.zeros(len(point.rho)))
+
+    def best(rho: Floats) -> Floats:
+        there = replace(point, rho=rho)
+        for _ in range(40):
+            graph.linearise(there)
+            graph.reduce(0.0)
+            there = graph.moved(np.zeros(len(rho)))
+        return np.array([problem.cost(there)])
+
+    gradient = differences(best, point.rho, 1e-4)[0]
+    assert factors.total_gradient == pytest.approx(gradient, rel=1e-2, abs=1e-2 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("name", ["mushr-lag", "examples/skid_steer.py:VEHICLE", "unicycle2"])
+def test_derivatives_of_steps_are_those_of_any_vehicle(name: str) -> None:
+    vehicle = load_vehicle(name)
+    motion, rng = Motion(vehicle), np.random.default_rng(1)
+    count, sizes = 40, (motion.nx, motion.nu, motion.np)
+    x = rng.uniform(0.1, 0.4, (count, motion.nx))
+    u = rng.uniform(0.2, 0.8, (count, motion.nu)) * vehicle.control_bounds[:, 1]
+    p, h = vehicle.parameter_array, np.full(count, 0.05)
+    after, jacobian = motion.linearise(x, u, p, h)
+    assert after == pytest.approx(motion.after(x, u, p, h), abs=1e-14)
+
+    def step(values: Floats) -> Floats:
+        a, b, c = np.split(values, np.cumsum(sizes)[:-1])
+        return motion.after(a[None].copy(), b[None].copy(), c.copy(), h[:1])[0]
+
+    for i in range(0, count, 7):
+        expected = differences(step, np.concatenate([x[i], u[i], p]))
+        assert jacobian[i] == pytest.approx(expected, abs=1e-6)
+
+
+def test_steps_are_the_planners() -> None:
+    vehicle = MUSHR_DRIVE
+    motion, x, u = Motion(vehicle), np.array([0.1, 0.2, 0.3, 0.4]), np.array([0.7, 0.1])
+    planned = np.empty(4)
+    kernels(vehicle).advance(x, u, vehicle.parameter_array, 0.05, planned)
+    assert motion.after(x[None], u[None], vehicle.parameter_array, np.array([0.05]))[0] == pytest.approx(planned)
+
+
+def test_a_simulation_is_one_step_after_the_other() -> None:
+    vehicle = vehicle_of(load_vehicle_config("mushr-lag"))
+    motion, rng, lanes = Motion(vehicle), np.random.default_rng(2), 70  # more than are integrated at once
+    u, h = rng.uniform(0, 0.3, (5, lanes, 2)), rng.uniform(0.01, 0.05, lanes)
+    p = vehicle.parameter_array * rng.uniform(0.8, 1.2, (lanes, 4))
+    states = motion.simulate(rng.normal(size=(lanes, 4)), u, p, h)
+    for k in range(5):
+        for lane in (0, 33, 69):
+            one = motion.after(
+                states[k, lane : lane + 1].copy(), u[k, lane : lane + 1].copy(), p[lane], h[lane : lane + 1]
+            )
+            assert states[k + 1, lane] == pytest.approx(one[0], abs=1e-14)
+
+
+@pytest.mark.parametrize("extras", [(), EXTRAS])
+def test_commands_act_for_as_long_as_they_are_held(extras: tuple[str, ...]) -> None:
+    """The mean over all steps is that of the shifted signal, whatever the steps are."""
+    problem, _ = small_problem()
+    vehicle = load_vehicle_config("mushr-lag")
+    parameters = parameters_of(
+        vehicle, Settings(values={n: v for n, v in VALUES.items() if n in (*TRUTH, *extras)}), extras
+    )
+    stretch = problem.chains.stretches[0]
+    commands = type(problem.commands)([stretch], parameters)
+    rho = parameters.nominal.copy()
+    for name in extras:
+        if name.startswith("dead_band"):
+            rho[parameters.index(name)] = 0.0
+    means, slopes = commands.mean(rho)
+    delays = (0.07, 0.10) if extras else (0.0, 0.0)
+    part = stretch.part
+    fine = np.linspace(stretch.times[3], stretch.times[-3], 200_001)
+    for k in range(2):
+        values = np.concatenate([[0.0], part.commands[:, k]])
+        signal = values[np.searchsorted(part.command_times, fine - delays[k], side="right")]
+        assert means[3:-2, k].mean() == pytest.approx(signal.mean(), abs=0.02)
+    expected = differences(lambda r: commands.mean(r)[0].ravel(), rho, 1e-7)
+    assert slopes.reshape(-1, len(rho)) == pytest.approx(expected, abs=1e-4 * max(1.0, np.abs(expected).max()))
+
+
+def test_a_step_stops_at_bounds_and_the_others_follow() -> None:
+    information = np.array([[[2.0, 1.0], [1.0, 2.0]]])
+    factors = RhoFactors(information, np.array([[-4.0, -2.0]]), np.zeros(2), np.zeros(2))
+    free = np.array([True, True])
+    wide = np.full(2, 10.0)
+    assert bounded_step(factors, 0.0, -wide, wide, free) == pytest.approx([2.0, 0.0])
+    held = bounded_step(factors, 0.0, -wide, np.array([1.0, 10.0]), free)
+    assert held == pytest.approx([1.0, 0.5])
+    assert bounded_step(factors, 0.0, -wide, wide, np.array([False, True])) == pytest.approx([0.0, 1.0])
+    assert bounded_step(factors, 0.0, -wide, np.array([0.0, 10.0]), free) == pytest.approx([0.0, 1.0])
+
+
+def test_the_sandwich_is_the_jackknife_of_the_mean() -> None:
+    """One parameter, each log says a number: the variance of the mean, whatever noise was stated."""
+    rng = np.random.default_rng(0)
+    said = rng.normal(size=20)
+    factors = RhoFactors(np.ones((20, 1, 1)), (said.mean() - said)[:, None], np.zeros(1), np.zeros(1))
+    found = uncertainty(factors, np.array([True]))
+    assert found.kind == "sandwich"
+    assert found.covariance[0, 0] == pytest.approx(np.var(said, ddof=1) / 20)
+    assert found.graph[0, 0] == pytest.approx(1 / 20)
+    assert found.quantile == pytest.approx(2.093, abs=1e-3)  # t, 19 degrees of freedom
+
+
+def test_noise_is_measured_in_spite_of_motion_and_outliers() -> None:
+    vehicle = load_vehicle_config("mushr-lag")
+    parts = [log.parts[0] for log in synthetic_logs(vehicle, TRUTH, range(4), noise=(0.004, 0.03), outliers=0.05)]
+    noise = measured_noise([p.pose_times for p in parts], [p.poses for p in parts])
+    assert noise.position == pytest.approx(0.004, rel=0.15)
+    assert noise.yaw == pytest.approx(0.03, rel=0.1)
+
+
+def test_smoothing_follows_the_motion_and_not_the_outliers() -> None:
+    rng = np.random.default_rng(3)
+    times = np.sort(rng.uniform(0.0, 5.0, 150))
+    truth = np.column_stack([np.cos(times), np.sin(times), times])
+    poses = truth + 0.01 * rng.normal(size=truth.shape)
+    poses[::25, :2] += 0.5
+    at = np.linspace(0.2, 4.8, 90)
+    smooth_poses, rates = smoothed(times, poses, at)
+    off = np.abs(smooth_poses - np.column_stack([np.cos(at), np.sin(at), at]))
+    assert np.median(off) < 0.005
+    assert np.quantile(off, 0.95) < 0.05
+    assert np.median(np.abs(rates[:, 2] - 1.0)) < 0.1
+
+
+def test_the_robust_threshold_leaves_as_many_poses_alone_as_in_one_dimension() -> None:
+    rng = np.random.default_rng(0)
+    distances = np.linalg.norm(rng.normal(size=(200_000, 3)), axis=1)
+    assert np.mean(distances > threshold(1.345)) == pytest.approx(0.1786, abs=0.003)
+    assert threshold(None) == np.inf
+
+
+def test_rest_is_told_from_motion_at_a_parts_beginning() -> None:
+    part = synthetic_logs(load_vehicle_config("mushr-lag"), TRUTH, [0])[0].parts[0]
+    assert begins_at_rest(part)
+    late = replace(part, pose_times=part.pose_times[200:], poses=part.poses[200:])
+    assert not begins_at_rest(late)
+
+
+def test_poses_lie_in_the_steps_that_they_were_seen_in() -> None:
+    part = synthetic_logs(load_vehicle_config("mushr-lag"), TRUTH, [0], seconds=3.0)[0].parts[0]
+    problem, _ = small_problem()
+    stretch = between(part, 0, 0.05, 10, 60, False)
+    chains = assemble([stretch], 1, problem.parameters, problem.noise).chains
+    seen = stretch.times[chains.step] + chains.share * stretch.h
+    assert seen == pytest.approx(part.pose_times[10:60])
+    assert (chains.seen[1:] - chains.seen[:-1]).sum() == 50
+    assert stretch.h <= 0.05
+
+
+def test_a_factor_that_is_not_finite_stops_the_paper_graph() -> None:
+    from kraft.sysid.paper_graph import PaperGraph
+
+    problem, point = small_problem()
+    broken = replace(point, states=np.full_like(point.states, np.nan))
+    with pytest.raises(Defect, match="not finite"):
+        PaperGraph(problem).linearise(broken)
