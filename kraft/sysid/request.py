@@ -168,7 +168,8 @@ def _draw_logs(request: Request, subject: Subject, parted: Split, error: InputEr
     if request.plot is not None:
         from kraft.plot.sysid_logs import plot_logs
 
-        plot_logs(request.plot, subject.vehicle, (*parted.fitted, *parted.held_out), error.diagnostics[0].problem)
+        why = f"{error.diagnostics[0].file} {error.diagnostics[0].problem}"
+        plot_logs(request.plot, subject.vehicle, (*parted.fitted, *parted.held_out), why)
 
 
 def _write(done: Identified) -> None:

@@ -66,6 +66,8 @@ def vehicle_text(
     subject: Subject,
     estimated: Mapping[str, Estimated],
     record: IdentificationRecord,
+    *,
+    tighten: bool = True,
 ) -> str:
     """Content of a vehicle file that will be in `folder`.
 
@@ -77,16 +79,17 @@ def vehicle_text(
         subject: whose model, footprint and top speed it gets.
         estimated: parameters; those that the subject does not have are left to the record.
         record: the section `identification`.
+        tighten: whether the standard deviations become those of this vehicle, or stay those of its kind.
     """
     shape = subject.footprint
     offset = f", offset: {_number(shape.offset)}" if shape.offset else ""
     lines = [
         *header,
         f"name: {name}",
-        f"description: {_text(description)}",
+        f"description: {_text(description, flow=False)}",
         "",
         f"model: {_model(subject.model, folder)}",
-        *_parameters(subject, estimated),
+        *_parameters(subject, estimated, tighten=tighten),
         "",
         f"footprint: {{length: {_number(shape.length)}, width: {_number(shape.width)}{offset}}}",
         f"top_speed: {subject.top_speed if isinstance(subject.top_speed, str) else _number(subject.top_speed)}",
@@ -97,27 +100,27 @@ def vehicle_text(
     return "\n".join(lines) + "\n"
 
 
-def identified(parameter: Parameter, estimate: Estimated) -> Parameter:
+def identified(parameter: Parameter, estimate: Estimated, *, tighten: bool = True) -> Parameter:
     """A parameter with the estimate in place of its value.
 
     What is plausible stays what it was, unless the estimate is not in it.  The standard deviation shrinks, but not to
-    that of the estimate: it is what identifying from other logs begins with.
+    that of the estimate: it is what identifying from other logs begins with.  Without `tighten` it stays.
     """
     value = float(f"{estimate.value:.{DIGITS}g}")
     low = None if parameter.min is None else min(parameter.min, value)
     high = None if parameter.max is None else max(parameter.max, value)
     std = parameter.std
-    if std is not None and not estimate.frozen:
+    if tighten and std is not None and not estimate.frozen:
         std = float(f"{min(std, max(LOOSER * estimate.std, LOOSEST * std)):.2g}")
     return Parameter(
         value=value, unit=estimate.unit or "1", description=estimate.description, min=low, max=high, std=std
     )
 
 
-def _parameters(subject: Subject, estimated: Mapping[str, Estimated]) -> Iterator[str]:
+def _parameters(subject: Subject, estimated: Mapping[str, Estimated], *, tighten: bool) -> Iterator[str]:
     yield "parameters:" if subject.parameters else "parameters: {}"
     for name, before in subject.parameters.items():
-        parameter = identified(before, estimated[name])
+        parameter = identified(before, estimated[name], tighten=tighten)
         limits = ((key, getattr(parameter, key)) for key in ("min", "max", "std"))
         told = "".join(f", {key}: {_number(value)}" for key, value in limits if value is not None)
         about = f", description: {_text(parameter.description)}" if parameter.description else ""
@@ -140,7 +143,7 @@ def _mapping(content: Mapping[str, Any], indent: str) -> Iterator[str]:
         if isinstance(value, dict) and any(isinstance(item, dict | list) for item in value.values()):
             yield label
             yield from _mapping(value, indent + "  ")
-        elif isinstance(value, list) and value and isinstance(value[0], dict | list | str):
+        elif isinstance(value, list) and any(isinstance(item, dict | list) or " " in str(item) for item in value):
             yield label
             yield from (f"{indent}  - {_flow(item)}" for item in value)
         else:
@@ -164,11 +167,11 @@ def _number(value: float) -> str:
     return f"{value:.{DIGITS}g}"
 
 
-def _text(text: str) -> str:
-    """Plain where every YAML reader takes it for text, else quoted."""
+def _text(text: str, *, flow: bool = True) -> str:
+    """Plain where every YAML reader takes it for text, else quoted; `flow` says that it stands between braces."""
     if re.fullmatch(r"[0-9a-f]{64}", text):
         return f'"{text}"'  # a hash of digits alone would be a number
     plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_/^.-]*( [A-Za-z0-9_/^.,-]+)*", text) and not re.fullmatch(
         r"(?i)true|false|null|yes|no|on|off|y|n", text
     )
-    return text if plain and ", " not in text else json.dumps(text, ensure_ascii=False)
+    return text if plain and not (flow and ", " in text) else json.dumps(text, ensure_ascii=False)
