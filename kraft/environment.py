@@ -26,6 +26,7 @@ REQUIRED: Final[dict[str, str]] = {
     "gtsam": "gtsam",
     "mujoco": "mujoco",
     "av": "av",
+    "rosbags": "rosbags.highlevel",
     "typer": "typer",
     "rich": "rich",
     "pyyaml": "yaml",
@@ -38,7 +39,6 @@ REQUIRED: Final[dict[str, str]] = {
 
 OPTIONAL: Final[dict[str, tuple[str, str]]] = {
     "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
-    "rosbags": ("rosbags", "reads ROS logs for `kraft sysid`"),
 }
 """Each package that few need: what to import, and what for."""
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +63,25 @@ def test_the_file_of_a_bag_is_enough(tmp_path: Path, kind: str, suffix: str) -> 
     log = read_one(tmp_path / f"bare{suffix}")
     same_drive(log)
     assert [Path(source.file).name for source in log.sources] == [f"bare{suffix}"]
+
+
+def test_a_bag_without_message_definitions_is_read(tmp_path: Path) -> None:
+    """As ROS 2 wrote them until Humble."""
+    path = write_bag(tmp_path / "drive", "sqlite", MADE) / "drive.db3"
+    with closing(sqlite3.connect(path)) as database, database:
+        assert database.execute("SELECT count(*) FROM message_definitions").fetchone()[0] > 0
+        database.execute("DELETE FROM message_definitions")
+        database.execute("UPDATE topics SET type_description_hash = ''")
+    metadata = tmp_path / "drive" / "metadata.yaml"
+    metadata.write_text(re.sub(r"type_description_hash:\s*\S+", "type_description_hash: ''", metadata.read_text()))
+    same_drive(read_one(tmp_path / "drive"))
+
+
+def test_a_bag_that_lost_messages_is_refused(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "drive", "sqlite", MADE) / "drive.db3"
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("DELETE FROM messages WHERE id > 250")
+    assert "is not a whole bag (130 of 180 messages on /odom)" in refused(tmp_path / "drive")
 
 
 def test_every_file_of_a_bag_is_hashed(tmp_path: Path) -> None:
@@ -154,26 +176,15 @@ def _garbled(content: bytes) -> bytes:
 def test_a_damaged_bag_is_refused_with_the_tool_that_may_save_it(
     tmp_path: Path, kind: str, tool: str, damage: Callable[[bytes], bytes]
 ) -> None:
-    made = (
-        write_bag(
-            tmp_path / "whole" / "drive.bag" if kind == "bag" else tmp_path / "drive",
-            {"db3": "sqlite"}.get(kind, kind),
-            MADE,
-        )
-        if kind != "bag"
-        else _ros1(tmp_path)
-    )
+    (tmp_path / "whole").mkdir()
+    written = {"bag": "bag", "mcap": "mcap", "db3": "sqlite"}[kind]
+    made = write_bag(tmp_path / "whole" / ("drive.bag" if kind == "bag" else "drive"), written, MADE)
     source = made if kind == "bag" else made / f"drive.{kind}"
     path = tmp_path / f"bad.{kind}"
     path.write_bytes(damage(source.read_bytes()))
     said = refused(path)
     assert said.startswith(f"{path}: is not a whole bag (")
     assert tool in said
-
-
-def _ros1(tmp_path: Path) -> Path:
-    (tmp_path / "whole").mkdir()
-    return write_bag(tmp_path / "whole" / "drive.bag", "bag", MADE)
 
 
 def test_one_truncated_bag_is_left_out(tmp_path: Path) -> None:

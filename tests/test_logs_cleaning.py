@@ -256,6 +256,41 @@ def test_degrees_on_a_straight_line_are_told_by_the_other_logs(tmp_path: Path) -
     assert alike.problem == "'yaw' is in degrees in other logs, so it is not believed to be in radians here"
 
 
+def test_few_commands_of_another_day_do_not_reach_the_poses(tmp_path: Path) -> None:
+    write_pair(tmp_path, Drive(MADE.command_times[:5], MADE.commands[:5], MADE.pose_times + 1e5, MADE.poses))
+    with pytest.raises(InputError, match="do not overlap in time"):
+        read_logs(tmp_path)
+
+
+def test_pieces_of_fewer_than_three_poses_are_left_out(tmp_path: Path) -> None:
+    keep = (TIMES < 2) | (np.abs(TIMES - 3.0) < 0.03) | (TIMES > 4)
+    commands, poses = ("t", "throttle", "steering"), ("t", "x", "y", "yaw")
+    write_table(tmp_path / "commands.csv", commands, [WIDE[k] for k in commands])
+    write_table(tmp_path / "poses.csv", poses, [WIDE[k][keep & (ROW != 119)] for k in poses])
+    (log,) = read_logs(tmp_path).logs
+    assert finding(log, "short").count == 2
+    assert len(log.parts) == 2
+
+
+def oriented(tmp_path: Path, x: float, y: float, z: np.ndarray, w: np.ndarray) -> Log:
+    columns = {k: v for k, v in WIDE.items() if k != "yaw"} | {"qx": z * 0 + x, "qy": z * 0 + y, "qz": z, "qw": w}
+    (log,) = read_logs(write_table(tmp_path / "a.csv", list(columns), list(columns.values()))).logs
+    return log
+
+
+def test_an_orientation_of_zeros_is_no_orientation(tmp_path: Path) -> None:
+    seen = ~np.isin(ROW, [7, 8])
+    log = oriented(tmp_path, 0.0, 0.0, np.sin(WIDE["yaw"] / 2) * seen, np.cos(WIDE["yaw"] / 2) * seen)
+    assert finding(log, "nan").text == "2 of 235 poses have no orientation, first in line 9 of a.csv; left out"
+    with pytest.raises(InputError, match="qx, qy, qz, qw are no orientation; expected a quaternion of length 1"):
+        oriented(tmp_path, 0.0, 0.0, WIDE["yaw"] * 0, WIDE["yaw"] * 0)
+
+
+def test_a_vehicle_that_lies_on_its_side_is_said(tmp_path: Path) -> None:
+    log = oriented(tmp_path, 0.7, 0.1, WIDE["yaw"] * 0, WIDE["yaw"] * 0 + 0.7)
+    assert finding(log, "tilted").text == "a.csv: the vehicle does not stand upright; is z not up?"
+
+
 def test_a_yaw_that_turns_the_other_way_is_said(tmp_path: Path) -> None:
     assert "it follows when its sign is changed (scale: -1" in finding(read(tmp_path, yaw=-WIDE["yaw"]), "heading").text
 

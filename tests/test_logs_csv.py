@@ -286,13 +286,46 @@ def test_no_content_breaks_the_reader(tmp_path_factory: pytest.TempPathFactory, 
         ("t,throttle,steerng,x,y\n1,2,3,4,5\n", "a.csv: no column is recognised as steering; there are t, throttle, steerng, x, y; did you mean 'steerng' for steering? a mapping file says which column it is\n"
          "a.csv: no column is recognised as yaw; there are t, throttle, steerng, x, y; expected one; a mapping file says which column it is"),
         ("t,left_throttle,right_throttle,steering,x,y,yaw\n1,2,3,4,5,6,7\n", "a.csv: throttle could be any of 'left_throttle', 'right_throttle'; expected one; a mapping file says which column it is"),
-        ("t,throttle,steering,x,y,yaw\n1,.5,.1,1,1,1\n", "a.csv:2: has only 1 pose; expected at least 3"),
+        ("t,throttle,steering,x,y,yaw\n1,.5,.1,1,1,1\n", "a.csv:2: has only 1 pose; expected 3 or more"),
         ("t,throttle,steering,x,y,yaw\n1,.5,.1,a,1,1\n2,.5,.1,b,1,1\n", "a.csv:2: poses: no row has numbers in all of t, x, y, yaw; x has none at all; expected numbers"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_table_is_said_at_its_place(tmp_path: Path, content: str, expected: str) -> None:
     (tmp_path / "a.csv").write_text(content)
     assert problems_of(tmp_path / "a.csv") == expected
+
+
+def test_tables_that_ros_tools_export_are_read(tmp_path: Path) -> None:
+    """`rostopic echo -p` writes stamps in ns, other tools in two columns; both write text columns too."""
+    stamp = 1_700_000_000 + MADE.pose_times
+    half = MADE.poses[:, 2] / 2
+    position, orientation = "field.pose.pose.position", "field.pose.pose.orientation"
+    heading = [
+        "%time",
+        "field.header.frame_id",
+        *(f"{position}.{a}" for a in "xyz"),
+        *(f"{orientation}.{a}" for a in "xyzw"),
+    ]
+    columns = [
+        stamp * 1e9,
+        stamp * np.nan,
+        *MADE.poses[:, :2].T,
+        half * 0,
+        half * 0,
+        half * 0,
+        np.sin(half),
+        np.cos(half),
+    ]
+    path = write_table(tmp_path / "odom.csv", heading, columns)
+    path.write_text("\n".join(line.replace(",,", ",map,", 1) for line in path.read_text().splitlines()) + "\n")
+    times = 1_700_000_000 + MADE.command_times
+    heading = ["header.stamp.secs", "header.stamp.nsecs", "drive.speed", "drive.steering_angle"]
+    write_table(tmp_path / "drive.csv", heading, [times // 1, times % 1 * 1e9, *MADE.commands.T])
+    log = read_one(tmp_path)
+    np.testing.assert_allclose(log.parts[0].poses, MADE.poses, atol=1e-9)
+    np.testing.assert_allclose(log.parts[0].command_times, MADE.command_times, atol=1e-6)
+    assert "time from 'time' (ns, converted, by their size)" in log.guess
+    assert "time from 'header.stamp' (s)" in log.guess
 
 
 def test_a_control_of_another_vehicle_is_looked_for_by_its_name(tmp_path: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -25,8 +26,27 @@ def read_csv(path: Path, content: bytes) -> Table:
     Raises:
         InputError: if it is not text, has no heading or no rows.
     """
-    heading, lines, first = _heading(str(path), _text(str(path), content))
-    names, separator = heading
+    (names, separator), lines, above = _heading(str(path), _text(str(path), content))
+    if not any(line.strip() for line in lines):
+        raise InputError.of(str(path), "has a heading but no rows", "expected a row for each moment")
+    table = _clean_table(str(path), names, separator, lines, above)
+    if table is None:
+        table = _any_table(str(path), names, separator, lines, above)
+    return replace(table, columns=_joined_stamps(table.columns))
+
+
+def _clean_table(file: str, names: Sequence[str], separator: str, lines: list[str], above: int) -> Table | None:
+    """Read lines that hold nothing but numbers, as most files do, in one go; None if there is anything else."""
+    try:
+        cells = np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    if cells.shape != (len(lines), len(names)):  # lines without anything are not counted
+        return None
+    return Table(file, "", dict(zip(names, cells.T, strict=True)), above + 1 + np.arange(len(lines)))
+
+
+def _any_table(file: str, names: Sequence[str], separator: str, lines: list[str], above: int) -> Table:
     rows: list[list[str]] = []
     numbers: list[int] = []
     broken: list[int] = []
@@ -37,19 +57,19 @@ def read_csv(path: Path, content: bytes) -> Table:
             fields = fields[:-1]
         if len(fields) == len(names):
             rows.append(fields)
-            numbers.append(first + reader.line_num)
+            numbers.append(above + reader.line_num)
         elif any(text.strip() for text in fields) and not fields[0].startswith("#"):
-            broken.append(first + reader.line_num)
+            broken.append(above + reader.line_num)
     if not rows:
-        raise InputError([Diagnostic(str(path), "has a heading but no rows", "expected a row for each moment")])
+        expected = f"expected {len(names)} fields, as in its heading"
+        raise InputError([Diagnostic(file, "no line has as many fields as the heading", expected, above + 1)])
     table: dict[str, Array] = {}
     blank: dict[str, Flags] = {}
     for name, texts in zip(names, zip(*rows, strict=True), strict=True):
         table[name], empty = _numbers(texts, separator)
         if empty.any():
             blank[name] = empty
-    _join_stamps(table)
-    return Table(str(path), "", table, np.array(numbers, np.int64), blank, tuple(broken))
+    return Table(file, "", table, np.array(numbers, np.int64), blank, tuple(broken))
 
 
 def read_heading(path: Path, content: bytes) -> tuple[str, ...]:
@@ -121,10 +141,12 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def _join_stamps(table: dict[str, Array]) -> None:
-    """Add ``header.stamp`` where there are ``header.stamp.secs`` and ``header.stamp.nsecs``."""
-    for name in list(table):
+def _joined_stamps(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Columns with ``header.stamp`` in place of ``header.stamp.secs`` and ``header.stamp.nsecs``."""
+    joined = dict(columns)
+    for name in columns:
         for whole, fraction in _SECONDS.items():
-            rest = name.removesuffix(whole) + fraction
-            if name.endswith(whole) and rest in table:
-                table.setdefault(name.removesuffix(whole), table.pop(name) + 1e-9 * table.pop(rest))
+            stem = name.removesuffix(whole)
+            if name.endswith(whole) and stem + fraction in columns and stem not in columns:
+                joined[stem] = joined.pop(name) + 1e-9 * joined.pop(stem + fraction)
+    return joined

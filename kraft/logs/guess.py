@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import chain
-from typing import Final
 
 from kraft.errors import Diagnostic, InputError
+from kraft.logs.attempts import Attempt, best
 from kraft.logs.choice import Channel, Choice, Stream
 from kraft.logs.columns import (
     COMMAND,
@@ -21,46 +19,9 @@ from kraft.logs.columns import (
 )
 from kraft.logs.mapping import Column, Mapping
 from kraft.logs.names import parse
-from kraft.logs.pick import HOW, Picked, Picker, missing
+from kraft.logs.pick import Picked, Picker
 from kraft.logs.table import Table
 from kraft.suggest import choose as suggest
-
-_TOPIC_HINTS: Final = {
-    **dict.fromkeys(("mocap", "vicon", "vrpn", "optitrack", "qualisys", "aruco", "apriltag", "marker", "camera"), 10),
-    **dict.fromkeys(("inferred", "amcl", "slam", "localization"), 5),
-    **dict.fromkeys(("odom", "odometry"), -5),  # often integrated from the commands
-    **dict.fromkeys(("goal", "initialpose", "target", "waypoint", "goals", "clicked"), -60),
-    **dict.fromkeys(("output", "out", "muxed"), 3),  # what the vehicle was sent, rather than what someone asked for
-    **dict.fromkeys(("teleop", "safety", "nav", "navigation", "input", "joy", "raw"), -3),
-}
-
-
-@dataclass(frozen=True)
-class _Attempt:
-    """One table read as commands or as poses: what was found and what is missing."""
-
-    table: Table
-    time: Picked
-    found: tuple[Picked, ...]
-
-    @property
-    def problems(self) -> list[Diagnostic]:
-        picked = (self.time, *self.found)
-        roles = [one.missing for one in picked if one.missing]
-        said = [one.problem for one in picked if one.problem is not None]
-        return [missing(self.table, roles), *said] if roles else said
-
-    @property
-    def gaps(self) -> int:
-        return sum(picked.channel is None for picked in (self.time, *self.found))
-
-    @property
-    def score(self) -> int:
-        return sum(picked.score for picked in self.found) + 10 * _hint(self.table)
-
-    def stream(self) -> Stream:
-        assert self.time.channel is not None
-        return Stream(self.table, self.time.channel, tuple(p.channel for p in self.found if p.channel is not None))
 
 
 def choose(tables: Sequence[Table], controls: Sequence[str], mapping: Mapping) -> Choice:
@@ -97,10 +58,6 @@ def offers(table: Table, controls: Sequence[str], mapping: Mapping) -> tuple[boo
     )
 
 
-def _hint(table: Table) -> int:
-    return sum(_TOPIC_HINTS.get(word, 0) for word in parse(table.topic).words)
-
-
 def _named(tables: Sequence[Table], name: str | None, mapping: Mapping, *path: str) -> list[Table]:
     """Tables of this name, all if there is none."""
     if name is None:
@@ -122,12 +79,12 @@ def _commands(
     streams = []
     for name, at in apart.items():
         found = _named(tables, at, mapping, "commands", "controls", name, "table")
-        streams.append(_best([_command_attempt(table, [name], mapping) for table in found], "commands")[0])
+        streams.append(best([_command_attempt(table, [name], mapping) for table in found], "commands")[0])
     rest = [name for name in controls if name not in apart]
     unused: tuple[str, ...] = ()
     if rest:
         found = _named(tables, mapping.commands.table, mapping, "commands", "table")
-        stream, unused = _best([_command_attempt(table, rest, mapping) for table in found], "commands")
+        stream, unused = best([_command_attempt(table, rest, mapping) for table in found], "commands")
         streams.insert(0, stream)
     return tuple(streams), unused
 
@@ -144,10 +101,10 @@ def _refuse_unknown(wishes: dict[str, Column], controls: Sequence[str], mapping:
         raise InputError(problems)
 
 
-def _command_attempt(table: Table, controls: Sequence[str], mapping: Mapping) -> _Attempt:
+def _command_attempt(table: Table, controls: Sequence[str], mapping: Mapping) -> Attempt:
     picker = Picker(table, mapping)
     time = _time(picker, COMMAND, mapping.commands.time, "commands")
-    return _Attempt(table, time, tuple(_control(picker, name) for name in controls))
+    return Attempt(table, time, tuple(_control(picker, name) for name in controls))
 
 
 def _control(picker: Picker, name: str) -> Picked:
@@ -170,10 +127,10 @@ def _time(picker: Picker, family: set[str], wish: Column | None, *path: str) -> 
 
 def _poses(tables: Sequence[Table], mapping: Mapping) -> tuple[Stream, tuple[str, ...]]:
     found = _named(tables, mapping.poses.table, mapping, "poses", "table")
-    return _best([_pose_attempt(table, mapping) for table in found], "poses")
+    return best([_pose_attempt(table, mapping) for table in found], "poses")
 
 
-def _pose_attempt(table: Table, mapping: Mapping) -> _Attempt:
+def _pose_attempt(table: Table, mapping: Mapping) -> Attempt:
     picker, wishes = Picker(table, mapping), mapping.poses
     x = picker.pick("x", lambda name: axis_score(name, "x"), "length", ("poses", "x"), wishes.x)
     beside = _around(x, "x")
@@ -187,7 +144,7 @@ def _pose_attempt(table: Table, mapping: Mapping) -> _Attempt:
         turn = quaternion
     else:
         turn = (yaw,)
-    return _Attempt(table, _time(picker, POSE, wishes.time, "poses"), (x, y, *turn))
+    return Attempt(table, _time(picker, POSE, wishes.time, "poses"), (x, y, *turn))
 
 
 def _around(picked: Picked, axis: str) -> tuple[str, ...]:
@@ -227,10 +184,10 @@ def _dead_man(tables: Sequence[Table], mapping: Mapping) -> Stream | None:
         column = None if wish is None else Column(column=wish.column)
         score = _bool_score if _is_switch(table) else dead_man_score
         switch = picker.pick("dead man", score, "control", ("dead_man",), column)
-        attempts.append(_Attempt(table, _time(picker, COMMAND, wish.time if wish else None, "dead_man"), (switch,)))
+        attempts.append(Attempt(table, _time(picker, COMMAND, wish.time if wish else None, "dead_man"), (switch,)))
     if wish is None and all(attempt.problems for attempt in attempts):
         return None
-    return _best(attempts, "the dead-man switch")[0]
+    return best(attempts, "the dead-man switch")[0]
 
 
 def _is_switch(table: Table) -> bool:
@@ -239,16 +196,3 @@ def _is_switch(table: Table) -> bool:
 
 def _bool_score(name: str) -> int | None:
     return 100 if name == "data" else None
-
-
-def _best(attempts: Sequence[_Attempt], what: str) -> tuple[Stream, tuple[str, ...]]:
-    """Stream of the best complete attempt, and the names of the other complete ones."""
-    complete = sorted((a for a in attempts if not a.problems), key=lambda a: -a.score)
-    if not complete:
-        fewest = min(a.gaps for a in attempts)
-        nearest = [a for a in attempts if a.gaps == fewest]
-        raise InputError(chain.from_iterable(a.problems for a in nearest))
-    if len(complete) > 1 and complete[0].score == complete[1].score:
-        both = " and ".join(a.table.name for a in complete if a.score == complete[0].score)
-        raise InputError([Diagnostic(complete[0].table.file, f"{both} both look like {what}", f"expected one; {HOW}")])
-    return complete[0].stream(), tuple(a.table.name for a in complete[1:])

@@ -49,6 +49,10 @@ class Samples:
         """Return the samples with a flag."""
         return Samples(self.what, self.stream, self.times[flags], self.values[flags], self.index[flags])
 
+    def shifted(self, origin: float) -> Samples:
+        """Return the samples with times from ``origin`` on, s."""
+        return Samples(self.what, self.stream, self.times - origin, self.values, self.index)
+
     def diagnostic(self, problem: str, expected: str, i: int | None = None) -> Diagnostic:
         """Make a diagnostic for all of them or for one."""
         return self.stream.table.diagnostic(problem, expected, None if i is None else int(self.index[i]))

@@ -13,7 +13,9 @@ from kraft_cli.terminal import Terminal
 
 def validate(
     context: typer.Context,
-    files: Annotated[list[str], typer.Argument(metavar="FILE", help="Scenario, vehicle, method, map or log mapping files.")],
+    files: Annotated[
+        list[str], typer.Argument(metavar="FILE", help="Scenario, vehicle, method, map or log mapping files.")
+    ],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
     """Check scenario, vehicle, method, map and log mapping files and show every problem of each."""

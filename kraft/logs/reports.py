@@ -1,0 +1,95 @@
+"""Say what was found in a log: how often, where first, and what becomes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from kraft.logs.choice import Choice
+from kraft.logs.commands import Commands, timeout
+from kraft.logs.findings import Findings, count
+from kraft.logs.log import Array
+from kraft.logs.mapping import Limits
+from kraft.logs.samples import Samples
+from kraft.logs.table import Flags, Rows
+from kraft.logs.teleports import OUTLIER
+
+DROPOUT_STEPS: Final = 1.6
+"""Poses are missing where the next one comes later than this many usual steps."""
+
+
+def broken_lines(choice: Choice, findings: Findings) -> None:
+    """Lines that are no rows."""
+    for table in {id(stream.table): stream.table for _, stream in choice.streams()}.values():
+        if table.broken:
+            text = f"{count(table.broken, 'line')} of {table.name} with too few or too many fields"
+            findings.add("broken", len(table.broken), f"{text}, first line {table.broken[0]}; left out")
+
+
+def left_out(kind: str, poses: Samples, flags: Flags, what: str, findings: Findings) -> None:
+    """Poses that are left out for some reason."""
+    if flags.any():
+        bad = int(flags.sum())
+        text = f"{bad} of {len(poses)} poses {what}, first in {poses.where(int(np.argmax(flags)))}; left out"
+        findings.add(kind, bad, text)
+
+
+def dropouts(poses: Samples, gap: float, findings: Findings) -> None:
+    """Missing poses that end no part."""
+    steps = np.diff(poses.times)
+    usual = float(np.median(steps))
+    missing = (steps > DROPOUT_STEPS * usual) & (steps <= gap)
+    if missing.any():
+        first, lost = int(np.argmax(missing)), int(np.sum(np.round(steps[missing] / usual) - 1))
+        text = f"about {count(lost, 'pose')} missing, first after {poses.where(first)}; nothing is left out"
+        findings.add("dropout", lost, text)
+
+
+def pose_gaps(poses: Samples, gap: float, findings: Findings) -> None:
+    """Gaps in the poses, which end a part."""
+    steps = np.diff(poses.times)
+    _gaps("gap", "poses", poses, steps > gap, steps, findings)
+
+
+def command_gaps(streams: Sequence[Samples], limits: Limits, findings: Findings) -> None:
+    """Gaps in the commands, which end a part."""
+    for samples in streams:
+        steps = np.diff(samples.times)
+        _gaps("command gap", "commands", samples, steps > timeout(samples.times, limits), steps, findings)
+
+
+def _gaps(kind: str, what: str, samples: Samples, long: Flags, steps: Array, findings: Findings) -> None:
+    if long.any():
+        number, first = int(long.sum()), samples.where(int(np.argmax(long)))
+        fact = f"{count(number, 'gap')} without {what} of up to {steps.max():.3g} s, first after {first}"
+        findings.add(kind, number, f"{fact}; the log is cut there")
+
+
+def teleports(poses: Samples, labels: Rows, speed: float, findings: Findings) -> None:
+    """Poses that the vehicle cannot have reached, and where it goes on elsewhere."""
+    what = f"are where the vehicle cannot be (more than {speed:.3g} m/s)"
+    left_out("outlier", poses, labels == OUTLIER, what, findings)
+    settled = np.flatnonzero(labels != OUTLIER)
+    jumps = np.flatnonzero(np.diff(labels[settled]) > 0)
+    if len(jumps):
+        first = poses.where(int(settled[jumps[0] + 1]))
+        findings.add("teleport", len(jumps), f"{count(len(jumps), 'teleport')}, first at {first}; the log is cut there")
+
+
+def uncommanded(poses: Samples, commands: Commands, findings: Findings) -> None:
+    """Poses for which no command is known."""
+    early = poses.times < commands.times[0]
+    late = (commands.in_force(poses.times) < 0) & ~early
+    left_out("uncommanded", poses, early, "before the first command", findings)
+    left_out("uncommanded", poses, late, "too long after the last command", findings)
+
+
+def wraps(poses: Samples, yaw: Array, findings: Findings) -> None:
+    """Jumps of the yaw by a full turn; ``yaw`` has shape (n,)."""
+    jumps = np.abs(np.diff(yaw)) > np.pi
+    if jumps.any():
+        first = poses.where(int(np.argmax(jumps)) + 1)
+        text = f"yaw wraps {count(int(jumps.sum()), 'time')}, first at {first}; made continuous, nothing is left out"
+        findings.add("wrap", int(jumps.sum()), text)
