@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import callbacks, peers, planner, safety, scaling, startup, world
+from benchmarks import callbacks, peers, planner, safety, scaling, startup, sysid, world
 from benchmarks.__main__ import main
 from benchmarks.effort import SMOKE
 from benchmarks.exact import Body, Disc, Rectangle, Star
@@ -184,3 +184,10 @@ def test_an_unknown_topic_is_refused(capsys: pytest.CaptureFixture[str]) -> None
     with pytest.raises(SystemExit):
         main(["plannr"])
     assert "expected planner, peers" in capsys.readouterr().err
+
+
+def test_identification_is_timed_and_tried_on_random_problems() -> None:
+    found = quantities(sysid.run(SMOKE))
+    assert found["20 logs of 20 s, 50 ms steps, 30 Hz"] > 0
+    assert found["converged, of 2 problems from wild parameters"] == 1.0
+    assert found["5 % outliers of 0.5 m: change of L"] < 0.02

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.problem import Problem
+from kraft.sysid.residuals import residual_ratio
 from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
 from ompl_ext.arrays import Floats
@@ -120,20 +120,8 @@ def _correlation(case: Case) -> Iterator[str]:
                 )
 
 
-def residual_ratio(case: Case) -> float:
-    """Squared residual of a typical pose in what the noise lets expect, 1 if everything is as stated.
-
-    The median, so that outliers do not count; the states take up some of the noise, one per degree of freedom.
-    """
-    problem = case.problem
-    squares = problem.noise.distance(problem.pose_residuals(case.optimum.point)) ** 2
-    shown = 3.0 if problem.observation.turns else 2.0
-    taken = problem.motion.nx * len(problem.chains.log) / (shown * len(squares))
-    return float(np.median(squares) / (chi2.median(shown) * max(1.0 - taken, 0.1)))
-
-
 def _residuals(case: Case) -> Iterator[str]:
-    ratio = residual_ratio(case)
+    ratio = residual_ratio(case.problem, case.optimum.point)
     whose = "measured" if case.noise_measured else "stated"
     noise = case.problem.noise.noise
     said = f"the {whose} noise ({noise.position:.3g} m, {noise.yaw:.3g} rad) and the process noise"

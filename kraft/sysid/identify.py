@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ from kraft.sysid.optimiser import Linearised, Optimum, optimise
 from kraft.sysid.parameters import Parameters, check_names, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem
 from kraft.sysid.reporting import identification
+from kraft.sysid.residuals import residual_ratio
 from kraft.sysid.result import Identification
 from kraft.sysid.selection import AUTOMATIC, shown
 from kraft.sysid.settings import Settings
@@ -32,6 +34,8 @@ from ompl_ext.vehicle import Vehicle
 if TYPE_CHECKING:
     from kraft.logs.log import Log
 
+TYPICAL = 1.5
+"""Residuals by this factor larger or smaller than the noise lets expect set the threshold of the robust loss."""
 REFITS = 3
 """Most times that extras are dropped and the rest is fitted anew."""
 
@@ -55,6 +59,9 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
     extras = task.extras_to_try()
     fit = task.fit(task.start(extras), settings.iterations)
     iterations = fit.optimum.iterations
+    if task.rescale(fit):
+        fit = task.fit(task.without(fit, extras), settings.iterations)
+        iterations += fit.optimum.iterations
     notes: list[str] = []
     if settings.extras == "auto":
         for _ in range(REFITS):
@@ -100,6 +107,17 @@ class _Task:
             or measured_noise([s.part.pose_times for s in self.stretches], [s.part.poses for s in self.stretches]),
         )
         self.asked = frozenset(settings.values) | frozenset(settings.frozen)
+
+    def rescale(self, fit: _Fit) -> bool:
+        """Count outliers by how large residuals are where that is not what the noise says, and whether it is not.
+
+        Noise that is stated too small would make an outlier of every pose.
+        """
+        scale = math.sqrt(residual_ratio(fit.problem, fit.optimum.point))
+        if 1.0 / TYPICAL < scale < TYPICAL or not self.noise.robust:
+            return False
+        self.noise = replace(self.noise, threshold=scale * self.noise.threshold)
+        return True
 
     def extras_to_try(self) -> tuple[str, ...]:
         """Extras that are in the first fit."""

@@ -44,7 +44,8 @@ def _undisturbed(deviations: Matrix, sigma: Floats) -> Bools:
     size = np.pad(np.max(np.abs(deviations) / np.maximum(sigma, 1e-12), axis=1), 2)
     around = np.max(np.stack([size[k : len(size) - 4 + k] for k in range(5)]), axis=0)
     outlier = np.pad((size[2:-2] > FAR) & (size[2:-2] == around), 2)
-    return ~np.any(np.stack([outlier[k : len(outlier) - 4 + k] for k in range(5)]), axis=0)
+    disturbed: Bools = np.any(np.stack([outlier[k : len(outlier) - 4 + k] for k in range(5)]), axis=0)
+    return ~disturbed
 
 
 def _deviations(t: Floats, poses: Matrix) -> Matrix:
