@@ -58,7 +58,9 @@ def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[s
     assert {**again, "wall_s": 0} == {**content, "wall_s": 0}
 
 
-def test_identified_values_predict_better_than_nominal_ones_and_the_lag_better_still(capsys: pytest.CaptureFixture[str]) -> None:
+def test_identified_values_predict_better_than_nominal_ones_and_the_lag_better_still(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """On drives that it has not seen, after 2 s, without any number of the bundled vehicles."""
     errors = {}
     for model in ("MUSHR", "MUSHR_LAG"):
