@@ -187,7 +187,9 @@ def said(result: Identification, *words: str) -> bool:
 
 
 def test_driving_straight_asks_for_turns() -> None:
-    result = identify(lag(), driven(*[commanded([0.0], [0.4, 0.9, 0.6])] * 3), PLAIN)
+    straight = [commanded([0.0], [0.4, 0.9, 0.6])] * 3
+    data = synthetic_logs(lag(), {**TRUTH, "phi_diff": 0.0}, range(3), seconds=8.0, commands=straight)
+    result = identify(lag(), data, PLAIN)
     assert said(result, "steering hardly changes", "arcs to the left and to the right")
     assert said(result, "L", "no better than before", "arcs to the left")
     assert "L" in result.unidentified

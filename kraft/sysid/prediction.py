@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 LENGTH = 3.0
 """Of a window, s; and of what is seen before it."""
+BELIEF = 3.0
+"""Process noise of what is seen before a window, in that of an identification: a start shall follow the poses even
+where the parameters are wrong."""
 LEAST_HISTORY, LEAST_LENGTH = 0.5, 0.5
 """s"""
 AFTER = (1.0, 2.0, 3.0)
@@ -82,8 +85,8 @@ def windows(
     ]
     if not pieces:
         raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict")
-    problem = _problem(vehicle, [ahead for _, _, ahead in pieces], len(usable), parameters, settings)
-    start = _starts(vehicle, pieces, len(usable), parameters, settings)
+    problem = _problem([ahead for _, _, ahead in pieces], len(usable), parameters, settings)
+    start = _starts(pieces, len(usable), parameters, settings)
     states = simulated(problem, start, problem.commands.mean(parameters.nominal)[0], parameters.nominal)
     predicted = problem.observation.predict(problem.between(states), parameters.nominal)
     ends = np.cumsum([len(ahead.part.pose_times[ahead.poses]) for _, _, ahead in pieces])[:-1]
@@ -149,9 +152,7 @@ def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Stretch | None,
         begin = times[last - 1]
 
 
-def _problem(
-    vehicle: VehicleConfig | Vehicle, stretches: list[Stretch], logs: int, parameters: Parameters, settings: Settings
-) -> Problem:
+def _problem(stretches: list[Stretch], logs: int, parameters: Parameters, settings: Settings) -> Problem:
     noise = settings.noise or measured_noise(
         [s.part.pose_times[s.poses] for s in stretches], [s.part.poses[s.poses] for s in stretches]
     )
@@ -159,7 +160,6 @@ def _problem(
 
 
 def _starts(
-    vehicle: VehicleConfig | Vehicle,
     pieces: Sequence[tuple[int, Stretch | None, Stretch]],
     logs: int,
     parameters: Parameters,
@@ -171,7 +171,8 @@ def _starts(
     start = np.zeros((len(pieces), len(model.state)))
     histories = [before for _, before, _ in pieces if before is not None]
     if histories:
-        problem = _problem(vehicle, histories, logs, parameters, settings)
+        problem = _problem(histories, logs, parameters, settings)
+        problem = replace(problem, noise=replace(problem.noise, process=BELIEF * problem.noise.process))
         point = starting_point(problem, smooth(problem.chains), rho)
         optimum = optimise(FastGraph(problem), point, settings.iterations)
         moving = np.array([before is not None for _, before, _ in pieces])
