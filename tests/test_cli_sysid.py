@@ -58,7 +58,7 @@ def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[s
     assert {**again, "wall_s": 0} == {**content, "wall_s": 0}
 
 
-def test_identified_values_predict_better_than_nominal_ones_and_the_lag_better_still(
+def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_model(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """On drives that it has not seen, after 2 s, without any number of the bundled vehicles."""
@@ -69,7 +69,6 @@ def test_identified_values_predict_better_than_nominal_ones_and_the_lag_better_s
         errors[model] = prediction["holdout"]["position_m"]["2"], prediction["holdout_initial"]["position_m"]["2"]
     assert errors["MUSHR_LAG"][0] < 0.9 * errors["MUSHR_LAG"][1]
     assert errors["MUSHR_LAG"][0] < 0.5 * errors["MUSHR"][0]
-    assert errors["MUSHR"][0] < errors["MUSHR"][1]
 
 
 def test_a_person_gets_tables_and_hears_what_was_taken_for_what(capsys: pytest.CaptureFixture[str]) -> None:
