@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -15,7 +16,7 @@ from kraft_cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
-REAL = Path("/work/shared/data/f1tenth_koopman_cc0")
+REAL = Path(os.environ.get("KRAFT_REAL_LOGS", ROOT.parent / "shared" / "data")) / "f1tenth_koopman_cc0"
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +225,7 @@ def test_every_option_and_key_of_kraft_sysid_is_described(capsys: pytest.Capture
     assert set(content["params"]["L"]) <= described
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="the measured drives are not here")
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real logs are not here (KRAFT_REAL_LOGS)")
 def test_on_a_real_car_prediction_is_as_good_as_its_poses(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sysid", str(REAL), "--holdout", "0.5", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
