@@ -17,6 +17,7 @@ from kraft.model import Model
 from kraft.replanner import Planners, Replanner
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.ticks import Ticks
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
 from kraft.workspace import start_state, workspace_of
@@ -74,18 +75,6 @@ class _Log:
     observations: list[Observation] = field(default_factory=list)
 
 
-class _Ticks:
-    """Events at a rate, each at the physics step nearest to its time."""
-
-    def __init__(self, rate: float, dt: float) -> None:
-        self._period, self.number = 1.0 / (rate * dt), 0
-
-    @property
-    def due(self) -> int:
-        """Physics step of the next event."""
-        return round(self.number * self._period)
-
-
 class _Trial:
     """World, camera and robot, and when which of them is due."""
 
@@ -104,8 +93,8 @@ class _Trial:
         self._reference = self._replanner.begin(start)
         self._sent: list[tuple[float, Reference]] = []
         self._in_flight: list[Observation] = []
-        self._ticks = _Ticks(method.controller.rate_hz, self.world.dt)
-        self._frames = _Ticks(scenario.sensing.rate_hz, self.world.dt)
+        self._ticks = Ticks(method.controller.rate_hz, self.world.dt)
+        self._frames = Ticks(scenario.sensing.rate_hz, self.world.dt)
         self._delay = scenario.sensing.communication_delay
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout

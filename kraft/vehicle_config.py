@@ -21,6 +21,7 @@ from kraft.file_model import FileModel, Length, Positive, refuse
 from kraft.source import Source
 from kraft.suggest import choose
 from kraft.validation import build, describe, read_model
+from kraft.vehicle_identification import IdentificationRecord
 from kraft.vehicle_reference import is_attribute, split_file
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
@@ -101,6 +102,8 @@ class VehicleConfig(FileModel):
     """{length, width, offset}"""
     top_speed: Annotated[float | str, PlainValidator(_speed, json_schema_input_type=_SpeedSchema)]
     """speed that the vehicle never exceeds, m/s, or the parameter that is that speed"""
+    identification: IdentificationRecord | None = None
+    """where the parameters come from, as `kraft sysid --out` writes it"""
 
     _source: Source = PrivateAttr(default_factory=Source)
 

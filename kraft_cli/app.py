@@ -11,7 +11,9 @@ from kraft_cli.commands.doctor import doctor
 from kraft_cli.commands.eval import eval_
 from kraft_cli.commands.listing import list_
 from kraft_cli.commands.plan import plan
+from kraft_cli.commands.record import record
 from kraft_cli.commands.run import run
+from kraft_cli.commands.sysid import sysid
 from kraft_cli.commands.validate import validate
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -56,6 +58,8 @@ def common(
 app.command("plan")(plan)
 app.command("run")(run)
 app.command("eval")(eval_)
+app.command("record")(record)
+app.command("sysid")(sysid)
 app.command("validate")(validate)
 app.command("list")(list_)
 app.command("doctor")(doctor)

@@ -29,7 +29,7 @@ from kraft.scenario import (
 )
 from kraft.scenario.planning import DEFAULT_ITERATIONS, Planning, Safety
 
-SCENES = ("boxes", "boxes-real", "bump", "movable", "slip", "slope", "turns", "turns-real")
+PAPER = ("boxes", "boxes-real", "bump", "movable", "slip", "slope", "turns", "turns-real")
 TURNS = {((0.5, 1.5), (1.0, 1.0)), ((1.5, 3.5), (1.0, 1.0))}
 BOXES = {((x, y), (0.4, 0.3)) for x, y in ((1.0, 1.0), (0.5, 2.5), (1.5, 2.5), (1.0, 4.0))}
 INSIDE = {
@@ -44,11 +44,14 @@ INSIDE = {
 }
 
 
-def test_the_eight_scenes_are_bundled() -> None:
-    assert resources.names("scenario") == SCENES
+SCENES = (*PAPER, "training")
 
 
-@pytest.mark.parametrize("name", SCENES)
+def test_the_eight_scenes_of_the_paper_and_the_training_hall_are_bundled() -> None:
+    assert resources.names("scenario") == tuple(sorted(SCENES))
+
+
+@pytest.mark.parametrize("name", PAPER)
 def test_a_scene_has_the_papers_geometry(name: str) -> None:
     scene = load_scenario(name)
     boxes = [o for o in scene.obstacles if isinstance(o, Box)]
@@ -73,8 +76,16 @@ def test_a_scene_has_the_papers_geometry(name: str) -> None:
     )
 
 
-def test_nothing_is_hidden_in_turns_and_boxes() -> None:
-    for name in ("turns", "boxes"):
+def test_the_training_hall_is_empty_but_for_its_walls_and_the_markers_height_is_known() -> None:
+    scene = load_scenario("training")
+    walls = [o for o in scene.obstacles if isinstance(o, Box)]
+    assert len(walls) == len(scene.obstacles) == 4
+    assert all(max(map(abs, w.center)) == 6 and max(w.size) == 12 for w in walls)
+    assert scene.sensing.preset == "planar"
+
+
+def test_nothing_is_hidden_in_turns_boxes_and_the_training_hall() -> None:
+    for name in ("turns", "boxes", "training"):
         assert load_scenario(name).truth == Truth()
 
 

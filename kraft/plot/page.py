@@ -61,17 +61,18 @@ class Page:
         room = 72 * (self.width - LEFT - RIGHT)
         alarm = "" if warning is None else warning
         text = shortened(title, TITLE, room - text_width(alarm, TITLE, bold=True) - 12, bold=True)
-        self._text(figure, LEFT, 0.32, text, TITLE, INK, weight="bold")
+        self.text(figure, LEFT, 0.32, text, TITLE, INK, weight="bold")
         if alarm:
-            self._text(figure, self.width - RIGHT, 0.32, alarm, TITLE, WARNING, weight="bold", ha="right")
+            self.text(figure, self.width - RIGHT, 0.32, alarm, TITLE, WARNING, weight="bold", ha="right")
         for row, notes in enumerate(self.note_rows):
             left, top = LEFT, HEAD + row * NOTES
             for name, value in notes:
-                self._text(figure, left, top + 0.15, value, VALUE, INK, weight="bold")
-                self._text(figure, left, top + 0.30, name, LABEL, GREY)
+                self.text(figure, left, top + 0.15, value, VALUE, INK, weight="bold")
+                self.text(figure, left, top + 0.30, name, LABEL, GREY)
                 left += _note_width(name, value)
 
-    def _text(self, figure: Figure, left: float, top: float, text: str, size: float, colour: str, **more: Any) -> None:
+    def text(self, figure: Figure, left: float, top: float, text: str, size: float, colour: str, **more: Any) -> None:
+        """One line of text on the page, `top` being its base line."""
         place = left / self.width, 1 - top / self.height
         figure.text(*place, text, fontsize=size, color=colour, va="baseline", parse_math=False, **more)
 
@@ -87,7 +88,7 @@ def lay_out(frame: Frame, notes: Mapping[str, str], panels: int, key_widths: Seq
     map_width = min(WIDTH - LEFT - RIGHT - beside, MAP_HEIGHT_MAX / aspect)
     width = max(NARROWEST, LEFT + map_width + beside + RIGHT)
     room = width - LEFT - RIGHT
-    note_rows = _note_rows(notes, room)
+    note_rows = note_rows_of(notes, room)
     top = HEAD + len(note_rows) * NOTES + 0.08
     place = Rectangle(LEFT, top, map_width, map_width * aspect)
     key = Rectangle(LEFT, place.bottom + UNDER_MAP, room, KEY * len(flow(key_widths, room)))
@@ -120,7 +121,8 @@ def _stacked(part: Rectangle, count: int) -> tuple[Rectangle, ...]:
     return tuple(Rectangle(part.left, top, part.width, height) for top in tops)
 
 
-def _note_rows(notes: Mapping[str, str], room: float) -> tuple[tuple[tuple[str, str], ...], ...]:
+def note_rows_of(notes: Mapping[str, str], room: float) -> tuple[tuple[tuple[str, str], ...], ...]:
+    """Notes set in rows of at most `room` in, shortened where one alone is wider."""
     most = 72 * room
     pairs = [(shortened(k, LABEL, most), shortened(v, VALUE, most, bold=True)) for k, v in notes.items()]
     rows = flow([_note_width(*pair) for pair in pairs], room + NOTE_GAP / 72)

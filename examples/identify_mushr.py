@@ -1,0 +1,98 @@
+"""Make the numbers of the bundled MuSHR cars: record training logs in simulation, and identify each model from them.
+
+    python examples/identify_mushr.py --out identified            # logs, vehicle files and pages in a new folder
+    python examples/identify_mushr.py --out identified --write    # and the bundled vehicle files anew
+
+It does what these commands do, for each of the models:
+
+    kraft record --runs 40 --out identified/logs
+    kraft sysid identified/logs --model mushr --extras none --out identified/mushr.yaml --plot identified/mushr.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from itertools import takewhile
+from pathlib import Path
+
+from kraft import resources
+from kraft.atomic_file import write_whole
+from kraft.recording.request import Request as RecordRequest
+from kraft.recording.request import carry_out as record
+from kraft.sysid.options import Options
+from kraft.sysid.record import record_of
+from kraft.sysid.report import parameter_table, prediction_table
+from kraft.sysid.request import Identified, Request
+from kraft.sysid.request import carry_out as identify
+from kraft.sysid.vehicle_file import vehicle_text
+from kraft.vehicle_config import load_vehicle_config
+
+MODELS = ("mushr", "mushr-lag", "mushr-drive")
+
+
+def say(text: str) -> None:
+    """Tell how it goes."""
+    print(text, file=sys.stderr)
+
+
+def identified(model: str, logs: Path, folder: Path) -> Identified:
+    """Identify one model; without extra parameters, because a planner knows the model's own alone."""
+    out, plot = folder / f"{model}.yaml", folder / f"{model}.png"
+    return identify(Request((logs,), model, out=out, plot=plot, options=Options(extras="none")), say, say)
+
+
+def bundle(done: Identified) -> Path:
+    """Write the bundled vehicle file anew: its comments, name, description, bounds and priors stay."""
+    path = resources.folder("vehicle") / f"{done.request.model}.yaml"
+    before = load_vehicle_config(path)
+    header = list(takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines()))
+    record = record_of(done.request.model, done.result, done.split, done.predicted)
+    text = vehicle_text(
+        path.parent,
+        before.name,
+        before.description,
+        header,
+        done.subject,
+        done.result.parameters,
+        record,
+        tighten=False,
+    )
+    write_whole(path, text.encode())
+    return path
+
+
+def show(done: Identified) -> None:
+    """Print what came out."""
+    print(f"{done.request.model}:")
+    for heading, rows in (parameter_table(done), prediction_table(done)):
+        for row in (heading, *rows):
+            print("   ", "  ".join(cell.ljust(24) for cell in row).rstrip())
+    for warning in done.result.warnings:
+        print("    warning:", warning)
+
+
+def main() -> int:
+    """Record, identify, show, and write if asked to."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="new folder for logs, vehicle files and pages")
+    parser.add_argument("--runs", type=int, default=40, help="number of logs, 20 s each")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the logs")
+    parser.add_argument("--write", action="store_true", help="write the bundled vehicle files anew")
+    asked = parser.parse_args()
+    logs = asked.out / "logs"
+    record(RecordRequest("training", logs, asked.runs, asked.seed), say)
+    results = [identified(model, logs, asked.out) for model in MODELS]
+    for done in results:
+        show(done)
+    doubtful = [done.request.model for done in results if done.objections]
+    if doubtful:
+        say(f"not identified: {', '.join(doubtful)}; nothing is bundled")
+        return 1
+    for done in results if asked.write else ():
+        print("wrote", bundle(done))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,175 @@
+"""One page about an identification: data, parameters, correlation, fit, residuals, prediction of held-out logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from kraft.plot.output import picture_format, write_picture
+from kraft.plot.page import HEAD, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
+from kraft.plot.style import INK, SMALL, look, text_width
+from kraft.plot.sysid_logs import telling
+from kraft.plot.sysid_panels import (
+    draw_correlation,
+    draw_growth,
+    draw_histogram,
+    draw_parameters,
+    draw_windows,
+    fit_panels,
+    typical,
+)
+from kraft.plot.sysid_style import (
+    AFTER,
+    BEFORE,
+    DATA,
+    FITTED,
+    HELD_OUT,
+    Word,
+    caption,
+    draw_stack,
+    draw_ways,
+    fit_floor,
+)
+from kraft.sysid.forecast import Predicted
+from kraft.sysid.holdout import Split
+from kraft.sysid.result import Identification
+from ompl_ext.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Log
+
+WIDTH: Final = 11.5
+SIDE: Final = 3.1  # width of what stands at the left and at the right
+MATRIX: Final = 2.1
+GAP: Final = 0.75
+ROWS: Final = (2.9, 3.3, 2.7)
+
+
+def plot_identification(
+    path: Path,
+    vehicle: Vehicle,
+    split: Split,
+    result: Identification,
+    predicted: Predicted,
+    objections: Sequence[str] = (),
+) -> None:
+    """Draw an identification as PNG, SVG or PDF by the suffix of `path`.
+
+    The same arguments give the same bytes.  The file is written in one step or not at all.
+
+    Raises:
+        InputError: if the suffix is none of these or the file cannot be written.
+    """
+    picture_format(path)
+    with look():
+        write_picture(path, compose(vehicle, split, result, predicted, objections))
+
+
+def compose(
+    vehicle: Vehicle, split: Split, result: Identification, predicted: Predicted, objections: Sequence[str]
+) -> Figure:
+    """The page."""
+    rows = note_rows_of(_notes(split, result, predicted), WIDTH - LEFT - RIGHT)
+    tops, top = [], HEAD + NOTES * len(rows) + 0.32
+    for height in ROWS:
+        tops.append(top)
+        top += height + GAP
+    floor = Rectangle(LEFT, tops[0], SIDE - 0.5, ROWS[0])
+    page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
+    figure = Figure(figsize=(page.width, page.height))
+    warning = f"not identified: {objections[0]}" if objections else None
+    page.heading(figure, f"{vehicle.name}, identified from {_count(split.fitted)}", warning)
+    _draw_data(figure, page, floor, split, result, tops[0])
+    _draw_fit(figure, page, tops[1], vehicle, split, result)
+    _draw_prediction(figure, page, tops[2], predicted)
+    return figure
+
+
+def _notes(split: Split, result: Identification, predicted: Predicted) -> Mapping[str, str]:
+    unseen = predicted.held_out
+    forecast, whose = (unseen, "held out") if unseen else (predicted.fitted, "fitted")
+    source, noise = "measured" if result.noise_measured else "stated", result.noise
+    return {
+        "driven": f"{sum(log.duration for log in (*split.fitted, *split.held_out)):.0f} s",
+        "95 % intervals": result.interval,
+        f"noise of the poses, {source}": f"{1000 * noise.position:.2g} mm, {math.degrees(noise.yaw):.2g}°",
+        f"open loop, {whose}": f"{100 * forecast.errors.overall_position:.2f} cm",
+        "with the initial values": f"{100 * forecast.errors_before.overall_position:.2f} cm",
+        "fit": f"converged after {result.iterations} iterations" if result.converged else "NOT converged",
+        "warnings": str(len(result.warnings)),
+    }
+
+
+def _count(logs: Sequence[Log]) -> str:
+    return f"{len(logs)} log{'' if len(logs) == 1 else 's'}"
+
+
+def _draw_data(figure: Figure, page: Page, floor: Rectangle, split: Split, result: Identification, top: float) -> None:
+    axes = page.axes(figure, floor)
+    ways = {FITTED: _ways(split.fitted), HELD_OUT: _ways(split.held_out)}
+    for colour, found in ways.items():
+        draw_ways(axes, found, colour, width=0.8)
+    fit_floor(axes, [way for found in ways.values() for way in found], floor)
+    words: list[Word] = [("Data", INK), ("fitted", FITTED)]
+    caption(figure, page, floor, words + ([("held out", HELD_OUT)] if split.held_out else []))
+    labels = max((text_width(name, SMALL) for name in result.names), default=0.0) / 72 + 0.1
+    matrix = Rectangle(WIDTH - RIGHT - MATRIX, top, MATRIX, MATRIX)
+    left = floor.left + floor.width + 0.3
+    table = Rectangle(left, top, matrix.left - labels - 0.25 - left, ROWS[0] + 0.2)
+    draw_parameters(figure, page, table, result.parameters, result.warnings)
+    caption(figure, page, table, (("Parameters", INK), ("identified", AFTER), ("initial", BEFORE)))
+    draw_correlation(page.axes(figure, matrix), result.names, result.correlation)
+    caption(figure, page, matrix, (("Correlation", INK), (f"({result.interval})", INK)))
+
+
+def _ways(logs: Sequence[Log]) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    return [part.poses[:, :2] for log in logs for part in log.parts]
+
+
+def _draw_fit(figure: Figure, page: Page, top: float, vehicle: Vehicle, split: Split, result: Identification) -> None:
+    log = telling(split.fitted)
+    fit = next(found for found in result.logs if found.name == log.name)
+    number = int(np.argmax([len(part.pose_times) for part in fit.parts]))
+    shown = fit.parts[number]
+    part = next(
+        p for p in log.parts if p.pose_times[0] <= shown.pose_times[0] and p.pose_times[-1] >= shown.pose_times[-1]
+    )
+    left = Rectangle(LEFT, top + 0.1, WIDTH - LEFT - RIGHT - SIDE - 0.6, ROWS[1] - 0.1)
+    caption(figure, page, Rectangle(LEFT, top - 0.07, 1, 1), ((f"Fit of {log.name}", INK),))
+    draw_stack(figure, page, left, fit_panels(vehicle, result, part, shown))
+    residuals = np.concatenate([part.residuals for found in result.logs for part in found.parts])
+    right, height = WIDTH - RIGHT - SIDE, (ROWS[1] - 0.85) / 2
+    for k, (values, sigma, unit, title) in enumerate((
+        (1000 * residuals[:, :2].ravel(), 1000 * result.noise.position, "mm", "x and y"),
+        (np.degrees(residuals[:, 2]), math.degrees(result.noise.yaw), "deg", "yaw"),
+    )):  # fmt: skip
+        part_of_page = Rectangle(right, top + 0.05 + k * (height + 0.75), SIDE, height)
+        draw_histogram(page.axes(figure, part_of_page), values, sigma, unit)
+        words = ((f"Residuals, {title}", INK), ("all fitted logs", DATA), ("as their noise", INK))
+        caption(figure, page, part_of_page, words)
+
+
+def _draw_prediction(figure: Figure, page: Page, top: float, predicted: Predicted) -> None:
+    forecast = predicted.held_out or predicted.fitted
+    whose = "held-out logs" if predicted.held_out else "fitted logs"
+    name = typical(forecast.after)
+    floor = Rectangle(LEFT, top, SIDE + 0.2, ROWS[2])
+    draw_windows(page.axes(figure, floor), floor, forecast, name)
+    words: tuple[Word, ...] = ((f"Prediction of {name}, 3 s at a time", INK), ("poses", DATA))
+    caption(figure, page, floor, words)
+    forecasts = [(forecast, whose)] + ([(predicted.fitted, "fitted logs")] if predicted.held_out else [])
+    width = (WIDTH - RIGHT - floor.left - floor.width - 1.5) / 2
+    for k, (columns, factor, unit, title) in enumerate((
+        ((0, 1), 100.0, "cm", "Position"),
+        ((2,), 180.0 / math.pi, "deg", "Yaw"),
+    )):  # fmt: skip
+        part = Rectangle(floor.left + floor.width + 0.75 + k * (width + 0.75), top, width, ROWS[2])
+        draw_growth(page.axes(figure, part), forecasts, columns, factor, unit)
+        rest = (("dashed: fitted", INK),) if len(forecasts) > 1 else ()
+        words = ((f"{title}, {whose}", INK), ("identified", AFTER), ("initial", BEFORE), *rest)
+        caption(figure, page, part, words)

@@ -1,0 +1,198 @@
+"""The parts of the page about an identification."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from kraft.plot.page import Page, Rectangle
+from kraft.plot.style import GREY, INK, LABEL, RULE, SMALL, WARNING, Look, plain_number, text_width
+from kraft.plot.sysid_logs import held, speeds
+from kraft.plot.sysid_style import AFTER, BEFORE, DATA, Curve, Panel, draw_ways, fit_floor, note, plain
+from kraft.sysid.result import Estimated, Identification, PartFit
+from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Part
+    from kraft.sysid.forecast import Forecast
+    from kraft.sysid.prediction import Window
+
+ROW: Final = 0.215
+DOUBTED: Final = 0.5
+"""Observations of which less than this counts are marked."""
+BIN: Final = 0.1
+"""Width of a bin of time since a window's beginning, s."""
+
+
+def draw_parameters(
+    figure: Figure, page: Page, part: Rectangle, parameters: Mapping[str, Estimated], warnings: Sequence[str]
+) -> None:
+    """A table, for each parameter where estimate and initial value lie between its bounds; warnings below it."""
+    rows = [("", "value", "95 % interval", "initial"), *(_cells(name, each) for name, each in parameters.items())]
+    left = part.left
+    for column, cells in enumerate(zip(*rows, strict=True)):
+        for k, cell in enumerate(cells):
+            colour, weight = (GREY, "normal") if k == 0 else (INK, "normal" if column else "bold")
+            page.text(figure, left, part.top + 0.12 + ROW * k, cell, LABEL, colour, weight=weight)
+        left += (max(text_width(cell, LABEL, bold=column == 0) for cell in cells) + 8.0) / 72
+    page.text(figure, left, part.top + 0.12, "in its bounds", LABEL, GREY)
+    for k, estimate in enumerate(parameters.values(), 1):
+        bar = Rectangle(left, part.top + ROW * k - 0.01, max(part.left + part.width - left, 0.5), 0.16)
+        _draw_bar(page.axes(figure, bar), estimate)
+    below = part.top + 0.12 + ROW * len(rows)
+    _draw_warnings(figure, page, Rectangle(part.left, below, part.width, part.bottom - below), warnings)
+
+
+def _cells(name: str, estimate: Estimated) -> tuple[str, str, str, str]:
+    """Numbers with as many decimals as the standard deviation is worth."""
+    size = estimate.std if estimate.std > 0 else abs(estimate.value) / 1000
+    digits = min(max(1 - math.floor(math.log10(size)), 0), 5) if size > 0 else 3
+    values = (estimate.value, *estimate.ci95, estimate.initial)
+    value, low, high, initial = (f"{number:.{digits}f}".replace("-", "\N{MINUS SIGN}") for number in values)
+    unit = "" if estimate.unit in ("", "1") else f", {estimate.unit}"
+    interval = "frozen" if estimate.frozen else f"{low} to {high}" + (", at its bound" if estimate.at_bound else "")
+    return f"{name}{unit}", value, interval, initial
+
+
+def _draw_warnings(figure: Figure, page: Page, part: Rectangle, warnings: Sequence[str]) -> None:
+    """As many lines as there is room for."""
+    line = 0.145
+    columns = int(part.width * 72 / (0.5 * SMALL))  # a letter is half as wide as high, about
+    lines = [text for warning in warnings for text in textwrap.wrap(f"Warning: {warning}", columns)]
+    room = max(int(part.height / line), 0)
+    if len(lines) > room > 0:
+        lines = [*lines[: room - 1], "..."]
+    for k, text in enumerate(lines[:room]):
+        page.text(figure, part.left, part.top + line * (k + 1), text, SMALL, WARNING)
+
+
+def _draw_bar(axes: Axes, estimate: Estimated) -> None:
+    axes.set_axis_off()
+    axes.set(xlim=(estimate.min, estimate.max), ylim=(-1, 1))
+    axes.plot((estimate.min, estimate.max), (0, 0), color=RULE, linewidth=2.0, clip_on=False)
+    axes.plot((estimate.initial,) * 2, (-0.8, 0.8), color=BEFORE, linewidth=1.2, clip_on=False)
+    axes.plot(estimate.ci95, (0, 0), color=AFTER, linewidth=3.0, solid_capstyle="butt")
+    axes.plot((estimate.value,), (0,), "o", color=AFTER, markersize=3.5, markeredgewidth=0, clip_on=False)
+
+
+def draw_correlation(axes: Axes, names: Sequence[str], correlation: Floats) -> None:
+    """The matrix, with its numbers."""
+    count = len(names)
+    if count == 0:
+        note(axes, "nothing was estimated")
+        return
+    axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
+    size = min(LABEL, 46.0 / count)
+    for i in range(count):
+        for j in range(count):
+            value = float(correlation[i, j])
+            colour = "white" if abs(value) > 0.6 else INK
+            axes.text(j, i, plain_number(round(value, 2)), ha="center", va="center", fontsize=size, color=colour)
+    axes.set_xticks(range(count), labels=list(names), rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(count), labels=list(names))
+    axes.tick_params(length=0, labelcolor=INK)
+    axes.spines[:].set_visible(False)
+
+
+def fit_panels(vehicle: Vehicle, result: Identification, part: Part, fit: PartFit) -> list[Panel]:
+    """Commands, speed and residuals of one part over time."""
+    panels = []
+    for k, name in enumerate(vehicle.controls):
+        applied = Curve(fit.times[:-1], fit.controls[:, k], AFTER, "held", 0.9)
+        title = ((name, INK), ("commanded", INK), ("in the fit", AFTER))
+        panels.append(Panel(title, (Curve(*held(part, k), INK, "held", 1.3), applied)))
+    measured = Curve(*speeds(part), DATA, "dots")
+    if vehicle.rest:
+        smoothed = Curve(fit.times, fit.states[:, vehicle.rest_indices[0]], AFTER, width=1.3)
+        title = (("speed, m/s", INK), ("between poses", DATA), ("in the fit", AFTER))
+        panels.append(Panel(title, (measured, smoothed)))
+    return panels + _residual_panels(result, fit)
+
+
+def _residual_panels(result: Identification, fit: PartFit) -> list[Panel]:
+    residuals, times = fit.residuals, fit.pose_times
+    doubted = fit.weights < DOUBTED
+    position = np.hypot(residuals[:, 0], residuals[:, 1])
+    curves = [
+        Curve(times, 1000 * residuals[:, 0], INK, "dots"),
+        Curve(times, 1000 * residuals[:, 1], DATA, "dots"),
+    ]
+    if doubted.any():
+        curves.append(Curve(times[doubted], 1000 * position[doubted], WARNING, "dots"))
+    yaw = [Curve(times, np.degrees(residuals[:, 2]), INK, "dots")]
+    if doubted.any():
+        yaw.append(Curve(times[doubted], np.degrees(residuals[doubted, 2]), WARNING, "dots"))
+    about = (("counts less", WARNING),) if doubted.any() else ()
+    return [
+        Panel((("residual, mm", INK), ("x", INK), ("y", DATA), *about), tuple(curves), 2000 * result.noise.position),
+        Panel((("residual, deg", INK), ("yaw", INK), *about), tuple(yaw), math.degrees(2 * result.noise.yaw)),
+    ]
+
+
+def draw_histogram(axes: Axes, residuals: Floats, sigma: float, unit: str) -> None:
+    """How residuals (n,) are distributed, beside what their noise lets expect."""
+    edge = max(4.0 * sigma, float(np.quantile(np.abs(residuals), 0.995)))
+    axes.hist(np.clip(residuals, -edge, edge), bins=60, range=(-edge, edge), density=True, color=DATA, alpha=0.75)
+    at = np.linspace(-edge, edge, 200)
+    axes.plot(at, np.exp(-0.5 * (at / sigma) ** 2) / (sigma * math.sqrt(math.tau)), color=INK, linewidth=1.2)
+    plain(axes)
+    axes.spines["left"].set_visible(False)
+    axes.set_yticks([])
+    axes.set_xlim(-edge, edge)
+    axes.set_xlabel(unit, labelpad=1)
+
+
+def draw_windows(axes: Axes, part: Rectangle, forecast: Forecast, name: str) -> None:
+    """Each window of one log: where it went, and where it was predicted to go."""
+    after = [window for window in forecast.after if window.log == name]
+    before = [window for window in forecast.before if window.log == name]
+    observed = [window.poses for window in after]
+    for way in observed:
+        axes.plot(way[:, 0], way[:, 1], ".", color=DATA, markersize=2.6, markeredgewidth=0, zorder=2)
+    for window in before:
+        axes.plot(window.predicted[:, 0], window.predicted[:, 1], color=BEFORE, linewidth=0.9, zorder=3)
+    draw_ways(axes, [window.predicted for window in after], AFTER, width=1.3, zorder=4)
+    fit_floor(axes, [*observed, *(window.predicted for window in (*after, *before))], part)
+
+
+def typical(windows: Sequence[Window]) -> str:
+    """Name of the log with the median error."""
+    errors: dict[str, list[float]] = {}
+    for window in windows:
+        errors.setdefault(window.log, []).append(float(np.mean(np.hypot(*(window.predicted - window.poses)[:, :2].T))))
+    means = sorted((float(np.mean(found)), name) for name, found in errors.items())
+    return means[len(means) // 2][1]
+
+
+def growth(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, Floats]:
+    """Time since the beginning of windows (s), and the root mean square error of pose columns after it."""
+    since = np.concatenate([window.times - window.times[0] for window in windows])
+    off = np.concatenate([(window.predicted - window.poses)[:, list(columns)] for window in windows])
+    squared = np.sum(off**2, axis=1)
+    bins = np.round(since / BIN).astype(int)
+    known = np.unique(bins[bins > 0])
+    return known * BIN, np.sqrt([float(np.mean(squared[bins == k])) for k in known])
+
+
+def draw_growth(
+    axes: Axes, forecasts: Sequence[tuple[Forecast, str]], columns: Sequence[int], factor: float, unit: str
+) -> None:
+    """How the error grows with time, identified and initial; a forecast after the first is drawn thin and dashed."""
+    for k, (forecast, _) in enumerate(forecasts):
+        style: Look = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
+        for windows, colour in ((forecast.before, BEFORE), (forecast.after, AFTER)):
+            times, errors = growth(windows, columns)
+            axes.plot(np.append(0.0, times), factor * np.append(0.0, errors), color=colour, **style)
+    plain(axes)
+    axes.set(xlim=(0.0, 3.0))
+    axes.set_ylim(bottom=0.0)
+    axes.grid(color=RULE, linewidth=0.4)
+    axes.set_xlabel("time since the prediction began, s", labelpad=1)
+    axes.set_ylabel(unit, labelpad=2)

@@ -1,0 +1,108 @@
+"""The folder of a recorded run: what was sent, what was seen, what is true, and how it came about.
+
+LOGS/run_01/commands.csv    t, throttle, steering: when each command was sent
+LOGS/run_01/poses.csv       t, x, y, yaw: when each frame was taken, by the camera's clock
+LOGS/run_01/truth.csv       t, x, y, yaw, speed: for whoever wants to compare; identification never opens it
+LOGS/run_01/manifest.json   manoeuvre, start, scenario, seed, versions
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.atomic_file import check_writable, write_whole
+from kraft.errors import InputError
+from kraft.evaluation.versions import versions
+from kraft.plain import plain, plain_hash
+from kraft.recording.recorder import Recording
+from kraft.scenario import Scenario
+from ompl_ext.arrays import Matrix
+
+SCHEMA: Final = "kraft.record/1"
+COMMANDS: Final = ("t", "throttle", "steering")
+POSES: Final = ("t", "x", "y", "yaw")
+TRUTH: Final = ("t", "x", "y", "yaw", "speed")
+UNITS: Final = {
+    "t": "s", "throttle": "1", "steering": "rad", "x": "m", "y": "m", "yaw": "rad", "speed": "m/s",
+}  # fmt: skip
+
+
+def check_target(folder: Path) -> None:
+    """Refuse a folder that exists, and a place that cannot be written.
+
+    Raises:
+        InputError: if it is one of these.
+    """
+    if os.path.lexists(folder):
+        raise InputError.of(str(folder), "is there already", "expected a new folder for the logs (--out)")
+    check_writable(folder)
+
+
+def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> Path:
+    """Write a run into its own new folder in `folder`, in one step, and return it.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    final = folder / f"run_{recording.number:02d}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".part", dir=folder))
+    except OSError as error:
+        raise InputError.of(str(final), f"cannot be written: {error.strerror}", "expected a place for it") from error
+    try:
+        for name, heading, rows in (
+            ("commands.csv", COMMANDS, recording.commands),
+            ("poses.csv", POSES, recording.poses),
+            ("truth.csv", TRUTH, recording.truth),
+        ):
+            write_whole(part / name, _csv(heading, rows))
+        content = _manifest(scenario, arguments, recording)
+        write_whole(part / "manifest.json", (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
+        os.chmod(part, 0o777 & ~_umask())
+        os.rename(part, final)
+    except OSError as error:
+        raise InputError.of(str(final), f"cannot be written: {error.strerror}", "expected room for it") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)  # there only if something went wrong
+    return final
+
+
+def _csv(heading: Sequence[str], rows: Matrix) -> bytes:
+    """Numbers as short as they can be written, so that reading gives back the same doubles."""
+    lines = [",".join(heading), *(",".join(repr(float(value)) for value in row) for row in rows)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
+    """Everything that making the run again would need; nothing in it depends on the clock."""
+    start = recording.place.start
+    described = {f.name: plain(getattr(scenario, f.name)) for f in fields(scenario) if f.compare}
+    return {
+        "schema": SCHEMA,
+        "arguments": dict(arguments),
+        "run": recording.number,
+        "manoeuvre": recording.manoeuvre.name,
+        "start": {"x": start.x, "y": start.y, "heading": start.heading},
+        "end": recording.end,
+        "note": recording.note,
+        "commands": len(recording.commands),
+        "poses": len(recording.poses),
+        "units": UNITS,
+        "clock": "both files count from the beginning of the run; a pose carries the time its frame was taken",
+        "scenario": {"sha256": plain_hash(described), "content": described},
+        "versions": versions(),
+    }
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

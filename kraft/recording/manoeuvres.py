@@ -1,0 +1,116 @@
+"""Nominal open-loop manoeuvres: what a car is commanded so that its parameters can be told from what it does.
+
+Each shows what the others do not: straight runs the drive and the straightness of the steering, arcs to both sides the
+wheelbase apart from the steering offset, steps the lags, the mix what was forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Matrix
+
+DURATION: Final = 20.0
+"""How long a manoeuvre takes, s."""
+REST: Final = 0.5
+"""Time at rest before it begins, s: a log that begins at rest tells the speed at its beginning."""
+COASTING: Final = 2.5
+"""Time without throttle at its end, s: how the car slows down is seen in every log."""
+
+Piece = tuple[float, float, float]
+"""Duration (s), throttle as a share of the largest, steering as a share of the largest."""
+Draw = Callable[[np.random.Generator], list[Piece]]
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """Controls (n, 2), throttle and steering, held from each of `times` (n,) to the next; the last one to `end`, s."""
+
+    name: str
+    times: Floats
+    controls: Matrix
+    end: float
+
+    def control_at(self, time: float) -> tuple[float, float]:
+        """Throttle and steering at a time, s."""
+        k = int(np.searchsorted(self.times, time + 1e-9, side="right")) - 1
+        throttle, steering = self.controls[max(k, 0)]
+        return float(throttle), float(steering)
+
+
+def manoeuvre(name: str, throttle: float, steering: float, generator: np.random.Generator) -> Manoeuvre:
+    """Draw a manoeuvre.
+
+    Args:
+        name: one of `NAMES`.
+        throttle: the largest there is.
+        steering: the largest there is to either side, rad.
+        generator: decides everything that the name leaves open.
+    """
+    room = DURATION - REST - COASTING
+    pieces: list[Piece] = [(REST, 0.0, 0.0)]
+    used = 0.0
+    for duration, u, phi in _filled(KINDS[name], generator):
+        pieces.append((min(duration, room - used), u, phi))
+        used += duration
+        if used >= room:
+            break
+    pieces.append((COASTING, 0.0, pieces[-1][2]))
+    durations = np.array([piece[0] for piece in pieces])
+    controls = np.array([(u * throttle, phi * steering) for _, u, phi in pieces])
+    times = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
+    return Manoeuvre(name, times, controls, DURATION)
+
+
+def _filled(draw: Draw, generator: np.random.Generator) -> list[Piece]:
+    """Pieces that take at least as long as a manoeuvre."""
+    pieces = draw(generator)
+    while sum(piece[0] for piece in pieces) < DURATION:
+        pieces += draw(generator)
+    return pieces
+
+
+def _straight(generator: np.random.Generator) -> list[Piece]:
+    """Speed up on a straight line and coast."""
+    throttle, driving, coasting = generator.uniform((0.25, 3.0, 1.0), (1.0, 5.0, 2.5))
+    return [(driving, throttle, 0.0), (coasting, 0.0, 0.0)]
+
+
+def _arc(generator: np.random.Generator) -> list[Piece]:
+    """One circle after another, each with its radius and throttle."""
+    throttle, steering, duration = generator.uniform((0.3, 0.35, 4.0), (1.0, 1.0, 7.0))
+    return [(duration, throttle, steering)]
+
+
+def _right(generator: np.random.Generator) -> list[Piece]:
+    return [(duration, throttle, -steering) for duration, throttle, steering in _arc(generator)]
+
+
+def _steps(generator: np.random.Generator) -> list[Piece]:
+    """Steering from one side to the other at one throttle, then a step of the throttle."""
+    throttle, first, second = generator.uniform((0.3, 0.3, 0.3), (1.0, 1.0, 1.0))
+    side = 1.0 if generator.random() < 0.5 else -1.0
+    durations = generator.uniform(1.0, 2.5, 3)
+    turns = (side * first, -side * second, 0.0)
+    return [(float(duration), throttle, turn) for duration, turn in zip(durations, turns, strict=True)]
+
+
+def _mix(generator: np.random.Generator) -> list[Piece]:
+    """Anything, for half a second to two, coasting now and then."""
+    duration, throttle, steering = generator.uniform((0.5, 0.0, -1.0), (2.0, 1.0, 1.0))
+    return [(duration, throttle if throttle > 0.15 else 0.0, steering)]
+
+
+KINDS: Final[Mapping[str, Draw]] = MappingProxyType({
+    "straight": _straight,
+    "left": _arc,
+    "right": _right,
+    "steps": _steps,
+    "mix": _mix,
+})  # fmt: skip
+NAMES: Final = tuple(KINDS)

@@ -1,0 +1,169 @@
+"""Drive one manoeuvre in the simulated world, and keep what was sent, what was seen and what is true, apart."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from kraft.errors import InputError
+from kraft.model import Model
+from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
+from kraft.recording.room import Place, Room, predicted
+from kraft.scenario import Scenario
+from kraft.simulation.camera import MarkerCamera
+from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.ticks import Ticks
+from kraft.simulation.world import World
+from ompl_ext.arrays import Matrix
+from ompl_ext.vehicle import Vehicle
+
+COMMAND_RATE: Final = 20.0
+"""Commands are sent at this rate, 1/s: not that of the camera, so that the two are asynchronous, as on a real car."""
+STOP: Final = 0.1
+"""A run ends where the true car is nearer than this to anything, m."""
+SHORTEST: Final = 2.0
+"""A scenario in which a manoeuvre has less room than this is refused, s."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run.
+
+    Attributes:
+        number: from 1.
+        manoeuvre: what was commanded.
+        place: where it began.
+        commands: time sent (s), throttle, steering (rad), (m, 3).
+        poses: time taken (s), x, y (m), yaw (rad) as the camera measured them, (n, 4).
+        truth: time (s), x, y (m), yaw (rad), speed (m/s) at every frame of the camera, (k, 5).
+        end: when it ended, s.
+        note: why it ended early; empty if it did not.
+    """
+
+    number: int
+    manoeuvre: Manoeuvre
+    place: Place
+    commands: Matrix
+    poses: Matrix
+    truth: Matrix
+    end: float
+    note: str = ""
+
+
+class Recorder:
+    """Records runs in a scenario. A run depends on the scenario, the seed and its number, and on nothing else."""
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle, seed: int) -> None:
+        """Make the world.
+
+        Args:
+            scenario: where to drive; its start and goal do not matter.
+            vehicle: the car as it is believed to be: bounds of its commands, its footprint, and where it will get to.
+            seed: of manoeuvres, places and the camera's errors.
+
+        Raises:
+            InputError: if the vehicle is not a car with throttle and steering.
+        """
+        self._scenario, self._seed = scenario, seed
+        self._model = Model(vehicle)
+        self._room = Room(scenario, vehicle)
+        self._world = World(scenario)
+
+    def record(self, number: int) -> Recording:
+        """Drive run `number`, from 1.
+
+        Raises:
+            InputError: if the scenario has no room for its manoeuvre.
+        """
+        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
+        high = self._model.high
+        steering = min(high[self._model.steering], -self._model.low[self._model.steering])
+        wanted = manoeuvre(
+            NAMES[(number - 1) % len(NAMES)], float(high[self._model.throttle]), float(steering), generator
+        )
+        place = self._room.place(predicted(self._model, wanted), generator)
+        if place.time < SHORTEST:
+            name = self._scenario.name
+            problem = f"has no room for a run of {SHORTEST:g} s (manoeuvre {wanted.name!r})"
+            raise InputError.of(name, problem, "expected more free floor, as in the scenario training")
+        camera = MarkerCamera(self._scenario.sensing, MARKER_HEIGHT, int(generator.integers(2**62)))
+        return _Run(self._scenario, self._world, camera, self._room, wanted, place).driven(number)
+
+
+class _Run:
+    """One run while it is driven."""
+
+    def __init__(
+        self, scenario: Scenario, world: World, camera: MarkerCamera, room: Room, wanted: Manoeuvre, place: Place
+    ) -> None:
+        world.reset(place.start)
+        self._world, self._camera, self._room = world, camera, room
+        self._manoeuvre, self._place = wanted, place
+        self._ticks, self._frames = Ticks(COMMAND_RATE, world.dt), Ticks(scenario.sensing.rate_hz, world.dt)
+        self._delay = scenario.sensing.communication_delay
+        self._under_way: deque[tuple[int, float, float]] = deque()
+        self._commands: list[tuple[float, ...]] = []
+        self._poses: list[tuple[float, ...]] = []
+        self._truth: list[tuple[float, ...]] = []
+
+    def driven(self, number: int) -> Recording:
+        """Drive it to its end, or to where it would touch something."""
+        world, end = self._world, round(self._manoeuvre.end / self._world.dt)
+        note = ""
+        while not note:
+            self._see()
+            self._command()
+            self._deliver()
+            if world.steps >= end:
+                break
+            world.step(min(self._next, end) - world.steps)
+            note = self._danger()
+        return Recording(
+            number, self._manoeuvre, self._place, np.array(self._commands), np.array(self._poses).reshape(-1, 4),
+            np.array(self._truth), world.time, note,
+        )  # fmt: skip
+
+    @property
+    def _next(self) -> int:
+        """Physics step of the next event."""
+        arrivals = [step for step, *_ in self._under_way]
+        return max(min(self._ticks.due, self._frames.due, *arrivals), self._world.steps + 1)
+
+    def _see(self) -> None:
+        world = self._world
+        if world.steps < self._frames.due:
+            return
+        self._frames.number += 1
+        x, y, theta = map(float, world.pose)
+        self._truth.append((world.time, x, y, theta, world.speed))
+        seen = self._camera.expose(world.time, *world.marker)
+        if seen is not None:
+            self._poses.append((seen.time, seen.x, seen.y, seen.theta))
+
+    def _command(self) -> None:
+        world = self._world
+        if world.steps < self._ticks.due:
+            return
+        self._ticks.number += 1
+        throttle, steering = self._manoeuvre.control_at(world.time)
+        self._commands.append((world.time, throttle, steering))
+        self._under_way.append((world.steps + math.ceil(self._delay / world.dt - 1e-6), throttle, steering))
+
+    def _deliver(self) -> None:
+        while self._under_way and self._under_way[0][0] <= self._world.steps:
+            _, throttle, steering = self._under_way.popleft()
+            self._world.apply(throttle, steering)
+
+    def _danger(self) -> str:
+        """Why the run has to end here, or nothing."""
+        world = self._world
+        if world.collision is not None:
+            return f"touched {world.collision.obstacle} after {world.time:.2f} s"
+        clearance = self._room.clearance(*map(float, world.pose))
+        if clearance < STOP:
+            return f"stopped after {world.time:.2f} s, {clearance:.2f} m from what it would have touched"
+        return ""

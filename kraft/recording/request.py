@@ -1,0 +1,73 @@
+"""`kraft record` without a terminal: from what was asked to a folder of logs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from kraft.errors import Diagnostic, InputError
+from kraft.kernel_cache import ensure_compiled
+from kraft.scenario import load_scenario
+from kraft.vehicle import vehicle_of_task
+
+RUNS: Final = 10
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for, as it was written; `out` is a new folder."""
+
+    scenario: str = "training"
+    out: Path = Path("logs")
+    runs: int = RUNS
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What one run left: its folder, what was driven and for how long (s), how much was logged, and what was noted."""
+
+    folder: Path
+    manoeuvre: str
+    duration: float
+    commands: int
+    poses: int
+    note: str
+
+
+def carry_out(
+    request: Request, say: Callable[[str], None], on_run: Callable[[Recorded], None] | None = None
+) -> tuple[Recorded, ...]:
+    """Record every run; each is written as soon as it is over, so that an interruption keeps the finished ones.
+
+    Raises:
+        InputError: with what is wrong with the request or the files it names, before anything is driven; if the
+            scenario has no room.
+    """
+    problems = []
+    if request.runs < 1:
+        problems.append(Diagnostic("--runs", f"is {request.runs}", "expected a number of at least 1"))
+    if request.seed < 0:
+        problems.append(Diagnostic("--seed", f"is {request.seed}", "expected a number of at least 0"))
+    if problems:
+        raise InputError(problems)
+    scenario = load_scenario(request.scenario)
+    vehicle = vehicle_of_task(scenario)
+    from kraft.recording.log_folder import check_target, write_recording  # these load the simulator
+    from kraft.recording.recorder import Recorder
+
+    check_target(request.out)
+    ensure_compiled(vehicle, say)
+    recorder = Recorder(scenario, vehicle, request.seed)
+    arguments = {"scenario": request.scenario, "runs": request.runs, "seed": request.seed}
+    done = []
+    for number in range(1, request.runs + 1):
+        recording = recorder.record(number)
+        folder = write_recording(request.out, scenario, arguments, recording)
+        logged = len(recording.commands), len(recording.poses)
+        done.append(Recorded(folder, recording.manoeuvre.name, recording.end, *logged, recording.note))
+        if on_run is not None:
+            on_run(done[-1])
+    return tuple(done)

@@ -1,0 +1,95 @@
+"""Where a manoeuvre has room: a start from which the car is expected to keep away from everything."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from kraft.model import Model
+from kraft.recording.manoeuvres import Manoeuvre
+from kraft.scenario import Box, Scenario, Start
+from kraft.workspace import workspace_of
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.exact import ExactClearance
+from ompl_ext.vehicle import Vehicle
+
+STEP: Final = 0.1
+"""Between two predicted poses, s."""
+CANDIDATES: Final = 300
+"""Starts that are tried; the first one with room for all of the manoeuvre is taken, else the one with most of it."""
+MARGIN: Final = 0.25
+"""Clearance that is asked for at the start, m."""
+MARGIN_PER_METRE: Final = 0.1
+"""More for each metre driven since: the car is not the one that is predicted."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A start, and how long the manoeuvre is expected to have room from there, s."""
+
+    start: Start
+    time: float
+
+
+class Room:
+    """The free floor of a scenario: what stands there, whether it would give way or not, and the bounds."""
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
+        boxes = tuple(Box(box.center, box.size[:2], box.yaw) for box in scenario.truth.movable_boxes)
+        task = replace(scenario.task(), obstacles=scenario.obstacles + boxes)
+        self._bounds = scenario.bounds
+        self._exact = ExactClearance(workspace_of(task, vehicle), vehicle.footprint)
+
+    def clearance(self, x: float, y: float, theta: float) -> float:
+        """Distance of the footprint to the nearest thing, m."""
+        return self._exact.distance(x, y, theta)
+
+    def place(self, path: Matrix, generator: np.random.Generator) -> Place:
+        """Choose where a predicted path (m, 3), `STEP` apart and from the origin, is to begin."""
+        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
+        wanted = MARGIN + MARGIN_PER_METRE * travelled
+        (x0, x1), (y0, y1) = self._bounds.x, self._bounds.y
+        best = Place(Start(0.0, 0.0, 0.0), -1.0)
+        for _ in range(CANDIDATES):
+            x, y, heading = map(float, generator.uniform((x0, y0, -math.pi), (x1, y1, math.pi)))
+            start = Start(x, y, heading)
+            time = self._room_of(moved(path, start), wanted, best.time)
+            if time > best.time:
+                best = Place(start, time)
+            if time >= STEP * (len(path) - 1):
+                break
+        return best
+
+    def _room_of(self, poses: Matrix, wanted: Floats, known: float) -> float:
+        """How long poses keep the clearance that is wanted, s; at most `known` if that is clear from the bounds."""
+        (x0, x1), (y0, y1) = self._bounds.x, self._bounds.y
+        x, y = poses[:, 0], poses[:, 1]
+        outside = np.minimum(np.minimum(x - x0, x1 - x), np.minimum(y - y0, y1 - y)) < wanted
+        inside = int(np.argmax(outside)) if outside.any() else len(poses)
+        if STEP * (inside - 1) <= known:
+            return known
+        for k in range(inside):
+            if self._exact.distance(*map(float, poses[k])) < wanted[k]:
+                return STEP * (k - 1)
+        return STEP * (inside - 1)
+
+
+def predicted(model: Model, manoeuvre: Manoeuvre) -> Matrix:
+    """Poses (m, 3) from the origin, `STEP` apart, that the model expects."""
+    state = np.zeros(len(model.vehicle.state))
+    poses = [(0.0, 0.0, 0.0)]
+    for k in range(round(manoeuvre.end / STEP)):
+        throttle, steering = manoeuvre.control_at((k + 0.5) * STEP)
+        state = model.advance(state, model.command(throttle, steering), STEP)
+        poses.append((float(state[model.x]), float(state[model.y]), float(state[model.theta])))
+    return np.array(poses)
+
+
+def moved(path: Matrix, start: Start) -> Matrix:
+    """A path from the origin as one from a start, (m, 3)."""
+    c, s = math.cos(start.heading), math.sin(start.heading)
+    x, y, theta = path.T
+    return np.column_stack([start.x + c * x - s * y, start.y + s * x + c * y, start.heading + theta])

@@ -1,0 +1,15 @@
+"""When something that happens at a rate is due, in steps of the physics."""
+
+from __future__ import annotations
+
+
+class Ticks:
+    """Events at a rate (1/s), each at the physics step of `dt` s nearest to its time; `number` of them are over."""
+
+    def __init__(self, rate: float, dt: float) -> None:
+        self._period, self.number = 1.0 / (rate * dt), 0
+
+    @property
+    def due(self) -> int:
+        """Physics step of the next event."""
+        return round(self.number * self._period)

@@ -1,0 +1,177 @@
+"""Write what was identified as a vehicle file, which every command takes in place of a bundled vehicle."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.atomic_file import check_writable, write_whole
+from kraft.errors import InputError
+from kraft.sysid.result import Estimated
+from kraft.sysid.subject import Subject
+from kraft.validation import check
+from kraft.vehicle_config import Parameter, VehicleConfig
+from kraft.vehicle_identification import IdentificationRecord
+from kraft.vehicle_reference import split_file
+from kraft.yaml_nodes import read_document
+
+DIGITS: Final = 6
+"""Significant digits of parameters: far more than are known."""
+LOOSER: Final = 3.0
+"""The standard deviation in the file is this many times that of the estimate ..."""
+LOOSEST: Final = 0.1
+"""... and at least this share of what it was before: another day's car is a little different."""
+HEADER: Final = ("# Identified by kraft sysid; what was identified from is at the end.",)
+
+
+def check_target(path: Path) -> None:
+    """Refuse a place that cannot be written, and a file that no identification has written.
+
+    Raises:
+        InputError: if it is one of these.
+    """
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError.of(str(path), "is not the name of a vehicle file", "expected a name that ends in .yaml")
+    if os.path.lexists(path):
+        config, _ = check(VehicleConfig, read_document(path))
+        if config is None or config.identification is None:
+            problem = "is there already, and kraft sysid did not write it"
+            raise InputError.of(str(path), problem, "expected a new file, or one that an identification wrote")
+    check_writable(path)
+
+
+def write_vehicle(
+    path: Path, subject: Subject, estimated: Mapping[str, Estimated], record: IdentificationRecord
+) -> None:
+    """Write a vehicle named like the file, in one step.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    name = path.stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", path.stem) else subject.name
+    fitted = sum(not log.held_out for log in record.logs)
+    description = f"{subject.name} identified from {fitted} log{'' if fitted == 1 else 's'}"
+    write_whole(path, vehicle_text(path.parent, name, description, HEADER, subject, estimated, record).encode())
+
+
+def vehicle_text(
+    folder: Path,
+    name: str,
+    description: str,
+    header: Sequence[str],
+    subject: Subject,
+    estimated: Mapping[str, Estimated],
+    record: IdentificationRecord,
+    *,
+    tighten: bool = True,
+) -> str:
+    """Content of a vehicle file that will be in `folder`.
+
+    Args:
+        folder: what a path to the model's code will be relative to.
+        name: of the vehicle.
+        description: of the vehicle.
+        header: comments of the first lines.
+        subject: whose model, footprint and top speed it gets.
+        estimated: parameters; those that the subject does not have are left to the record.
+        record: the section `identification`.
+        tighten: whether the standard deviations become those of this vehicle, or stay those of its kind.
+    """
+    shape = subject.footprint
+    offset = f", offset: {_number(shape.offset)}" if shape.offset else ""
+    lines = [
+        *header,
+        f"name: {name}",
+        f"description: {_text(description, flow=False)}",
+        "",
+        f"model: {_model(subject.model, folder)}",
+        *_parameters(subject, estimated, tighten=tighten),
+        "",
+        f"footprint: {{length: {_number(shape.length)}, width: {_number(shape.width)}{offset}}}",
+        f"top_speed: {subject.top_speed if isinstance(subject.top_speed, str) else _number(subject.top_speed)}",
+        "",
+        "identification:",
+        *_mapping(record.model_dump(mode="json", exclude_none=True), "  "),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def identified(parameter: Parameter, estimate: Estimated, *, tighten: bool = True) -> Parameter:
+    """A parameter with the estimate in place of its value.
+
+    What is plausible stays what it was, unless the estimate is not in it.  The standard deviation shrinks, but not to
+    that of the estimate: it is what identifying from other logs begins with.  Without `tighten` it stays.
+    """
+    value = float(f"{estimate.value:.{DIGITS}g}")
+    low = None if parameter.min is None else min(parameter.min, value)
+    high = None if parameter.max is None else max(parameter.max, value)
+    std = parameter.std
+    if tighten and std is not None and not estimate.frozen:
+        std = float(f"{min(std, max(LOOSER * estimate.std, LOOSEST * std)):.2g}")
+    return Parameter(
+        value=value, unit=estimate.unit or "1", description=estimate.description, min=low, max=high, std=std
+    )
+
+
+def _parameters(subject: Subject, estimated: Mapping[str, Estimated], *, tighten: bool) -> Iterator[str]:
+    yield "parameters:" if subject.parameters else "parameters: {}"
+    for name, before in subject.parameters.items():
+        parameter = identified(before, estimated[name], tighten=tighten)
+        limits = ((key, getattr(parameter, key)) for key in ("min", "max", "std"))
+        told = "".join(f", {key}: {_number(value)}" for key, value in limits if value is not None)
+        about = f", description: {_text(parameter.description)}" if parameter.description else ""
+        yield f"  {name}: {{value: {_number(parameter.value)}, unit: {_text(parameter.unit)}{told}{about}}}"
+
+
+def _model(reference: str, folder: Path) -> str:
+    """How a file in `folder` names the model; code in a file by its path from there."""
+    code = split_file(reference)
+    if code is None:
+        return reference
+    path, attribute = code
+    return _text(os.path.relpath(path, folder.absolute()) + (f":{attribute}" if attribute else ""))
+
+
+def _mapping(content: Mapping[str, Any], indent: str) -> Iterator[str]:
+    """Lines of a mapping; what holds numbers alone stands on one line, rows of a matrix on one each."""
+    for key, value in content.items():
+        label = f"{indent}{_text(key)}:"
+        if isinstance(value, dict) and any(isinstance(item, dict | list) for item in value.values()):
+            yield label
+            yield from _mapping(value, indent + "  ")
+        elif isinstance(value, list) and any(isinstance(item, dict | list) or " " in str(item) for item in value):
+            yield label
+            yield from (f"{indent}  - {_flow(item)}" for item in value)
+        else:
+            yield f"{label} {_flow(value)}"
+
+
+def _flow(value: Any) -> str:
+    """A value on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_text(key)}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float | int):
+        return f"{value:.9g}"
+    return _text(value)
+
+
+def _number(value: float) -> str:
+    return f"{value:.{DIGITS}g}"
+
+
+def _text(text: str, *, flow: bool = True) -> str:
+    """Plain where every YAML reader takes it for text, else quoted; `flow` says that it stands between braces."""
+    if re.fullmatch(r"[0-9a-f]{64}", text):
+        return f'"{text}"'  # a hash of digits alone would be a number
+    plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_/^.-]*( [A-Za-z0-9_/^.,-]+)*", text) and not re.fullmatch(
+        r"(?i)true|false|null|yes|no|on|off|y|n", text
+    )
+    return text if plain and not (flow and ", " in text) else json.dumps(text, ensure_ascii=False)

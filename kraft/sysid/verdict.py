@@ -1,0 +1,30 @@
+"""Whether an identification may be used: a planner must not be given numbers that the logs do not show."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from kraft.sysid.result import Identification
+
+SAME: Final = 0.99
+"""Correlation from which two parameters are one: the logs show what they do together, and neither alone."""
+
+
+def objections(identification: Identification) -> tuple[str, ...]:
+    """Why the parameters are not identified, as parts of a sentence; nothing if they are."""
+    found = [] if identification.converged else ["the fit did not converge"]
+    hidden = [name for name in identification.unidentified if name not in identification.extras]
+    if hidden:
+        found.append(f"the logs do not show {', '.join(hidden)}")
+    return (*found, *(f"{a} and {b} cannot be told apart" for a, b in _pairs(identification)))
+
+
+def _pairs(identification: Identification) -> list[tuple[str, str]]:
+    """Pairs of parameters that are one by the stated noise; how far the logs differ says nothing about that."""
+    covariance, names = identification.graph_covariance, identification.names
+    std = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(std, std))
+    rows, columns = np.nonzero(np.triu(correlation > SAME, 1))
+    return [(names[i], names[j]) for i, j in zip(rows, columns, strict=True)]

@@ -1,0 +1,70 @@
+"""`kraft record`: drive open-loop manoeuvres in simulation and write logs of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from kraft.recording.request import Recorded
+
+Scenario = Annotated[str, typer.Argument(metavar="[SCENARIO]", help="A bundled name or the path of a file.")]
+Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
+Runs = Annotated[int, typer.Option(metavar="N", help="Number of runs, 20 s each.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same logs.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def record(
+    context: typer.Context,
+    scenario: Scenario = "training",
+    out: Out = Path("logs"),
+    runs: Runs = 10,
+    seed: Seed = 0,
+    json: Json = False,
+) -> ExitStatus:
+    """Drive manoeuvres without feedback in simulation and write what was commanded and seen, for kraft sysid."""
+    from kraft.recording.request import Request, carry_out
+
+    terminal: Terminal = context.obj
+    done: list[Recorded] = []
+
+    def ended(run: Recorded) -> None:
+        done.append(run)
+        note = f"; {run.note}" if run.note else ""
+        terminal.say(
+            f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {run.poses} poses{note}"
+        )
+
+    try:
+        carry_out(Request(scenario, out, runs, seed), terminal.say, ended)
+    except KeyboardInterrupt:
+        terminal.problem(
+            f"stopped; {len(done)} of {runs} runs are in {out}" if done else "stopped before the first run ended"
+        )
+        return ExitStatus.INTERRUPTED
+    if json:
+        terminal.json("kraft.record/1", _content(scenario, seed, out, done))
+    else:
+        terminal.data(f"{len(done)} logs in {out}; kraft sysid {out} identifies the car from them")
+    return ExitStatus.DONE
+
+
+def _content(scenario: str, seed: int, out: Path, done: list[Recorded]) -> dict[str, object]:
+    runs = [
+        {
+            "folder": str(run.folder),
+            "manoeuvre": run.manoeuvre,
+            "duration_s": run.duration,
+            "commands": run.commands,
+            "poses": run.poses,
+            "note": run.note,
+        }
+        for run in done
+    ]
+    return {"scenario": scenario, "seed": seed, "folder": str(out), "runs": runs}

@@ -1,0 +1,236 @@
+"""`kraft sysid`: from logs to a vehicle that plans and drives, with what is doubtful said and nothing doubtful written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from kraft.sysid import request as module
+from kraft.vehicle_config import load_vehicle_config
+from kraft_cli.main import main
+
+ROOT = Path(__file__).resolve().parent.parent
+KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
+REAL = Path(os.environ.get("KRAFT_REAL_LOGS", ROOT.parent / "shared" / "data")) / "f1tenth_koopman_cc0"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    logs = tmp_path_factory.mktemp("recorded") / "logs"
+    assert main(["record", "--out", str(logs), "--runs", "8", "--seed", "1", "-q"]) == 0
+    return logs
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: Path) -> Path:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(recorded, tmp_path / "logs")
+    return tmp_path
+
+
+def said(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return capsys.readouterr().err.splitlines()
+
+
+def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]
+    assert main(arguments) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["schema"] == "kraft.sysid/1"
+    assert set(content) >= KEYS
+    assert (content["model"], content["logs"], content["converged"]) == ("mushr-lag", 8, True)
+    assert list(content["params"]) == ["L", "phi_diff", "v_delta", "tau"]
+    for each in content["params"].values():
+        assert set(each) >= {"value", "std", "ci95", "unit"}
+        assert each["ci95"][0] < each["value"] < each["ci95"][1]
+    assert content["params"]["L"]["unit"] == "m"
+    assert content["params"]["L"]["value"] == pytest.approx(0.334, abs=0.01)
+    assert 0 < content["rmse_train_m"] < 0.1
+    assert 0 < content["rmse_holdout_m"] < 0.1
+    assert len(content["held_out"]) == 2
+    assert content["vehicle_file"] is None
+    assert main(arguments) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert {**again, "wall_s": 0} == {**content, "wall_s": 0}
+
+
+def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_model(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """On drives that it has not seen, after 2 s, without any number of the bundled vehicles."""
+    errors = {}
+    for model in ("MUSHR", "MUSHR_LAG"):
+        main(["sysid", "logs", "--model", f"kraft.vehicles.mushr:{model}", "--extras", "none", "--json"])
+        prediction = json.loads(capsys.readouterr().out)["prediction"]
+        errors[model] = prediction["holdout"]["position_m"]["2"], prediction["holdout_initial"]["position_m"]["2"]
+    assert errors["MUSHR_LAG"][0] < 0.9 * errors["MUSHR_LAG"][1]
+    assert errors["MUSHR_LAG"][0] < 0.5 * errors["MUSHR"][0]
+
+
+def test_a_person_gets_tables_and_hears_what_was_taken_for_what(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert re.fullmatch(r"PARAMETER +VALUE +95 % INTERVAL \(sandwich\) +INITIAL +UNIT +MEANING", lines[0])
+    assert re.fullmatch(r"L +0\.3\d+ +0\.3\d+ to 0\.3\d+ +0\.3\d+ +m +wheelbase", lines[1])
+    assert re.fullmatch(r"OPEN LOOP, held-out logs +1 s +2 s +3 s +all", lines[6])
+    assert re.fullmatch(r"position, identified( +[\d.]+ cm){4}", lines[7])
+    assert re.fullmatch(r"yaw, initial( +[\d.]+ deg){4}", lines[10])
+    assert "intervals follow from how much the logs differ" in out
+    assert "run_01 and 7 more: commands: commands.csv: time from 't'" in err
+    assert re.search(r"2 of 8 logs held out: run_\d\d, run_\d\d", err)
+
+
+def test_quiet_leaves_the_tables_and_the_warnings(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
+    assert all(line.startswith("warning: ") for line in said(capsys))
+
+
+def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-drive", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
+    assert main(arguments) == 0
+    assert "vehicle file my.yaml" in capsys.readouterr().out
+    assert (folder / "my.png").stat().st_size > 50_000
+    config = load_vehicle_config("my.yaml")
+    assert config.name == "my"
+    assert config.identification is not None
+    assert len(config.identification.logs) == 8
+    assert main(["validate", "my.yaml"]) == 0
+    assert main(["plan", "turns", "--vehicle", "my.yaml", "--iterations", "1000"]) == 0
+    assert main(["run", "turns", "--vehicle", "my.yaml"]) == 0
+    assert main(arguments) == 0  # over the file that it wrote
+
+
+def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [f"logs/run_{k:02d}" for k in (2, 3, 4)]
+    assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert (content["rmse_holdout_m"], content["held_out"], content["interval"]) == (None, [], "graph")
+    assert "3 logs: none is held out (from 4 on a quarter is, or --holdout)" in err
+    assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--holdout", "0.3", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["held_out"]) == 1
+
+
+def test_frozen_parameters_and_other_initial_values(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--freeze", "L,phi_diff", "--param", "L=0.3", "--extras", "none", "--pose-noise", "0.002,0.02", "--json"]
+    assert main(["sysid", "logs", "--model", "mushr-lag", *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["params"]["L"]["value"] == 0.3
+    assert content["params"]["L"]["frozen"]
+    assert not content["params"]["tau"]["frozen"]
+    assert content["correlation"]["names"] == ["v_delta", "tau"]
+    assert content["pose_noise"] == {"position_m": 0.002, "yaw_rad": 0.02, "measured": False}
+
+
+def test_straight_lines_do_not_identify_a_wheelbase(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
+    assert main(["sysid", "logs/run_01", "logs/run_06", *options]) == 1
+    err = said(capsys)
+    assert re.match(r"error: not identified: .*the logs do not show L.*; my\.yaml was not written", err[-1])
+    assert any(line.startswith("warning: L is known no better than before") for line in err)
+    assert not (folder / "my.yaml").exists()
+    assert (folder / "my.png").exists()
+
+
+def test_a_bad_log_is_left_out_and_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "logs" / "run_02" / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["logs"] == 7
+    (left_out,) = content["left_out"]
+    assert left_out.startswith("logs/run_02/poses.csv")
+    assert f"left out: {left_out}" in err
+
+
+def test_when_all_logs_are_bad_each_is_explained_and_it_ends_with_1(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in (folder / "logs").iterdir():
+        (run / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
+    assert main(["sysid", "logs", "--plot", "my.png"]) == 1
+    err = said(capsys)
+    assert err[-1] == "error: none of the 8 logs can be used"
+    assert sum("poses.csv" in line for line in err) == 8
+
+
+def test_what_only_the_estimator_refuses_leaves_a_picture_of_the_logs(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from kraft.errors import InputError
+
+    def refused(*_: object) -> None:
+        raise InputError.of("logs", "show no motion", "expected drives")
+
+    monkeypatch.setattr(module, "identify", refused)
+    assert main(["sysid", "logs", "--plot", "my.png"]) == 1
+    assert said(capsys)[-2:] == [
+        "logs: show no motion; expected drives",
+        "error: the parameters cannot be identified from these logs",
+    ]
+    assert (folder / "my.png").stat().st_size > 20_000
+
+
+def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--extras", "none", "--json"]
+    assert main(arguments) == 0
+    before = json.loads(capsys.readouterr().out)
+    for run in (folder / "logs").iterdir():
+        (run / "truth.csv").unlink()
+        (run / "truth.csv").mkdir()  # whoever opens it fails
+    assert main(arguments) == 0
+    assert {**json.loads(capsys.readouterr().out), "wall_s": 0} == {**before, "wall_s": 0}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["nowhere"], "nowhere: is not there; expected CSV files"),
+        (["logs", "--model", "musrh"], "musrh: there is no vehicle 'musrh'; did you mean 'mushr'?"),
+        (["logs", "--holdout", "1"], "--holdout: is 1; expected a fraction of at least 0 and below 1"),
+        (["logs", "--freeze", "l"], "frozen: mushr has no parameter l; did you mean 'L'?"),
+        (["logs", "--extras", "dely"], "extras: mushr has no extra parameter dely; did you mean 'delay'?"),
+        (["logs", "--graph", "papre"], "--graph: is 'papre'; did you mean 'paper'?"),
+        (["logs", "--pose-noise", "0.01"], "--pose-noise: is '0.01'; expected standard deviations of position (m)"),
+        (["logs", "--param", "L"], "--param: is 'L'; expected name=number"),
+        (["logs", "--mapping", "none.yaml"], "none.yaml: "),
+        (["logs", "--out", "my.txt"], "my.txt: is not the name of a vehicle file"),
+        (["logs", "--plot", "my.gif"], "my.gif: the picture's name ends in '.gif'"),
+        (["logs", "--plot", "logs/run_01/poses.csv/my.png"], "logs/run_01/poses.csv/my.png: cannot be written"),
+    ],
+)  # fmt: skip
+def test_bad_arguments_are_explained(arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert expected in err
+
+
+def test_every_option_and_key_of_kraft_sysid_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "docs" / "sysid.md").read_text(encoding="utf-8")
+    assert main(["sysid", "--help"]) == 0
+    options = set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", capsys.readouterr().out)) - {"--help"}
+    assert options
+    assert options <= set(re.findall(r"--[a-z]+(?:-[a-z]+)*", text))
+    main(["sysid", "logs", "--json"])
+    content = json.loads(capsys.readouterr().out)
+    described = set(re.findall(r"`(\w+)`", text))
+    assert set(content) <= described
+    assert set(content["params"]["L"]) <= described
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real logs are not here (KRAFT_REAL_LOGS)")
+def test_on_a_real_car_prediction_is_as_good_as_its_poses(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", str(REAL), "--holdout", "0.5", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    errors = content["prediction"]["holdout"]
+    assert content["logs"] == 41
+    assert errors["position_m"]["3"] < 0.03
+    assert errors["yaw_rad"]["3"] < 0.03
+    assert content["params"]["delay"]["value"] == pytest.approx(0.1, abs=0.04)

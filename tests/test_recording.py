@@ -1,0 +1,139 @@
+"""Recorded runs stay away from everything, show every manoeuvre, and keep what was seen apart from what is true."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kraft.errors import InputError
+from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, manoeuvre
+from kraft.recording.recorder import COMMAND_RATE, STOP, Recorder, Recording
+from kraft.recording.room import MARGIN, Room, moved
+from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
+from kraft.vehicle import load_vehicle
+from kraft.workspace import workspace_of
+from ompl_ext.exact import ExactClearance
+
+MUSHR = load_vehicle("mushr")
+TRAINING = load_scenario("training")
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Recording]:
+    recorder = Recorder(TRAINING, MUSHR, 0)
+    return [recorder.record(number) for number in range(1, 6)]
+
+
+def drawn(name: str, seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    return manoeuvre(name, 1.0, 0.38, np.random.default_rng(seed)).controls
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", range(5))
+def test_a_manoeuvre_begins_at_rest_ends_without_throttle_and_keeps_the_bounds(name: str, seed: int) -> None:
+    drive = manoeuvre(name, 0.8, 0.3, np.random.default_rng(seed))
+    assert drive.times[0] == 0.0
+    assert drive.control_at(0.0) == drive.control_at(REST - 0.01) == (0.0, 0.0)
+    assert drive.control_at(DURATION - COASTING + 0.01)[0] == 0.0
+    assert drive.times[-1] == pytest.approx(DURATION - COASTING)
+    assert (np.diff(drive.times) > 0).all()
+    assert (drive.controls[:, 0] >= 0).all()
+    assert (drive.controls[:, 0] <= 0.8).all()
+    assert (np.abs(drive.controls[:, 1]) <= 0.3).all()
+    assert drive.controls[:, 0].max() > 0.2
+
+
+def test_each_manoeuvre_is_what_its_name_says() -> None:
+    for seed in range(5):
+        assert (drawn("straight", seed)[:, 1] == 0).all()
+        assert (drawn("left", seed)[1:, 1] > 0).all()
+        assert (drawn("right", seed)[1:, 1] < 0).all()
+        for name in ("steps", "mix"):
+            assert {-1.0, 1.0} <= set(np.sign(drawn(name, seed)[:, 1]))
+
+
+def test_the_runs_take_turns_and_in_the_training_hall_each_has_its_full_length(runs: list[Recording]) -> None:
+    assert tuple(run.manoeuvre.name for run in runs) == NAMES
+    exact = ExactClearance(workspace_of(TRAINING.task(), MUSHR), MUSHR.footprint)
+    for run in runs:
+        assert (run.end, run.note) == (DURATION, "")
+        assert exact.distances(run.truth[:, 1:4]).min() > MARGIN
+        assert np.hypot(*np.diff(run.truth[:, 1:3], axis=0).T).sum() > 3.0
+
+
+def test_commands_and_poses_have_clocks_of_their_own(runs: list[Recording]) -> None:
+    for run in runs:
+        assert np.allclose(run.commands[:, 0], np.arange(401) / COMMAND_RATE)
+        assert len(run.poses) == 601  # the preset planar misses none
+        assert np.abs(run.poses[:, 0] - np.arange(601) / 30).max() < 0.0011  # the nearest physics step
+        assert np.array_equal(run.poses[:, 0], run.truth[:, 0])
+
+
+def test_what_was_sent_is_the_manoeuvre(runs: list[Recording]) -> None:
+    for run in runs:
+        sent = [run.manoeuvre.control_at(time) for time in run.commands[:, 0]]
+        assert run.commands[:, 1:].tolist() == [list(control) for control in sent]
+
+
+def test_poses_are_the_truth_with_the_cameras_noise(runs: list[Recording]) -> None:
+    for run in runs:
+        error = run.poses[:, 1:] - run.truth[:, 1:4]
+        error[:, 2] = np.remainder(error[:, 2] + np.pi, 2 * np.pi) - np.pi
+        assert 0 < np.abs(error[:, :2]).mean() < 0.02
+        assert np.degrees(error[:, 2].std()) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_run_depends_on_seed_and_number_alone(runs: list[Recording]) -> None:
+    again = Recorder(TRAINING, MUSHR, 0).record(3)
+    assert np.array_equal(again.poses, runs[2].poses)
+    assert np.array_equal(again.truth, runs[2].truth)
+    other = Recorder(TRAINING, MUSHR, 1).record(3)
+    assert not np.array_equal(other.commands, runs[2].commands)
+
+
+def test_a_delayed_command_is_logged_when_it_is_sent_and_works_later(runs: list[Recording]) -> None:
+    late = replace(TRAINING, sensing=TRAINING.sensing.model_copy(update={"communication_delay": 0.4}))
+    run = Recorder(late, MUSHR, 0).record(1)
+    assert np.array_equal(run.commands, runs[0].commands)
+
+    def begins(recording: Recording) -> float:
+        return float(recording.truth[np.argmax(recording.truth[:, 4] > 0.02), 0])
+
+    assert begins(run) - begins(runs[0]) == pytest.approx(0.4, abs=0.04)
+
+
+@pytest.mark.parametrize("name", ["turns", "movable"])
+def test_among_obstacles_a_run_ends_before_it_touches_one(name: str) -> None:
+    scenario = load_scenario(name)
+    recorder, room = Recorder(scenario, MUSHR, 0), Room(scenario, MUSHR)
+    for number in (1, 2, 5):
+        run = recorder.record(number)
+        nearest = min(room.clearance(*pose) for pose in run.truth[:, 1:4])
+        assert run.end < DURATION
+        assert run.note.startswith(f"stopped after {run.end:.2f} s")
+        assert STOP - 0.05 < nearest < STOP + 0.1
+
+
+def test_boxes_that_would_give_way_count_as_obstacles() -> None:
+    scenario = load_scenario("movable")
+    assert Room(scenario, MUSHR).clearance(1.75, 2.0, 0.0) == 0.0
+    bare = replace(scenario, truth=TRAINING.truth)
+    assert Room(bare, MUSHR).clearance(1.75, 2.0, 0.0) > 0.1
+
+
+def test_a_scenario_without_room_is_refused() -> None:
+    tight: Scenario = parse_scenario(
+        "name: tight\nbounds: {x: [0, 0.8], y: [0, 0.8]}\nstart: {x: 0.4, y: 0.4, heading_deg: 0}\n"
+        "goal: {center: [0.4, 0.4], radius: 0.1}\n"
+    )
+    with pytest.raises(
+        InputError, match=r"tight: has no room for a run of 2 s \(manoeuvre 'straight'\); expected more"
+    ):
+        Recorder(tight, MUSHR, 0).record(1)
+
+
+def test_a_path_is_moved_rigidly() -> None:
+    path = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.5]])
+    assert np.allclose(moved(path, Start(1.0, 2.0, np.pi / 2)), [[1, 2, np.pi / 2], [1, 3, np.pi / 2 + 0.5]])
