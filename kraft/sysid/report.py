@@ -92,7 +92,7 @@ def remarks(done: Identified) -> list[str]:
     unknown = [name for name in result.extras if name.startswith(("delay", "dead_band"))]
     if unknown and done.request.out is not None:
         said.append(f"planning does not know {', '.join(unknown)}: for a file to plan with, add --extras none")
-    if result.rear_axle is not None and "lever" in result.parameters:
+    if result.rear_axle is not None:
         said.append(f"the tracked point is {result.rear_axle:.3f} m ahead of the rear axle")
     return said
 

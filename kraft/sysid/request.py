@@ -27,7 +27,7 @@ from kraft.sysid.subject import Subject, load_subject
 from kraft.sysid.vehicle_file import check_target, write_vehicle
 from kraft.sysid.verdict import objections
 
-MODEL: Final = "mushr"
+MODEL: Final = "mushr-lag"
 Say = Callable[[str], None]
 
 

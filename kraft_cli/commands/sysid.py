@@ -48,7 +48,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 def sysid(
     context: typer.Context,
     logs: Logs,
-    model: Model = "mushr",
+    model: Model = "mushr-lag",
     holdout: Holdout = None,
     out: Out = None,
     plot: Plot = None,
