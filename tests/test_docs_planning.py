@@ -14,6 +14,7 @@ from kraft.planning import plan_task
 from kraft.scenario import load_scenario
 from kraft.search import Budget
 from kraft.vehicle import load_vehicle
+from kraft.vehicle_config import load_vehicle_config
 from kraft_cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -29,7 +30,9 @@ def test_the_vehicle_shown_is_the_example() -> None:
 def test_the_vehicle_file_shown_is_that_of_mushr(tmp_path: Path) -> None:
     path = tmp_path / "mushr.yaml"
     path.write_text(VEHICLES.split("```yaml\n")[1].split("```")[0])
-    assert load_vehicle(str(path)) == load_vehicle("mushr")
+    shown, bundled = load_vehicle_config(path), load_vehicle_config("mushr")
+    assert shown.values == pytest.approx(bundled.values, abs=1e-4)
+    assert (shown.model, shown.footprint, shown.top_speed) == (bundled.model, bundled.footprint, bundled.top_speed)
 
 
 def test_every_bundled_vehicle_is_described() -> None:
