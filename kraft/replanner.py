@@ -195,11 +195,14 @@ class Replanner:
         return Decision(reference, motion, reason, contingency=reference)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
-        """Whether the vehicle is within the clearance of where a manoeuvre was verified, which is what it was for."""
+        """Whether the estimate allows that the vehicle is within delta(v) of where a manoeuvre was verified.
+
+        The vehicle may be delta(v) off its prediction, and its estimate as much off the vehicle (Theorem 1).
+        """
         safety, vehicle = self.dirt.safety, self.dirt.vehicle
         places = [vehicle.index("x"), vehicle.index("y")]
-        allowed = safety.delta + safety.delta_per_speed * abs(float(expected[vehicle.rest_indices[0]]))
-        return float(np.hypot(*(root[places] - expected[places]))) <= allowed
+        delta = safety.delta + safety.delta_per_speed * abs(float(expected[vehicle.rest_indices[0]]))
+        return float(np.hypot(*(root[places] - expected[places]))) <= 2.0 * delta
 
     def _propose(self, root: Floats, previous: Plan | None) -> Proposal:
         """Plan from the predicted root: with the margin, else without, else perhaps with less clearance."""
