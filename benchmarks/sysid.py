@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.effort import Effort
+from benchmarks.recorded_logs import recorded_rows
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.synthetic_logs import synthetic_logs
 from kraft.logs.log import Log, Part
@@ -34,6 +35,7 @@ def run(effort: Effort) -> Report:
     rows = [*speed(effort), *convergence(problems), *outliers(effort.repeats)]
     rows += coverage(problems, STATED, "matched noise")
     rows += coverage(problems, ten_times_smaller(STATED), "noise stated ten times too small")
+    rows += recorded_rows(effort)
     notes = ["Model mushr-lag. Times are of identify() as it is by default: reading files is not in them."]
     if REAL.is_dir():
         rows += [entry for name in ("mushr", "mushr-lag") for entry in real(name)]

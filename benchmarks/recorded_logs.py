@@ -1,0 +1,58 @@
+"""Identification on logs recorded in the simulated world: errors of predictions of other logs, before and after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.effort import Effort
+from benchmarks.report import Row, Target, row
+from kraft.logs.log import Log
+from kraft.logs.reader import read_logs
+from kraft.recording.request import Request, carry_out
+from kraft.sysid import Settings, identify, prediction_errors
+from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
+
+NOMINAL = {"mushr": dict(MUSHR.parameters), "mushr-lag": dict(MUSHR_LAG.parameters)}
+AFTER = 2.0  # s
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Held-out position error after 2 s (m): nominal parameters, identified ones, identified with extras."""
+
+    nominal: float
+    plain: float
+    extras: float
+
+
+def recorded_rows(effort: Effort) -> list[Row]:
+    """Fit on every second recorded run, predict the others."""
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "logs"
+        carry_out(Request(out=out, runs=min(40, 4 * effort.repeats)), lambda text: None)
+        logs = list(read_logs(out).logs)
+    paper, lag = errors("mushr", logs), errors("mushr-lag", logs)
+    rows = []
+    for name, found in (("mushr", paper), ("mushr-lag", lag)):
+        rows += [
+            row(f"recorded, {name}: held-out error after 2 s, nominal", "m", [found.nominal]),
+            row(f"recorded, {name}: the same, identified", "m", [found.plain]),
+            row(f"recorded, {name}: the same, with the extras that the data show", "m", [found.extras]),
+            row(f"recorded, {name}: with extras over nominal", "times", [found.extras / found.nominal], Target(0.5)),
+        ]
+    return [*rows, row("recorded: mushr-lag over mushr", "times", [lag.plain / paper.plain], Target(1.0))]
+
+
+def errors(name: str, logs: list[Log]) -> Errors:
+    """Of one model."""
+    vehicle, fitted, held_out = load_vehicle_config(name), logs[::2], logs[1::2]
+    plain = identify(vehicle, fitted, Settings(extras="none"))
+    extras = identify(vehicle, fitted)
+    after = [
+        prediction_errors(vehicle, held_out, values).position[AFTER]
+        for values in (NOMINAL[name], plain.values, extras.values)
+    ]
+    return Errors(*after)
