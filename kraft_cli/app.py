@@ -12,6 +12,7 @@ from kraft_cli.commands.eval import eval_
 from kraft_cli.commands.listing import list_
 from kraft_cli.commands.plan import plan
 from kraft_cli.commands.record import record
+from kraft_cli.commands.report import report
 from kraft_cli.commands.run import run
 from kraft_cli.commands.sysid import sysid
 from kraft_cli.commands.validate import validate
@@ -58,6 +59,7 @@ def common(
 app.command("plan")(plan)
 app.command("run")(run)
 app.command("eval")(eval_)
+app.command("report")(report)
 app.command("record")(record)
 app.command("sysid")(sysid)
 app.command("validate")(validate)

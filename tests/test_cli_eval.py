@@ -84,7 +84,7 @@ def test_a_pipe_gets_tables_on_stdout_and_a_line_for_each_trial_on_stderr(
     lines = err.splitlines()
     assert lines[0] == "8 trials; results in o"
     assert all(re.match(rf"{n}/8  \w+ [\w-]+ seed \d: (success|collision|timeout)", lines[n]) for n in range(1, 9))
-    assert lines[-1] == "results in o"
+    assert lines[-1] == "results in o; to look at: o/report.html"
 
 
 def test_a_terminal_gets_tables_that_fit(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:

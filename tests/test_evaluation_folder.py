@@ -70,12 +70,15 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     assert len(found.rows) == 12
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "manifest.json", "trials.jsonl", "summary.json", "benchmark-turns.log", "benchmark-slip.log", "benchmark.db",
+        "report.html",
     }  # fmt: skip
     assert len((tmp_path / "out/trials.jsonl").read_text().splitlines()) == 12
     content = json.loads((tmp_path / "out/manifest.json").read_text())
     assert content["schema"] == "kraft.eval-manifest/1"
     assert (content["trials"], content["seed"]) == (3, 5)
-    assert content["rows"][1] == {"scenario": "turns", "method": "kraft", "vehicle": "mushr-drive"}
+    assert content["rows"][1] == {
+        "scenario": "turns", "method": "kraft", "title": "KRAFT", "vehicle": "mushr-drive",
+    }  # fmt: skip
     assert content["scenarios"]["slip"]["content"]["truth"]["friction_patches"]
     assert content["methods"]["kraft"]["content"]["planner"]["mode"] == "replanning"
     assert content["vehicles"]["mushr"]["content"]["parameters"] == load_vehicle("mushr").parameters

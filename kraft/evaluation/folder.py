@@ -11,14 +11,15 @@ from typing import Any, Final
 
 from kraft.atomic_file import check_writable, write_whole
 from kraft.errors import InputError
-from kraft.evaluation import journal, manifest
+from kraft.evaluation import journal, manifest, report
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Journal, read_journal
 from kraft.evaluation.ompl_log import write_benchmark
+from kraft.evaluation.report import Results
 from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, json_content
 
-SUMMARY: Final = "summary.json"
 ROOT: Final = Path("results")
 
 
@@ -88,13 +89,15 @@ def check_exists(path: Path) -> None:
 
 
 def write_results(folder: Folder, experiment: Experiment, rows: Mapping[Key, TrialRow], summary: Summary) -> None:
-    """Write what is made of the trials: the summary, the benchmark log and the database.
+    """Write what is made of the trials: the summary, the benchmark log, the database and the report.
 
     Raises:
         InputError: if there is no room.
     """
     write_whole(folder.path / SUMMARY, summary_text(summary).encode())
     write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
+    results = Results.of(experiment, folder.manifest, rows, summary)
+    write_whole(folder.path / report.NAME, report.page(results).encode())
 
 
 def summary_text(summary: Summary) -> str:

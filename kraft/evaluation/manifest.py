@@ -46,14 +46,25 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "realtime": experiment.realtime,
         "trial": experiment.trial,
         "rows": [
-            {"scenario": cell.scenario.name, "method": cell.method.name, "vehicle": labels[cell.reference]}
+            {
+                "scenario": cell.scenario.name,
+                "method": cell.method.name,
+                "title": cell.method.title,
+                "vehicle": labels[cell.reference],
+            }
             for cell in cells
         ],
-        "scenarios": {cell.scenario.name: _hashed(_scenario(cell.scenario)) for cell in cells},
+        "scenarios": {cell.scenario.name: scenario_entry(cell.scenario) for cell in cells},
         "methods": {cell.method.name: _hashed(_method(cell.method)) for cell in cells},
         "vehicles": {labels[reference]: _hashed(content) for reference, content in vehicles.items()},
         "versions": versions(),
     }
+
+
+def scenario_entry(scenario: Scenario) -> dict[str, Any]:
+    """A scenario without its vehicle, which has a section of its own: `content`, and its hash `sha256`."""
+    names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *WORDS))
+    return _hashed({name: plain(getattr(scenario, name)) for name in names})
 
 
 def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
@@ -138,12 +149,6 @@ def _labels(names: Mapping[str, str]) -> dict[str, str]:
     """A label for each reference: the vehicle's name, or the reference where two have the same name."""
     counts = list(names.values())
     return {reference: name if counts.count(name) == 1 else reference for reference, name in names.items()}
-
-
-def _scenario(scenario: Scenario) -> dict[str, Any]:
-    """A scenario without its vehicle, which has a section of its own."""
-    names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *WORDS))
-    return {name: plain(getattr(scenario, name)) for name in names}
 
 
 def _method(method: Method) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.paper import PaperRow, paper_row
@@ -12,6 +12,9 @@ from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.statistics import McNemar, mcnemar, percentile, wilson
 
 SCHEMA: Final = "kraft.eval/1"
+FILE: Final = "summary.json"
+Name: TypeAlias = tuple[str, str, str]
+"""of a row: scenario, method, and the method's title"""
 REFERENCE: Final = "kraft"
 """the method that the others are compared with"""
 WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_deadlines")
@@ -72,14 +75,21 @@ class Summary:
 
 def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float) -> Summary:
     """Make the table of an experiment from the trials there are."""
+    names = [(*cell.key, cell.method.title) for cell in experiment.cells]
+    return tabulate(names, experiment.seeds, rows, wall, realtime=experiment.realtime)
+
+
+def tabulate(
+    names: Sequence[Name], seeds: range, rows: Mapping[Key, TrialRow], wall: float, *, realtime: bool = False
+) -> Summary:
+    """Make a table with the rows `names` from the trials there are; `wall` is how long they took (s)."""
     results = []
-    for cell in experiment.cells:
-        scenario, method = cell.key
-        mine = _rows(experiment, rows, scenario, method)
-        theirs = _rows(experiment, rows, scenario, REFERENCE) if method != REFERENCE else []
+    for scenario, method, title in names:
+        mine = _rows(seeds, rows, scenario, method)
+        theirs = _rows(seeds, rows, scenario, REFERENCE) if method != REFERENCE else []
         against = mcnemar(_successes(mine), _successes(theirs)) if theirs else None
-        results.append(_result(scenario, method, cell.method.title, mine, against))
-    return Summary(experiment.trials, experiment.seed, experiment.realtime, wall, tuple(results))
+        results.append(_result(scenario, method, title, mine, against))
+    return Summary(len(seeds), seeds.start, realtime, wall, tuple(results))
 
 
 def json_content(summary: Summary) -> dict[str, Any]:
@@ -94,8 +104,8 @@ def json_content(summary: Summary) -> dict[str, Any]:
     }
 
 
-def _rows(experiment: Experiment, rows: Mapping[Key, TrialRow], scenario: str, method: str) -> list[TrialRow]:
-    keys = ((scenario, method, seed) for seed in experiment.seeds)
+def _rows(seeds: range, rows: Mapping[Key, TrialRow], scenario: str, method: str) -> list[TrialRow]:
+    keys = ((scenario, method, seed) for seed in seeds)
     return [rows[key] for key in keys if key in rows]
 
 

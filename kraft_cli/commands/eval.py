@@ -75,7 +75,7 @@ def _show(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
         terminal.json(SCHEMA, content)
     else:
         show_tables(terminal, evaluation.summary)
-        terminal.say(f"results in {evaluation.folder}")
+        terminal.say(f"results in {evaluation.folder}; to look at: {evaluation.folder}/report.html")
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:
         terminal.problem(f"{row.scenario}, {row.method}, seed {row.seed}: failed: {row.error}")

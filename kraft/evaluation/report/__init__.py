@@ -1,0 +1,31 @@
+"""One page about an evaluation, for a browser: `report.html`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from kraft.atomic_file import check_writable, write_whole
+from kraft.errors import InputError
+from kraft.evaluation.report.page import page
+from kraft.evaluation.report.results import Results, read_results
+
+NAME: Final = "report.html"
+
+
+def write_report(folder: Path, out: Path | None = None) -> tuple[Results, Path]:
+    """Make the page about a results folder; by default it is put there, in place of what is there.
+
+    Raises:
+        InputError: if the folder is not one of results, or the page cannot be written.
+    """
+    path = out or folder / NAME
+    if path.is_dir():
+        raise InputError.of(str(path), "is a folder", "expected the name of a file")
+    results = read_results(folder)
+    check_writable(path)
+    write_whole(path, page(results).encode())
+    return results, path
+
+
+__all__ = ["NAME", "Results", "page", "read_results", "write_report"]

@@ -1,0 +1,119 @@
+"""The small drawings in a row of a table: how trials ended, which ones, and how long the successful ones took."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+from xml.etree.ElementTree import Element
+
+from kraft.evaluation.paper import PaperRow
+from kraft.evaluation.report.elements import element, svg
+from kraft.evaluation.row import TrialRow
+from kraft.evaluation.statistics import wilson
+from kraft.evaluation.summary import Result
+
+WIDTH: Final = 190.0
+PAPER, BAR = 9.0, 14.0  # heights of the line above the bar and of the bar
+CELLS: Final = 42  # trials in a line of the strip
+TIMES: Final = 150.0
+EDGE: Final = 8.0  # left and right of the times, so that dots and labels at the ends are whole
+
+
+def outcomes(result: Result) -> Element:
+    """Shares of each ending, Wilson's interval of the successes on it, and the paper's above it."""
+    parts: list[Element] = []
+    left = 0.0
+    for name, count in endings(result):
+        width = WIDTH * count / result.trials
+        share = element("title", f"{name}: {count} of {result.trials}")
+        parts.append(element("rect", share, class_=name, x=left, y=PAPER, width=width, height=BAR))
+        left += width
+    if result.trials:
+        title = f"95 % interval of the success rate: {result.interval[0]:.0%} to {result.interval[1]:.0%}"
+        parts += _interval(result.interval, PAPER + BAR / 2, "interval", title)
+    if result.paper:
+        parts += _papers(result.paper)
+    return svg(WIDTH, PAPER + BAR, *parts, class_="outcomes")
+
+
+def endings(result: Result) -> list[tuple[str, int]]:
+    """The ways in which trials ended, and how many did."""
+    counts = {
+        "success": result.success,
+        "timeout": result.timeout,
+        "collision": result.collision,
+        "failed": result.failed,
+    }
+    return [(name, count) for name, count in counts.items() if count]
+
+
+def trials(rows: Sequence[TrialRow], seeds: range, repeat: str) -> Element:
+    """A cell for each seed; those that were not run yet are empty.  `repeat` is the command without the seed."""
+    found = {row.seed: row for row in rows}
+    step = WIDTH / min(max(len(seeds), 1), CELLS)
+    side = min(step, 10.0)
+    cells = []
+    for place, seed in enumerate(seeds):
+        x, y = (place % CELLS) * step, (place // CELLS) * side
+        row = found.get(seed)
+        title = element("title", f"{told(row)}\n{repeat} --seed {seed}" if row else f"seed {seed}: not run yet")
+        look = row.outcome if row else "missing"
+        cells.append(element("rect", title, class_=look, x=x, y=y, width=step - 1.0, height=side - 1.0))
+    return svg(WIDTH, side * -(-len(seeds) // CELLS), *cells, class_="trials")
+
+
+def told(row: TrialRow) -> str:
+    """A trial in words."""
+    text = f"seed {row.seed}: {row.outcome}"
+    text += f" with {row.obstacle}" if row.obstacle else ""
+    text += f" after {row.t_s:.1f} s" if row.t_s is not None else ""
+    return text + (f": {row.error}" if row.error else "")
+
+
+def times(result: Result, rows: Sequence[TrialRow], longest: float) -> Element:
+    """A dot for each successful trial, a line at their mean, a ring at the paper's."""
+    dots = [
+        element("circle", element("title", told(row)), class_="time", cx=_at(row.t_s, longest), cy=12.0, r=3.0)
+        for row in rows
+        if row.outcome == "success" and row.t_s is not None
+    ]
+    base = element("line", class_="base", x1=EDGE, x2=TIMES - EDGE, y1=12.0, y2=12.0)
+    return svg(TIMES, 24.0, base, *dots, *_mean(result, longest), class_="times")
+
+
+def time_axis(longest: float) -> Element:
+    """Labels above a column of `times`, s."""
+    step = next((s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500) if longest / s <= 4), 1000)
+    ticks = [step * k for k in range(int(longest // step) + 1)]
+    labels = [element("text", f"{tick}", x=_at(tick, longest), y=10.0, class_="tick") for tick in ticks]
+    return svg(TIMES, 13.0, *labels, class_="times")
+
+
+def _mean(result: Result, longest: float) -> Iterator[Element]:
+    if result.t_ex is not None:
+        x = _at(result.t_ex, longest)
+        yield element("line", element("title", f"mean {result.t_ex:.2f} s"), class_="mean", x1=x, x2=x, y1=3.0, y2=21.0)
+    if result.paper and result.paper.t_ex is not None:
+        x = _at(result.paper.t_ex, longest)
+        yield element(
+            "circle", element("title", f"paper: {result.paper.t_ex:.2f} s"), class_="paper", cx=x, cy=12.0, r=4.0
+        )
+
+
+def _at(time: float, longest: float) -> float:
+    return EDGE + (TIMES - 2 * EDGE) * time / longest
+
+
+def _papers(paper: PaperRow) -> Iterator[Element]:
+    interval = wilson(paper.success, paper.trials)
+    title = f"paper: {paper.success} of {paper.trials}, 95 % interval {interval[0]:.0%} to {interval[1]:.0%}"
+    yield from _interval(interval, PAPER / 2, "paper", title)
+    rate = paper.success / paper.trials
+    yield element("circle", element("title", title), class_="paper", cx=3.0 + (WIDTH - 6.0) * rate, cy=PAPER / 2, r=2.5)
+
+
+def _interval(interval: tuple[float, float], y: float, look: str, title: str) -> Iterator[Element]:
+    low, high = (0.75 + (WIDTH - 1.5) * end for end in interval)
+    yield element("line", element("title", title), class_=look, x1=low, x2=high, y1=y, y2=y)
+    for x in (low, high):
+        yield element("line", class_=look, x1=x, x2=x, y1=y - 3.0, y2=y + 3.0)

@@ -1,0 +1,60 @@
+"""HTML and SVG as trees of elements: whatever text they hold, it comes out escaped."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+Content: TypeAlias = Element | str | None
+Value: TypeAlias = str | float | None
+
+
+def element(tag: str, *content: Content, **attributes: Value) -> Element:
+    """An element; None is left out of the content and of the attributes.
+
+    Attributes are written as Python names: ``class_`` is class, ``stroke_width`` is stroke-width.
+    """
+    found = Element(tag)
+    for name, value in attributes.items():
+        if value is not None:
+            found.set(name.rstrip("_").replace("_", "-"), value if isinstance(value, str) else number(value))
+    for child in content:
+        _append(found, child)
+    return found
+
+
+def svg(width: float, height: float, *content: Content, **attributes: Value) -> Element:
+    """A drawing of this size in pixels."""
+    drawing = element("svg", *content, width=width, height=height, role="img", **attributes)
+    drawing.set("viewBox", f"0 0 {number(width)} {number(height)}")
+    return drawing
+
+
+def number(value: float) -> str:
+    """A length or a coordinate, to six digits."""
+    return f"{value + 0.0:.6g}"
+
+
+def document(title: str, style: str, *content: Content) -> str:
+    """A whole page that needs nothing but itself."""
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("title", title),
+        element("style", style),
+    )
+    page = element("html", head, element("body", element("main", *content)), lang="en")
+    return "<!DOCTYPE html>\n" + ElementTree.tostring(page, encoding="unicode", method="html") + "\n"
+
+
+def _append(parent: Element, child: Content) -> None:
+    if child is None:
+        return
+    if isinstance(child, Element):
+        parent.append(child)
+    elif len(parent):
+        parent[-1].tail = (parent[-1].tail or "") + child
+    else:
+        parent.text = (parent.text or "") + child

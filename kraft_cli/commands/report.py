@@ -1,0 +1,27 @@
+"""`kraft report`: make the page about an evaluation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+Folder = Annotated[Path, typer.Argument(metavar="RESULTS", help="Results folder of kraft eval.")]
+Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The page to write; report.html in the folder.")]
+
+
+def report(context: typer.Context, results: Folder, out: Out = None) -> ExitStatus:
+    """Make a page for a browser of what kraft eval found, also while it runs or after it was stopped."""
+    from kraft.evaluation.report import write_report
+
+    terminal: Terminal = context.obj
+    found, path = write_report(results, out)
+    terminal.data(str(path))
+    missing = found.expected - len(found.rows)
+    if missing:
+        terminal.say(f"{missing} of {found.expected} trials have not been run yet")
+    return ExitStatus.DONE
