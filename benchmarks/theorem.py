@@ -24,7 +24,8 @@ from kraft.driving import Estimate, Kind, Reference
 from kraft.kernel_cache import ensure_compiled
 from kraft.method import Kinodynamic, OpenLoop, Planner
 from kraft.model import Model
-from kraft.replanner import Planners, Replanner
+from kraft.proposer import Planners
+from kraft.replanner import Replanner
 from kraft.trial_result import Cycle
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety, Settings

@@ -32,6 +32,10 @@ class Clearance(FileModel):
     """time for which a plan keeps the clearance, if that is longer than the cycle, s"""
 
 
+RESERVE = 0.2
+"""Share of a cycle that planning by the clock leaves unused, as the original system does."""
+
+
 class Planner(FileModel):
     """When and how long to plan."""
 
@@ -55,6 +59,11 @@ class Planner(FileModel):
     """a vehicle that rests nearer to an obstacle than `safety` allows may leave with the clearance that it has"""
     vehicle: str | None = None
     """model to plan with instead of the scenario's: a name, a YAML file or code"""
+
+    @property
+    def clock_budget(self) -> float:
+        """Time to plan in if the clock decides, s."""
+        return self.cycle * (1.0 - RESERVE) - self.lead
 
     @property
     def capacity(self) -> int:

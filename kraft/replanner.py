@@ -1,53 +1,28 @@
 """The safe replanner: one step per cycle commits the plan made in the last one, or a contingency, and makes the next.
 
-Fig. 3 of the paper.  Cycle k covers [k, k + 1) cycle durations of the trial.  `step` runs a little before cycle k
-begins: it looks at the plan made during cycle k - 1 once more from the latest estimate, commits it or a manoeuvre
-that stops, predicts where that leads, and plans from there for cycle k + 1.
+Fig. 3 of the paper.  Cycle k covers [k, k + 1) cycle durations of the trial, later by what the delay of communication
+exceeds `lead` by.  `step` runs a little before cycle k begins: it looks at the plan that `kraft.proposer` made during
+cycle k - 1 once more from the latest estimate, commits it or a manoeuvre that stops, predicts where that leads, and
+has a plan made from there for cycle k + 1.
 """
 
 from __future__ import annotations
 
 import math
-import time as clock
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from kraft.control import Controller
 from kraft.driving import Estimate, Kind, Motion, Reference
-from kraft.errors import Defect
 from kraft.method import Planner
+from kraft.proposer import Planners, Proposal, Proposer
 from kraft.rollout import Roller
-from kraft.scenario import Task
 from kraft.stopping import emergency, plan_reference, stop_reference
 from kraft.trial_result import Cycle
-from kraft.workspace import goal_of, heading_of, settings_of, workspace_of
+from kraft.workspace import pose_of
 from ompl_ext.arrays import Floats
-from ompl_ext.plan import Plan, TreeView
-from ompl_ext.query import Safety
-from ompl_ext.solver import Dirt
-from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import verify
-
-LEEWAY = 0.005  # of a vehicle that leaves with the clearance it has (m)
-SMALLEST_GOAL = 0.01  # radius of the region that the planner aims for (m)
-RESERVE = 0.2
-"""Share of a cycle that planning by the clock leaves unused, as the original system does."""
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A plan for the coming cycle that nobody has committed yet, or the reason why there is none."""
-
-    plan: Plan | None
-    reason: str = ""
-    iterations: int = 0
-    nodes: int = 0
-    retained: int = 0
-    seconds: float = 0.0
-    missed: bool = False
-    tree: TreeView | None = None
+from ompl_ext.plan import Plan
 
 
 @dataclass(frozen=True)
@@ -64,42 +39,19 @@ class Decision:
     contingency: Reference | None = None
 
 
-@dataclass(frozen=True)
-class Planners:
-    """`planning` keeps the method's margin and its foresight; `checking` asks for what is safe and no more.
-
-    A plan is made with the margin and checked again without it, so that small errors do not turn it down.
-    """
-
-    planning: Dirt
-    checking: Dirt
-
-    @classmethod
-    def of(cls, task: Task, vehicle: Vehicle, settings: Planner) -> Planners:
-        """The planners of a task with a method's settings; without a clearance they are not asked for SAFETY."""
-        goal = goal_of(task)
-        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
-        workspace, safety, shape = workspace_of(task, vehicle), safety_of(settings), vehicle.footprint
-        checking = Dirt(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
-        foresight = settings.safety.foresight if settings.safety else 0.0
-        if settings.margin == 0.0 and foresight <= settings.cycle:
-            return cls(checking, checking)
-        safety = replace(safety, cycle=max(foresight, settings.cycle))
-        larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
-        wide = replace(vehicle, footprint=larger)
-        return cls(Dirt(wide, workspace, goal, safety, settings_of(task), settings.capacity), checking)
-
-
-def safety_of(settings: Planner) -> Safety:
-    """SAFETY as a method asks for it."""
-    margin = settings.safety
-    if margin is None:
-        return Safety(enabled=False, cycle=settings.cycle)
-    return Safety(cycle=settings.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
-
-
 class Replanner:
-    """Decides once per cycle what the controller tracks.  See `step`."""
+    """Decides once per cycle what the controller tracks.  See `step`.
+
+    Args:
+        planners: of the task, see `Planners.of`.
+        settings: the method's.
+        controller: the kind that tracks; it is copied for predictions and left as it is.
+        seed: of all plans.
+        period: of the controller, s.
+        delay: how long what is committed is on its way to the controller, s.
+        realtime: plan by the clock instead of by iterations.
+        keep_trees: keep a copy of the tree in each cycle.
+    """
 
     def __init__(
         self,
@@ -109,25 +61,24 @@ class Replanner:
         seed: int,
         *,
         period: float,
+        delay: float = 0.0,
         realtime: bool = False,
         keep_trees: bool = False,
     ) -> None:
-        self._settings, self._seed, self._realtime, self._keep_trees = settings, seed, realtime, keep_trees
-        self._planners, self.dirt = planners, planners.checking
+        self._settings, self.dirt = settings, planners.checking
+        self._proposer = Proposer(planners, settings, seed, realtime=realtime, keep_trees=keep_trees)
         self._roll = Roller(self.dirt, controller, period)
         self._once = settings.mode == "one-shot"
+        self._late = max(0.0, delay - settings.lead)
         self._at_rest = np.zeros(len(self.dirt.vehicle.controls))
-        assert self.dirt.goal is not None, "a task has a goal"
-        self._goal = self.dirt.goal
-        self._delta = self.dirt.safety.delta
-        self._recovering = False
         self._number = 0
         self._proposal = Proposal(None, "there has been no time to plan")
         self._contingency: Reference | None = None
+        self._under_way: list[tuple[float, Reference]] = []
 
     def begin(self, state: Floats) -> Reference:
         """Plan the first cycle from the start (nx,) before the trial's clock runs; until then the vehicle stands."""
-        self._proposal = self._propose(state, None)
+        self._proposal = self._proposer.propose(0, state, None)
         return Reference(
             Kind.CONTINGENCY, np.zeros(1), state[None, :], np.zeros((0, len(self._at_rest))), self._at_rest
         )
@@ -142,19 +93,27 @@ class Replanner:
     def step(self, estimate: Estimate, current: Reference) -> Cycle:
         """Commit a plan or a contingency for the coming cycle, and plan for the one after it.
 
-        `current` is what the controller tracks now.  The result's reference begins with the cycle.
+        `current` is what the controller tracks now.  The result's reference is to be tracked from the cycle's time on:
+        a cycle begins when what is committed for it has arrived.
         """
-        begins = self._number * self._settings.cycle
-        here = self._freed(estimate.state)
-        root = self._roll(here, estimate.time, begins, current).end
-        proposal = self._proposal
+        begins = self._number * self._settings.cycle + self._late
+        root, current = self._root(estimate, begins, current)
         decision = self._decide(root, begins, estimate, current)
         self._contingency = decision.contingency
-        cycle = self._record(decision, proposal, estimate)
+        self._under_way.append((begins, decision.reference))
+        cycle = self._record(decision, begins, estimate)
         self._number += 1
         if not self._once:
-            self._proposal = self._propose(decision.motion.end, decision.plan)
+            self._proposal = self._proposer.propose(self._number, decision.motion.end, decision.plan)
         return cycle
+
+    def _root(self, estimate: Estimate, begins: float, current: Reference) -> tuple[Floats, Reference]:
+        """Where the cycle will begin (nx,), and what is tracked until then: `current`, or what is still on its way."""
+        state, time = self._freed(estimate.state), estimate.time
+        self._under_way = [sent for sent in self._under_way if sent[0] > time + 1e-9]
+        for arrives, following in self._under_way:
+            state, time, current = self._roll(state, time, arrives, current).end, arrives, following
+        return self._roll(state, time, begins, current).end, current
 
     def _decide(self, root: Floats, begins: float, estimate: Estimate, current: Reference) -> Decision:
         """The safety check right before a cycle, from the latest estimate."""
@@ -197,106 +156,18 @@ class Replanner:
     def _is_near(self, root: Floats, expected: Floats) -> bool:
         """Whether the estimate allows that the vehicle is within delta(v) of where a manoeuvre was verified.
 
-        The vehicle may be delta(v) off its prediction, and its estimate as much off the vehicle (Theorem 1).
+        Any point of the vehicle may be delta(v) off its prediction, and the estimate as much off that (Theorem 1).
         """
         safety, vehicle = self.dirt.safety, self.dirt.vehicle
-        places = [vehicle.index("x"), vehicle.index("y")]
+        (x, y, theta), (x0, y0, theta0) = pose_of(root, vehicle), pose_of(expected, vehicle)
+        off = math.hypot(x - x0, y - y0) + vehicle.footprint.reach * abs(math.remainder(theta - theta0, math.tau))
         delta = safety.delta + safety.delta_per_speed * abs(float(expected[vehicle.rest_indices[0]]))
-        return float(np.hypot(*(root[places] - expected[places]))) <= 2.0 * delta
-
-    def _propose(self, root: Floats, previous: Plan | None) -> Proposal:
-        """Plan from the predicted root: with the margin, else without, else perhaps with less clearance."""
-        began, cycle = clock.perf_counter(), self._settings.cycle
-        proposal = Proposal(None)
-        radius = self._goal_radius(root)
-        for dirt in self._attempts(root):
-            dirt.aim_for(radius)
-            proposal = self._search(dirt, root, previous)
-            if proposal.plan is not None:
-                break
-        seconds = clock.perf_counter() - began
-        missed = seconds > cycle - self._settings.lead
-        if self._realtime and missed:
-            reason = f"planning took {seconds:.3f} s, longer than there was time"
-            return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
-        return replace(proposal, seconds=seconds, missed=missed)
-
-    def _goal_radius(self, root: Floats) -> float:
-        """Radius of the region to aim for, m: as long as the trial goes on, nearer to the centre than the vehicle is.
-
-        A vehicle that has arrived by its own estimate, but not in truth, would else wait for ever.
-        """
-        goal, vehicle = self._goal, self.dirt.vehicle
-        away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
-        return max(SMALLEST_GOAL, min(goal.radius, 0.5 * away))
-
-    def _attempts(self, root: Floats) -> Iterator[Dirt]:
-        """Planners to ask in turn, the first that finds a plan decides."""
-        wide, exact, delta = self._planners.planning, self._planners.checking, self._delta
-        exact.ask_for(delta)
-        if wide is not exact and self._spare(wide, root) >= 0.0:
-            yield wide
-        yield exact
-        spare = self._spare(exact, root)
-        resting = all(abs(root[k]) <= exact.safety.rest_speed for k in exact.vehicle.rest_indices)
-        self._recovering = self._settings.recover and (resting or self._recovering) and -delta < spare < 0.0
-        if self._recovering:
-            exact.ask_for(max(0.0, delta + spare - LEEWAY))
-            yield exact
-
-    def _spare(self, dirt: Dirt, root: Floats) -> float:
-        """Clearance of a state beyond what is asked for, m."""
-        return dirt.edge(root, self._at_rest, 0.0, 0.0)[1]
-
-    def _search(self, dirt: Dirt, root: Floats, previous: Plan | None) -> Proposal:
-        """Alg. 1 from the predicted root, beginning with what is left of the plan that is being executed."""
-        if dirt.start(root, self._seed * 100_003 + self._number) < 0.0:
-            return Proposal(None, "the predicted start of the cycle is in collision")
-        if self._spare(dirt, root) < 0.0:
-            return Proposal(None, "the predicted start of the cycle lacks clearance")
-        if previous is not None and previous.cost > self._settings.cycle:
-            dirt.retain(previous, self._settings.cycle)  # ll. 1-8
-        if self._realtime:
-            progress = dirt.grow(seconds=self._settings.cycle * (1.0 - RESERVE) - self._settings.lead)
-        else:
-            progress = dirt.grow(iterations=self._settings.iterations)
-        plan = dirt.plan()
-        if plan is not None:
-            self._verify(dirt, plan)
-        reason = "" if plan is not None else self._shortfall(dirt)
-        tree = dirt.tree() if self._keep_trees else None
-        return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, tree=tree)
-
-    def _shortfall(self, dirt: Dirt) -> str:
-        unsafe = ", many for want of a safe contingency" if dirt.progress.unsafe else ""
-        return f"none of {dirt.progress.edges} edges may be executed{unsafe}"
-
-    def _verify(self, dirt: Dirt, plan: Plan) -> None:
-        """FCL's judgement of the part that may be executed before there is another plan.
-
-        Raises:
-            Defect: if the plan does not keep what the planner promises.
-        """
-        ends = np.cumsum(plan.durations)
-        until = math.inf if self._once else self._settings.cycle
-        edges = min(len(ends), int(np.searchsorted(ends, until - 1e-9)) + 1)
-        samples = int(np.searchsorted(plan.times, ends[edges - 1] + 1e-9)) if len(ends) else 1
-        head = replace(
-            plan,
-            states=plan.states[: edges + 1],
-            controls=plan.controls[:edges],
-            durations=plan.durations[:edges],
-            times=plan.times[:samples],
-            trajectory=plan.trajectory[:samples],
-        )
-        problems = verify(dirt, head).problems
-        if problems:
-            raise Defect(f"the plan of cycle {self._number} fails verification: {'; '.join(problems)}")
+        return off <= 2.0 * delta
 
     def _freed(self, state: Floats) -> Floats:
         """The nearest state out of collision: a vehicle that still drives is not where an estimate says it collides."""
         vehicle = self.dirt.vehicle
-        x, y, theta = (float(state[vehicle.index("x")]), float(state[vehicle.index("y")]), heading_of(state, vehicle))
+        x, y, theta = pose_of(state, vehicle)
         if self._free(x, y, theta):
             return state
         for ring in range(1, 16):
@@ -312,12 +183,12 @@ class Replanner:
         (x0, x1), (y0, y1) = self.dirt.workspace.bounds
         return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= 0.0
 
-    def _record(self, decision: Decision, proposal: Proposal, estimate: Estimate) -> Cycle:
-        vehicle, plan = self.dirt.vehicle, decision.plan
-        poses = decision.motion.states[:, [vehicle.index(name) for name in ("x", "y", "theta")]]
+    def _record(self, decision: Decision, begins: float, estimate: Estimate) -> Cycle:
+        vehicle, plan, proposal = self.dirt.vehicle, decision.plan, self._proposal
+        poses = np.array([pose_of(state, vehicle) for state in decision.motion.states])
         return Cycle(
             number=self._number,
-            time=self._number * self._settings.cycle,
+            time=begins,
             speed=float(estimate.state[vehicle.rest_indices[0]]),
             kind=decision.reference.kind,
             reason=decision.reason,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from kraft.driving import Kind, Reference
-from ompl_ext.arrays import Floats
+from kraft.workspace import pose_of
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.solver import Dirt
 from ompl_ext.vehicle import Vehicle
@@ -21,10 +23,12 @@ def plan_reference(plan: Plan, start: float, rest: Floats) -> Reference:
 
 
 def stop_reference(vehicle: Vehicle, contingency: Contingency, start: float = 0.0) -> Reference:
-    """A contingency whose own times count from `start` s of the trial."""
+    """A contingency whose own times count from `start` s of the trial; when it is over the control is zero."""
     number = vehicle.manoeuvres.index(contingency.manoeuvre)
-    controls = np.array([stop_control(vehicle, state, number) for state in contingency.states])
-    return Reference(Kind.CONTINGENCY, start + contingency.times, contingency.states, controls[:-1], controls[-1])
+    controls = np.array([stop_control(vehicle, state, number) for state in contingency.states[:-1]])
+    controls = controls.reshape(-1, len(vehicle.controls))
+    rest = np.zeros(len(vehicle.controls))  # brakes that went on would push a car that stands
+    return Reference(Kind.CONTINGENCY, start + contingency.times, contingency.states, controls, rest)
 
 
 def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
@@ -35,24 +39,45 @@ def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
 
 
 def emergency(dirt: Dirt, state: Floats, start: float) -> Reference:
-    """The manoeuvre that keeps the largest clearance where none is safe: what is left when an assumption broke.
+    """The manoeuvre that keeps the largest distance, or that hits slowest: what is left when an assumption broke.
 
     It is not verified, because nothing that could be verified exists; the alternative would be to go on.
     """
-    vehicle, step = dirt.vehicle, dirt.safety.step
-    best: tuple[float, Reference] | None = None
-    for number in range(len(vehicle.manoeuvres)):
-        states, controls, slack = [np.asarray(state, dtype=float)], [], math.inf
-        for _ in range(round(dirt.safety.horizon / step)):
+    manoeuvres = [_Manoeuvre.of(dirt, state, number) for number in range(len(dirt.vehicle.manoeuvres))]
+    return max(manoeuvres, key=lambda each: (each.distance, -each.impact)).reference(start, dirt.safety.step)
+
+
+@dataclass(frozen=True)
+class _Manoeuvre:
+    """States (m, nx) until standstill and controls (m - 1, nu) between them.
+
+    `distance` is the smallest to an obstacle (m), and `impact` the speed at the first contact (m/s; 0 without one).
+    """
+
+    states: Matrix
+    controls: Matrix
+    distance: float
+    impact: float
+
+    @classmethod
+    def of(cls, dirt: Dirt, state: Floats, number: int) -> _Manoeuvre:
+        """Manoeuvre `number` from a state (nx,), as the model predicts it and FCL measures it."""
+        vehicle, safety = dirt.vehicle, dirt.safety
+        states, controls, distance, impact = [np.asarray(state, dtype=float)], [], math.inf, 0.0
+        for _ in range(round(safety.horizon / safety.step)):
             controls.append(stop_control(vehicle, states[-1], number))
-            trajectory, spare = dirt.edge(states[-1], controls[-1], step)
-            states.append(trajectory[-1])
-            slack = min(slack, spare)
-            if all(abs(states[-1][k]) <= dirt.safety.rest_speed for k in vehicle.rest_indices):
+            samples, _spare = dirt.edge(states[-1], controls[-1], safety.step)
+            poses = np.array([pose_of(sample, vehicle) for sample in samples])
+            nearest = float(dirt.exact.distances(poses).min())
+            if distance > 0.0 >= nearest:
+                impact = abs(float(states[-1][vehicle.rest_indices[0]]))
+            distance = min(distance, nearest)
+            states.append(samples[-1])
+            if all(abs(states[-1][k]) <= safety.rest_speed for k in vehicle.rest_indices):
                 break
-        if best is None or slack > best[0]:
-            times: Floats = start + step * np.arange(len(states), dtype=float)
-            rest = stop_control(vehicle, states[-1], number)
-            best = slack, Reference(Kind.CONTINGENCY, times, np.array(states), np.array(controls), rest)
-    assert best is not None, "a vehicle has a manoeuvre"
-    return best[1]
+        return cls(np.array(states), np.array(controls), distance, impact)
+
+    def reference(self, start: float, step: float) -> Reference:
+        """To be tracked from `start` s on, with a state every `step` s."""
+        times: Floats = start + step * np.arange(len(self.states), dtype=float)
+        return Reference(Kind.CONTINGENCY, times, self.states, self.controls, np.zeros(self.controls.shape[1]))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -14,13 +15,15 @@ from kraft.control import make_controller
 from kraft.driving import Observation, Reference
 from kraft.estimation import make_estimator
 from kraft.model import Model
-from kraft.replanner import Planners, Replanner
+from kraft.proposer import Planners
+from kraft.replanner import Replanner
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.ticks import Ticks
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
 from kraft.workspace import start_state, workspace_of
+from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
@@ -46,8 +49,10 @@ def run_trial(
     log = _Log(on_cycle, on_step)
     while (outcome := trial.outcome) is None:
         trial.see(log)
+        trial.receive()
         trial.replan(log)
         trial.control(log)
+        trial.deliver()
         trial.world.step(trial.next_event - trial.world.steps)
     world = trial.world
     return TrialResult(
@@ -88,14 +93,15 @@ class _Trial:
         period = 1.0 / method.controller.rate_hz
         self._replanner = Replanner(
             Planners.of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
-            period=period, realtime=spec.realtime, keep_trees=keep_trees,
+            period=period, delay=scenario.sensing.communication_delay, realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._reference = self._replanner.begin(start)
         self._sent: list[tuple[float, Reference]] = []
         self._in_flight: list[Observation] = []
+        self._commands: deque[tuple[int, Floats]] = deque()
+        self._command_delay = round(scenario.sensing.command_delay / self.world.dt)
         self._ticks = Ticks(method.controller.rate_hz, self.world.dt)
         self._frames = Ticks(scenario.sensing.rate_hz, self.world.dt)
-        self._delay = scenario.sensing.communication_delay
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
         exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
@@ -115,6 +121,7 @@ class _Trial:
         """Physics step at which somebody is due next."""
         times = min(self._replanner.next_step, self._limit)
         due = min(self._ticks.due, self._frames.due, math.ceil(times / self.world.dt - 1e-6))
+        due = min(due, self._commands[0][0]) if self._commands else due
         return max(due, self.world.steps + 1)
 
     def see(self, log: _Log) -> None:
@@ -131,13 +138,19 @@ class _Trial:
         for observation in arrived:
             self._estimator.observe(observation)
 
+    def receive(self) -> None:
+        """Track from now on what was committed for the cycle that has begun."""
+        while self._sent and self._sent[0][0] <= self.world.time + 1e-9:
+            self._reference = self._sent.pop(0)[1]
+
     def replan(self, log: _Log) -> None:
-        """Let the replanner decide when it is due; what it commits is sent and arrives after the delay."""
+        """Let the replanner decide when it is due; what it commits is on its way until its cycle begins."""
         now = self.world.time
         if now < self._replanner.next_step - 1e-9:
             return
         cycle = self._replanner.step(self._estimator.estimate(now), self._reference)
-        self._sent.append((max(cycle.time, now + self._delay), cycle.reference))
+        self._sent.append((cycle.time, cycle.reference))
+        self.receive()  # without lead and delay it begins at once
         log.cycles.append(cycle)
         if log.on_cycle is not None:
             log.on_cycle(cycle)
@@ -148,11 +161,9 @@ class _Trial:
         if world.steps < self._ticks.due:
             return
         self._ticks.number += 1
-        while self._sent and self._sent[0][0] <= now + 1e-9:
-            self._reference = self._sent.pop(0)[1]
         estimate = self._estimator.estimate(now)
         command = self._controller.command(estimate, self._reference)
-        world.apply(float(command[0]), float(command[1]))
+        self._commands.append((world.steps + self._command_delay, command))
         self._estimator.commanded(now, command)
         x, y, theta = map(float, world.pose)
         self.approach.show(x, y, theta)
@@ -160,3 +171,9 @@ class _Trial:
         log.steps.append(step)
         if log.on_step is not None:
             log.on_step(world, step)
+
+    def deliver(self) -> None:
+        """Let the commands that have arrived take effect."""
+        while self._commands and self._commands[0][0] <= self.world.steps:
+            _, command = self._commands.popleft()
+            self.world.apply(float(command[0]), float(command[1]))

@@ -52,9 +52,11 @@ class Step:
 class Cycle:
     """One replanning cycle: what was committed at `time`, why, and what it cost to find.
 
-    `cost_to_goal` is the predicted time to the goal (s) of the committed plan, infinite without one that leads there;
-    `predicted` is what the robot expects to do within the cycle and `clearance` the smallest distance to an obstacle
-    that it passes (m).  `planning_ms` is measured and everything else repeats.  `tree` is kept only when asked for.
+    `time` is when the cycle begins (s): what was committed for it is tracked from then on.  `cost_to_goal` is the
+    predicted time to the goal (s) of the committed plan, with the cost-to-go from its end if it does not lead there,
+    and infinite without a plan.  `predicted` is what the robot expects to do within the cycle and `clearance` the
+    smallest distance to an obstacle that it passes (m).  `planning_ms` is measured and everything else repeats.
+    `tree` is kept only when asked for.
     """
 
     number: int

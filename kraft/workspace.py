@@ -102,6 +102,11 @@ def heading_of(state: Floats, vehicle: Vehicle) -> float:
     return float(state[index]) if index >= 0 else 0.0
 
 
+def pose_of(state: Floats, vehicle: Vehicle) -> tuple[float, float, float]:
+    """Position (m) and heading (rad) of a state; heading 0 for a vehicle that does not turn."""
+    return float(state[vehicle.index("x")]), float(state[vehicle.index("y")]), heading_of(state, vehicle)
+
+
 def pose_text(x: float, y: float, heading: float) -> str:
     """A pose for a sentence."""
     return f"({x:.3g}, {y:.3g}) heading {math.degrees(heading):.4g} deg"

@@ -177,6 +177,19 @@ def test_realtime_is_recorded_and_counts_missed_deadlines(inline: None, capsys: 
     assert summary["results"][0]["missed_deadlines"] > 0
 
 
+def test_a_method_that_has_no_time_to_plan_by_the_clock_is_refused(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "configs/methods/kraft.yaml").read_text()
+    text = text.replace("mode: replanning", "mode: replanning, lead: 0.85")
+    Path("hasty.yaml").write_text(text)
+    arguments = ["eval", "turns", "--methods", "hasty.yaml", "--trials", "1", "--out", "o"]
+    assert main([*arguments, "--realtime"]) == 2
+    message = r"hasty.yaml:\d+:\d+: planner.lead: leaves no time to plan in by the clock: 0.8 x 1 s - 0.85 s; expected less than 0.8\n"
+    assert re.fullmatch(message, capsys.readouterr().err)
+    assert main(arguments) == 0
+
+
 METHOD = "there is no method of this name"
 
 

@@ -302,15 +302,6 @@ def test_a_path_that_crosses_itself_is_not_cut_short() -> None:
 
 
 @ALL
-def test_reset_forgets_everything(choice: Settings) -> None:
-    reference = drive(car(), MOVING, [(0.8, 0.1, 4.0)])
-    used, estimate = make_controller(choice, car()), Estimate(0.5, at(0.5, reference, left=0.1), 0.0)
-    track(used, Truth(car(), MOVING), reference, 3.0)
-    used.reset()
-    assert np.array_equal(used.command(estimate, reference), command(choice, estimate.state, reference, 0.5))
-
-
-@ALL
 def test_a_copy_leaves_the_original_as_it_is(choice: Settings) -> None:
     reference, other = drive(car(), MOVING, [(0.8, 0.1, 4.0)]), drive(car(), START, STRAIGHT)
     one, two = make_controller(choice, car()), make_controller(choice, car())

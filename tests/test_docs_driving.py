@@ -71,7 +71,7 @@ def test_the_table_of_methods_is_the_bundled_ones() -> None:
 
 
 def test_every_setting_of_the_camera_is_mentioned() -> None:
-    ours = set(Sensing.model_fields) - {"preset", "communication_delay"}
+    ours = set(Sensing.model_fields) - {"preset"}
     assert all(f"`{name}`" in TEXT for name in ours)
 
 

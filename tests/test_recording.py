@@ -94,7 +94,7 @@ def test_a_run_depends_on_seed_and_number_alone(runs: list[Recording]) -> None:
 
 
 def test_a_delayed_command_is_logged_when_it_is_sent_and_works_later(runs: list[Recording]) -> None:
-    late = replace(TRAINING, sensing=TRAINING.sensing.model_copy(update={"communication_delay": 0.4}))
+    late = replace(TRAINING, sensing=TRAINING.sensing.model_copy(update={"command_delay": 0.4}))
     run = Recorder(late, MUSHR, 0).record(1)
     assert np.array_equal(run.commands, runs[0].commands)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -13,15 +14,18 @@ import pytest
 from kraft.control import make_controller
 from kraft.driving import Estimate, Kind, Reference
 from kraft.errors import Defect
-from kraft.method import Clearance, Kinodynamic, OpenLoop, Planner
+from kraft.method import Clearance, Geometric, Kinodynamic, OpenLoop, Planner
 from kraft.model import Model
-from kraft.replanner import LEEWAY, SMALLEST_GOAL, Planners, Replanner
+from kraft.proposer import LEEWAY, SMALLEST_GOAL, Planners
+from kraft.replanner import Replanner
 from kraft.scenario import Task, load_scenario
 from kraft.stopping import emergency, plan_reference, stop_control
 from kraft.trial_result import Cycle
 from kraft.vehicle import load_vehicle
 from kraft.workspace import start_state
 from ompl_ext.arrays import Floats
+from ompl_ext.plan import Plan
+from ompl_ext.solver import Dirt, Progress
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verify import Verification
 
@@ -41,13 +45,20 @@ def mushr() -> Vehicle:
 
 
 def replanner(
-    seed: int = 0, task: Task | None = None, tracking: bool = False, model: str = "mushr", **settings: object
+    seed: int = 0,
+    task: Task | None = None,
+    tracking: bool = False,
+    model: str = "mushr",
+    delay: float = 0.0,
+    **settings: object,
 ) -> Replanner:
     planner = Planner(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
     kind = Kinodynamic(kind="kinodynamic") if tracking else OpenLoop(kind="open_loop")
     vehicle = load_vehicle(model)
     controller = make_controller(kind, Model(vehicle))
-    return Replanner(Planners.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30)
+    return Replanner(
+        Planners.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay
+    )
 
 
 def start() -> Floats:
@@ -127,6 +138,30 @@ def test_a_step_is_due_its_lead_before_the_cycle() -> None:
     assert subject.next_step == 0.0
     drive(subject, 1)
     assert subject.next_step == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.4, 1.5])
+def test_a_cycle_begins_when_what_is_committed_has_arrived_and_where_what_is_under_way_leads(delay: float) -> None:
+    """A vehicle that does as predicted is, with any delay, where the next cycle is predicted to begin."""
+    subject = replanner(delay=delay, tracking=True)
+    standing, found = subject.begin(start()), list[Cycle]()
+    late = max(0.0, delay - 0.1)
+    for number in range(6):
+        now = subject.next_step
+        begun = [cycle for cycle in found if cycle.time <= now + 1e-9]
+        state, current = start(), standing
+        if begun:
+            times, states = begun[-1].predicted.times, begun[-1].predicted.states
+            state = np.array([np.interp(now, times, column) for column in states.T])
+            current = begun[-1].reference
+        found.append(subject.step(Estimate(now, state, 0.0), current))
+        assert found[-1].time == pytest.approx(number + late)
+        assert found[-1].reference.start == pytest.approx(number + late)
+    assert [cycle.kind for cycle in found] == [Kind.PLAN] * 6
+    for before, after in itertools.pairwise(found):
+        assert before.predicted.times[-1] == pytest.approx(after.time)
+        np.testing.assert_allclose(after.predicted.states[0], before.predicted.end, atol=5e-3)
+    assert math.dist(found[-1].predicted.end[:2], start()[:2]) > 1.5
 
 
 def test_one_shot_plans_once() -> None:
@@ -233,6 +268,19 @@ def test_an_emergency_is_what_is_left_when_none_is_safe_and_the_one_in_hand_begi
     assert second.contingency is second.reference
 
 
+@pytest.mark.parametrize(("turn", "kept"), [(0.0, True), (0.9, True), (-0.9, True), (1.1, False), (math.pi, False)])
+def test_the_contingency_in_hand_counts_how_far_a_turn_moves_the_farthest_point(turn: float, kept: bool) -> None:
+    """Turns in multiples of the one that moves the footprint's farthest point by 2 delta(v), or in radians."""
+    subject = replanner(safety=MARGIN)
+    first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    assert first.contingency is not None
+    state = too_fast_beside_the_contingency(first, 0.0)
+    delta = 0.05 + 0.25 * float(first.contingency.states[0][3])
+    state[2] += turn * (2.0 * delta / mushr().footprint.reach if abs(turn) < 2.0 else 1.0)
+    second = subject.step(Estimate(1.0, state, 0.0), first.reference)
+    assert (second.reference is first.contingency) == kept
+
+
 def planners(**settings: object) -> Planners:
     return Planners.of(turns(), mushr(), Planner(**{"mode": "replanning", **settings}))  # type: ignore[arg-type]
 
@@ -295,6 +343,14 @@ def test_with_recover_it_leaves_with_the_clearance_that_it_has_and_then_keeps_wh
     assert subject.dirt.safety.delta == 0.15
 
 
+def test_a_vehicle_that_has_recovered_keeps_what_is_asked_for_also_while_it_drives() -> None:
+    subject = replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0), recover=True)
+    drive(subject, 8, begin=BESIDE_THE_WALL)
+    moving = BESIDE_THE_WALL + np.array([0.0, 0.0, 0.0, 0.4])
+    assert subject._proposer.propose(9, moving, None).plan is None
+    assert subject.dirt.safety.delta == 0.15
+
+
 def test_recover_is_for_a_vehicle_at_rest_and_not_in_collision() -> None:
     settings = {"safety": Clearance(delta=0.15, delta_per_speed=0.0), "recover": True}
     for change in ([0.0, 0.0, 0.0, 0.4], [0.12, 0.0, 0.0, 0.0]):
@@ -318,7 +374,7 @@ def test_the_goal_region_shrinks_before_a_vehicle_that_has_not_arrived(away: flo
 def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away() -> None:
     subject = replanner()
     subject.begin(np.array([1.0, 4.9, math.pi / 2, 0.0]))
-    subject._propose(start(), None)
+    subject._proposer.propose(1, start(), None)
     assert subject.dirt.goal is not None
     assert subject.dirt.goal.radius == 0.25
 
@@ -332,33 +388,127 @@ def test_a_contingency_goes_on_when_no_other_is_safe() -> None:
     assert third.reference is second.reference
 
 
-def test_an_emergency_takes_the_manoeuvre_that_keeps_the_most_distance() -> None:
+def along(subject: Replanner, state: Floats, number: int) -> tuple[float, float]:
+    """Smallest distance (m) of a manoeuvre to an obstacle, and its speed (m/s) where it hits one."""
+    dirt, distance = subject.dirt, math.inf
+    for _ in range(round(dirt.safety.horizon / 0.1)):
+        samples, _ = dirt.edge(state, stop_control(dirt.vehicle, state, number), 0.1)
+        distance = min(distance, float(dirt.exact.distances(samples[:, :3]).min()))
+        if distance <= 0.0:
+            return 0.0, abs(float(state[3]))
+        state = samples[-1]
+        if abs(state[3]) <= dirt.safety.rest_speed:
+            break
+    return distance, 0.0
+
+
+@pytest.mark.slow
+def test_an_emergency_takes_the_manoeuvre_that_keeps_the_most_distance_or_hits_slowest() -> None:
     subject = replanner(model="mushr-lag")  # which coasts for 0.6 m
     subject.begin(start())
-    state = np.array([0.93, 0.3, math.pi / 2, 0.6])  # the free half of the corridor is on the right
-    reference = emergency(subject.dirt, state, 3.0)
-    assert (reference.kind, reference.start) == (Kind.CONTINGENCY, 3.0)
-    assert reference.states[-1][2] < math.pi / 2
-    assert abs(reference.states[-1][3]) <= 0.01
+    dirt, rng, found, hits = subject.dirt, np.random.default_rng(0), 0, 0
+    while found < 20:
+        state = np.array(
+            [rng.uniform(0.3, 1.9), rng.uniform(-0.5, 4.5), rng.uniform(-3.1, 3.1), rng.uniform(0.4, 0.65)]
+        )
+        if dirt.exact.distance(*state[:3]) <= 0.01 or dirt.contingency(state) is not None:
+            continue
+        found += 1
+        reference = emergency(dirt, state, 3.0)
+        assert (reference.kind, reference.start) == (Kind.CONTINGENCY, 3.0)
+        assert abs(reference.states[-1][3]) <= 0.01
+        each = [along(subject, state, number) for number in range(len(dirt.vehicle.manoeuvres))]
+        best = max(each, key=lambda pair: (pair[0], -pair[1]))
+        ours = [along(subject, state, number) for number in range(len(each))
+                if np.array_equal(reference.controls[0], stop_control(dirt.vehicle, state, number))]  # fmt: skip
+        assert ours == [best]
+        hits += best[0] == 0.0
+    assert 0 < hits < found  # some can still be avoided, some cannot
+
+
+def test_a_contingency_that_is_over_asks_for_nothing() -> None:
+    """Brakes that went on would push a car that stands."""
+    subject = replanner(model="mushr-drive", safety=FARSIGHTED)
+    cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    assert cycle.contingency is not None
+    assert cycle.contingency.controls[0][0] < 0.0  # it brakes
+    np.testing.assert_array_equal(cycle.contingency.rest, np.zeros(2))
+    np.testing.assert_array_equal(emergency(subject.dirt, start(), 0.0).rest, np.zeros(2))
+
+
+def test_looking_ahead_leaves_the_controller_as_it_is() -> None:
+    controller = make_controller(Geometric(kind="geometric"), Model(mushr()))  # which remembers errors
+    planner = Planner(mode="replanning", iterations=300)
+    subject = Replanner(Planners.of(turns(), mushr(), planner), planner, controller, 0, period=1 / 30)
+    reference = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start())).reference
+    untouched = make_controller(Geometric(kind="geometric"), Model(mushr()))
+    beside = start() + np.array([0.05, 0.1, 0.1, 0.3])
+    for k in range(5):
+        estimate = Estimate(0.3 + k / 30, beside, 0.0)
+        subject._roll(beside, estimate.time, estimate.time + 1.0, reference)
+        np.testing.assert_array_equal(controller.command(estimate, reference), untouched.command(estimate, reference))
+
+
+def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:
+    heads = list[Plan]()
+
+    def judge(_: Dirt, head: Plan) -> Verification:
+        heads.append(head)
+        return Verification(0.0, None, ())
+
+    monkeypatch.setattr("kraft.proposer.verify", judge)
+    for mode, until in (("replanning", 1.0), ("one-shot", math.inf)):
+        subject = replanner(mode=mode)
+        subject.begin(start())
+        plan, head = subject._proposal.plan, heads[-1]
+        assert plan is not None
+        assert len(plan.durations) > 2
+        assert head.times[-1] == pytest.approx(head.durations.sum())
+        assert head.times[-1] >= min(until, plan.cost) - 1e-9
+        assert len(head.times) == len(head.trajectory)
+        assert len(head.states) == len(head.durations) + 1
+        np.testing.assert_array_equal(head.trajectory, plan.trajectory[: len(head.times)])
+    assert {round(head.durations.sum(), 6) for head in heads} != {round(heads[0].durations.sum(), 6)}
 
 
 def test_a_plan_that_fails_its_verification_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kraft.replanner.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
+    monkeypatch.setattr("kraft.proposer.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
     with pytest.raises(Defect, match=r"cycle 0 fails verification: plan: collides"):
         replanner().begin(start())
 
 
 def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     subject = replanner(cycle=0.2, lead=0.0)
-    subject._realtime = True
+    subject._proposer._realtime = True
     subject.begin(start())
-    late = iter([0.0, 5.0])
-    monkeypatch.setattr("kraft.replanner.clock.perf_counter", lambda: next(late))
+    late = itertools.chain([0.0], itertools.repeat(5.0))
+    monkeypatch.setattr("kraft.proposer.clock.perf_counter", lambda: next(late))
     monkeypatch.setattr(subject.dirt, "grow", lambda **_: subject.dirt.progress)
-    proposal = subject._propose(start(), None)
+    proposal = subject._proposer.propose(1, start(), None)
     assert proposal.missed
     assert proposal.plan is None
     assert "longer than there was time" in proposal.reason
+
+
+def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search with the margin finds nothing: half of the time is its, the rest that of the one without."""
+    subject = replanner(margin=0.03, cycle=0.5, lead=0.05)
+    subject._proposer._realtime = True
+    now, granted, both = [0.0], list[float](), subject._proposer._planners
+    monkeypatch.setattr("kraft.proposer.clock.perf_counter", lambda: now[0])
+    for dirt in (both.planning, both.checking):
+
+        def grow(seconds: float, dirt: Dirt = dirt, grow: Callable[..., Progress] = dirt.grow) -> Progress:
+            granted.append(seconds)
+            now[0] += seconds
+            return grow(iterations=300)
+
+        monkeypatch.setattr(dirt, "grow", grow)
+    monkeypatch.setattr(both.planning, "plan", lambda: None)
+    proposal = subject._proposer.propose(0, start(), None)
+    assert granted == pytest.approx([0.175, 0.175, 0.0])  # of 0.8 x 0.5 s - 0.05 s; with a plan it goes on
+    assert proposal.plan is not None
+    assert not proposal.missed
 
 
 def test_the_same_seed_drives_the_same_way() -> None:

@@ -25,11 +25,6 @@ class GeometricController:
         self._settings, self._model = settings, model
         self._guide = Guide(model, 0.0, settings.window)
         self._widest = WINDUP * float(min(-model.low[model.steering], model.high[model.steering]))
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the reference and the errors so far."""
-        self._guide.reset()
         self._sum = 0.0
         self._smooth = 0.0
         self._time: float | None = None

@@ -19,10 +19,6 @@ class Guide:
 
     def __init__(self, model: Model, lead: float, window: int) -> None:
         self._model, self._lead, self._window = model, lead, window
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the reference."""
         self._reference: Reference | None = None
         self._paths: tuple[Path, ...] = ()
         self._part = self._near = 0

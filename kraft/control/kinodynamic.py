@@ -31,10 +31,6 @@ class KinodynamicController:
         self._settings, self._model = settings, model
         self._guide = Guide(model, 0.5 * model.wheelbase, WINDOW)
 
-    def reset(self) -> None:
-        """Forget the reference."""
-        self._guide.reset()
-
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time; past the end of the path what the reference holds at rest."""
         guide = self._guide

@@ -16,6 +16,3 @@ class OpenLoopController:
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) that the reference holds at the estimate's time."""
         return self._model.clamped(reference.control_at(estimate.time))
-
-    def reset(self) -> None:
-        """Nothing is remembered."""

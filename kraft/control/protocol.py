@@ -13,6 +13,3 @@ class Controller(Protocol):
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) to send at the estimate's time, within the actuators' bounds."""
-
-    def reset(self) -> None:
-        """Forget what came before, as at the beginning of a trial."""

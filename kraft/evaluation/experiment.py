@@ -103,10 +103,19 @@ def experiment_of(
             problems += error.diagnostics
     if problems:
         raise InputError(problems)
+    if realtime:
+        problems += [diagnostic for method in found_methods for diagnostic in _too_little_time(method)]
     cells = tuple(_cells(found_scenarios, found_methods, vehicle, problems))
     if problems:
         raise InputError(problems)
     return Experiment(cells, trials, seed, realtime, trial)
+
+
+def _too_little_time(method: Method) -> Iterator[Diagnostic]:
+    planner = method.planner
+    if planner.clock_budget <= 0.0:
+        problem = f"leaves no time to plan in by the clock: 0.8 x {planner.cycle:g} s - {planner.lead:g} s"
+        yield method.source.diagnostic("planner.lead", problem, f"expected less than {0.8 * planner.cycle:g}")
 
 
 def _numbers(trials: int, seed: int) -> list[Diagnostic]:

@@ -104,7 +104,7 @@ class _Run:
         self._world, self._camera, self._room = world, camera, room
         self._manoeuvre, self._place = wanted, place
         self._ticks, self._frames = Ticks(COMMAND_RATE, world.dt), Ticks(scenario.sensing.rate_hz, world.dt)
-        self._delay = scenario.sensing.communication_delay
+        self._delay = scenario.sensing.command_delay
         self._under_way: deque[tuple[int, float, float]] = deque()
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []

@@ -28,7 +28,9 @@ class Sensing(FileModel):
     noise_scale: Annotated[float, Field(ge=0, le=100)] = 1.0
     """factor on all of the preset's errors"""
     communication_delay: Delay = 0.0
-    """time between a command and its effect, s"""
+    """time that a plan or a contingency takes from the replanner to the vehicle's controller, s"""
+    command_delay: Delay = 0.0
+    """time between a command of the controller and its effect, s"""
 
 
 class Trial(FileModel):
