@@ -124,3 +124,26 @@ class Truth(FileModel):
     """free boxes"""
     vehicle: VehicleGap = VehicleGap()
     """how the true car differs from its model"""
+
+    def in_words(self) -> tuple[str, ...]:
+        """What a planner does not know of: a phrase for each kind of thing, none for a flat floor with good grip."""
+        found = []
+        if self.floor_friction != 1.0:
+            found.append(f"a floor with friction {self.floor_friction:g}")
+        if self.friction_patches:
+            values = ", ".join(f"{patch.friction:g}" for patch in self.friction_patches)
+            found.append(f"{_count(len(self.friction_patches), 'patch', 'patches')} with friction {values}")
+        if self.speed_bumps:
+            highest = 100 * max(bump.height for bump in self.speed_bumps)
+            found.append(f"{_count(len(self.speed_bumps), 'bump', 'bumps')} of up to {highest:g} cm")
+        if self.tilt is not None:
+            found.append(f"a floor that leans {math.degrees(self.tilt.slope):.3g} degrees")
+        if self.movable_boxes:
+            found.append(_count(len(self.movable_boxes), "box that can be pushed", "boxes that can be pushed"))
+        if self.vehicle != VehicleGap():
+            found.append("a car that differs from its model")
+        return tuple(found)
+
+
+def _count(count: int, one: str, many: str) -> str:
+    return f"one {one}" if count == 1 else f"{count} {many}"

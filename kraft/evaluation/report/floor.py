@@ -43,30 +43,6 @@ def floor_plan(scenario: Scenario, hits: Mapping[str, int]) -> Element:
     return svg(width * scale, height * scale, element("g", *things, transform=place), class_="floor")
 
 
-def unknown_to_the_planner(truth: Truth) -> list[str]:
-    """What a scene's truth has and its planner's model has not, in words."""
-    found = []
-    if truth.floor_friction != 1.0:
-        found.append(f"a floor with friction {truth.floor_friction:g}")
-    if truth.friction_patches:
-        values = ", ".join(f"{patch.friction:g}" for patch in truth.friction_patches)
-        found.append(f"{_count(len(truth.friction_patches), 'patch', 'patches')} with friction {values}")
-    if truth.speed_bumps:
-        highest = 100 * max(bump.height for bump in truth.speed_bumps)
-        found.append(f"{_count(len(truth.speed_bumps), 'bump', 'bumps')} of up to {highest:g} cm")
-    if truth.tilt is not None:
-        found.append(f"a floor that leans {math.degrees(truth.tilt.slope):.3g} degrees")
-    if truth.movable_boxes:
-        found.append(_count(len(truth.movable_boxes), "box that can be pushed", "boxes that can be pushed"))
-    if truth.vehicle != Truth().vehicle:
-        found.append("a car that differs from its model")
-    return found
-
-
-def _count(count: int, one: str, many: str) -> str:
-    return f"one {one}" if count == 1 else f"{count} {many}"
-
-
 def _truth(truth: Truth) -> Iterator[Element]:
     for patch in truth.friction_patches:
         (x0, x1), (y0, y1) = patch.x, patch.y
@@ -81,7 +57,7 @@ def _truth(truth: Truth) -> Iterator[Element]:
 
 
 def _obstacle(obstacle: Obstacle, hits: int, most: int) -> Element:
-    title = f"{obstacle.name or 'obstacle'}: {_count(hits, 'collision', 'collisions')}"
+    title = f"{obstacle.name or 'obstacle'}: {hits} collision{'' if hits == 1 else 's'}"
     if isinstance(obstacle, OccupancyMap):
         found = _cells(obstacle, title)
     elif isinstance(obstacle, Circle):

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import Content, document, element
-from kraft.evaluation.report.floor import floor_plan, unknown_to_the_planner
+from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import Result
@@ -35,7 +35,7 @@ def _head(results: Results) -> Iterator[Content]:
         yield element("p", text, class_="alarm")
     failed = results.summary.failed
     if failed:
-        text = f"{failed} trials failed, which is a defect in kraft; they do not count as successes."
+        text = f"{failed} of the trials failed, which is a defect in kraft; they do not count as successes."
         yield element("p", text, class_="alarm")
     yield element("dl", *(part for name, value in _facts(results) for part in _fact(name, value)), class_="facts")
 
@@ -119,7 +119,7 @@ def _picture(results: Results, name: str) -> Element:
     if scenario is None:
         return element("figure", element("figcaption", "No picture: the scenario is not there any more, or another."))
     hits = Counter(row.obstacle for row in results.of_cell(name) if row.obstacle)
-    unknown = unknown_to_the_planner(scenario.truth)
+    unknown = scenario.truth.in_words()
     words = f"Not known to the planner: {', '.join(unknown)}." if unknown else "The planner knows this scene."
     most = hits.most_common(1)
     hit = f" Hit most: {most[0][0]}, {_times(most[0][1])}." if most else ""
