@@ -16,6 +16,7 @@ from kraft.placement import check_placement
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
+from kraft.suggest import nearest
 from kraft.validation import Model, check
 from kraft.vehicle import load_vehicle, vehicle_of_task
 from kraft.vehicle_config import VehicleConfig
@@ -58,9 +59,15 @@ def check_file(name_or_path: str | Path) -> Checked:
 
 
 def recognise(document: Document) -> FileKind:
-    """Tell from its top-level keys what a file is meant to be."""
+    """Tell from its top-level keys what a file is meant to be; among equals, misspelt keys decide."""
     keys = set(document.data) if isinstance(document.data, dict) else set()
-    return max(_SCHEMAS, key=lambda kind: len(keys & set(_SCHEMAS[kind].model_fields)))
+
+    def likeness(kind: FileKind) -> tuple[int, int]:
+        known = _SCHEMAS[kind].model_fields
+        misspelt = sum(nearest(str(key), known) is not None for key in keys - set(known))
+        return len(keys & set(known)), misspelt
+
+    return max(_SCHEMAS, key=likeness)
 
 
 def _find(name_or_path: str | Path) -> Path:

@@ -95,7 +95,7 @@ class Bag:
         self.types = store(self.ros1)
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
         self.writer = Writer1(path) if self.ros1 else Writer2(path, version=9, storage_plugin=plugin)
-        self.connections: dict[str, object] = {}
+        self.connections: dict[tuple[str, str], object] = {}
         self.sequence = 0
 
     def __enter__(self) -> Bag:
@@ -115,10 +115,10 @@ class Bag:
         return self.make("std_msgs/msg/Header", time, "map")
 
     def send(self, topic: str, kind: str, time: int, message: object) -> None:
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.types)
+        if (topic, kind) not in self.connections:
+            self.connections[topic, kind] = self.writer.add_connection(topic, kind, typestore=self.types)
         encode = self.types.serialize_ros1 if self.ros1 else self.types.serialize_cdr
-        self.writer.write(self.connections[topic], time, encode(message, kind))
+        self.writer.write(self.connections[topic, kind], time, encode(message, kind))
 
     def ackermann(self, topic: str, stamp: int, speed: float, steering: float, lag: int = 0) -> None:
         inner = self.make("ackermann_msgs/msg/AckermannDrive", steering, 0.0, speed, 0.0, 0.0)

@@ -192,6 +192,7 @@ def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str
     ("arguments", "expected"),
     [
         (["nowhere"], "nowhere: is not there; expected CSV files"),
+        (["logs/run_01/truth.csv"], "logs/run_01/truth.csv: is the truth of a recorded run, which is never opened"),
         (["logs", "--model", "musrh"], "musrh: there is no vehicle 'musrh'; did you mean 'mushr'?"),
         (["logs", "--holdout", "1"], "--holdout: is 1; expected a fraction of at least 0 and below 1"),
         (["logs", "--freeze", "l"], "frozen: mushr-lag has no parameter l; did you mean 'L'?"),

@@ -110,6 +110,70 @@ def test_stamps_of_another_clock_are_not_compared_with_the_recorder_s(tmp_path: 
     assert "poses: /odom: time from 'log_time' (s, the stamps in the headers are up to 1.7e+09 s off)" in log.guess
 
 
+def latched(path: Path, age: float) -> Path:
+    """A bag whose messages arrive late by a varying time, with a pose that was published ``age`` s before."""
+    jitter = np.random.default_rng(0).integers(0, 30_000_000, len(MADE.pose_times))
+    with Bag(path, "bag") as bag:
+        lag = round(age * 1e9)
+        bag.stamped_pose("/initialpose", nanoseconds(0.0) - lag, 0.0, 0.0, 0.0, lag=lag)
+        for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
+            bag.ackermann("/drive", nanoseconds(time), speed, steering)
+        for time, pose, late in zip(MADE.pose_times, MADE.poses, jitter, strict=True):
+            bag.odometry("/odom", nanoseconds(time), *pose, lag=int(late))
+    return path
+
+
+def test_a_topic_that_is_not_used_does_not_decide_on_the_clock(tmp_path: Path) -> None:
+    log = read_one(latched(tmp_path / "a.bag", age=3600.0))
+    same_drive(log)
+    assert log.guess.endswith("; not used: /initialpose")
+    assert "log_time" not in log.guess
+
+
+def test_a_clock_that_the_mapping_names_is_kept(tmp_path: Path) -> None:
+    with Bag(tmp_path / "a.bag", "bag") as bag:
+        for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
+            bag.ackermann("/drive", nanoseconds(time) - 40_000_000_000, speed, steering, lag=40_000_000_000)
+        for time, pose in zip(MADE.pose_times, MADE.poses, strict=True):
+            bag.odometry("/odom", nanoseconds(time), *pose)
+    same_drive(read_one(tmp_path / "a.bag"))
+    (tmp_path / "m.yaml").write_text("commands: {time: header.stamp}\n")
+    with pytest.raises(InputError, match=r"commands \(/drive: 0\.000 to .* do not overlap in time"):
+        read_logs(tmp_path / "a.bag", mapping=load_mapping(tmp_path / "m.yaml"))
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_topic_with_messages_of_two_types_is_named(tmp_path: Path, kind: str) -> None:
+    with Bag(tmp_path / NAMES[kind], kind) as bag:
+        for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
+            bag.ackermann("/drive", nanoseconds(time), speed, steering)
+        for time, pose in zip(MADE.pose_times, MADE.poses, strict=True):
+            (bag.odometry if time < 3 else bag.stamped_pose)("/pose", nanoseconds(time), *pose)
+    assert refused(tmp_path / NAMES[kind]) == (
+        f"{tmp_path / NAMES[kind]}: /pose: has messages of 2 types: geometry_msgs/msg/PoseStamped, "
+        "nav_msgs/msg/Odometry; expected one type on a topic"
+    )
+
+
+def test_the_folder_of_a_bag_and_its_file_are_one_log(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "drive", "mcap", MADE)
+    found = read_logs([folder / "drive.mcap", folder, tmp_path])
+    assert [log.name for log in found.logs] == ["drive"]
+    (problem,) = found.problems
+    assert str(problem).endswith(": is found more than once, as is 1 other log; each log counts once")
+
+
+def test_two_switches_are_a_question(tmp_path: Path) -> None:
+    with Bag(tmp_path / "a", "mcap") as bag:
+        for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
+            bag.ackermann("/drive", nanoseconds(time), speed, steering)
+            bag.boolean("/deadman", nanoseconds(time), True)
+            bag.boolean("/enabled", nanoseconds(time), True)
+        for time, pose in zip(MADE.pose_times, MADE.poses, strict=True):
+            bag.odometry("/odom", nanoseconds(time), *pose)
+    assert "/deadman and /enabled both look like the dead-man switch; expected one" in refused(tmp_path / "a")
+
+
 def test_a_tracker_is_preferred_to_odometry_and_the_mux_output_to_its_inputs(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", "mcap") as bag:
         for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):

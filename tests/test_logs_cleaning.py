@@ -10,6 +10,7 @@ from log_fixtures import Drive, drive, wide_columns, wrapped, write_pair, write_
 
 from kraft.errors import InputError
 from kraft.logs.log import Finding, Log
+from kraft.logs.motion import extent
 from kraft.logs.reader import read_logs
 from kraft.logs.teleports import tracks
 
@@ -118,6 +119,15 @@ def test_a_pause_of_commands_sent_at_a_rate_ends_a_part(tmp_path: Path) -> None:
     )
 
 
+def test_what_was_commanded_before_a_pause_is_not_obeyed_after_it(tmp_path: Path) -> None:
+    keep = (MADE.command_times < 2) | (MADE.command_times > 2.68)  # shorter than the history of a part
+    made = Drive(MADE.command_times[keep], MADE.commands[keep], MADE.pose_times, MADE.poses)
+    (log,) = read_logs(write_pair(tmp_path, made)).logs
+    assert finding(log, "command gap").count == 1
+    assert log.parts[1].command_times[0] == pytest.approx(2.7)
+    assert log.parts[1].pose_times[0] >= 2.7
+
+
 def test_commands_that_are_logged_when_they_change_are_held(tmp_path: Path) -> None:
     times = np.array([0.0, 0.1, 2.0, 4.5])
     made = Drive(times, np.column_stack([np.full(4, 0.5), [0.0, 0.1, 0.2, 0.3]]), MADE.pose_times, MADE.poses)
@@ -165,6 +175,14 @@ def test_an_outlier_at_the_beginning_does_not_hide_the_rest() -> None:
     assert labels[0] != labels[1]
 
 
+def test_noise_that_steps_farther_than_the_vehicle_drives_is_no_teleport(tmp_path: Path) -> None:
+    noise = np.random.default_rng(4).normal(0, 0.06, (2, N))
+    assert np.hypot(*np.diff(noise)).max() > 0.05 + 3.0 * 0.025  # what a vehicle at the least top speed could reach
+    log = read(tmp_path, x=WIDE["x"] + noise[0], y=WIDE["y"] + noise[1])
+    assert len(log.parts[0].poses) == N
+    assert {f.kind for f in log.findings} == {"wrap"}
+
+
 def test_noise_and_small_outliers_stay_for_the_robust_loss(tmp_path: Path) -> None:
     noise = np.random.default_rng(3).normal(0, 0.02, (2, N))
     log = read(tmp_path, x=WIDE["x"] + noise[0], y=WIDE["y"] + noise[1])
@@ -196,11 +214,77 @@ def test_while_the_dead_man_switch_is_released_the_log_does_not_count(tmp_path: 
     assert "nothing remains" in refused(tmp_path, dead_man=np.zeros(N))
 
 
+def test_a_command_from_before_the_switch_was_held_counts_from_when_it_is(tmp_path: Path) -> None:
+    """Poses and switch have one clock, commands another, so that the switch is never held just when a command is sent."""
+    held = (MADE.pose_times >= 2).astype(float)
+    columns = [MADE.pose_times, *MADE.poses[:, :2].T, wrapped(MADE.poses[:, 2]), held]
+    write_table(tmp_path / "poses.csv", ["t", "x", "y", "yaw", "dead_man"], columns)
+    write_table(tmp_path / "commands.csv", ["t", "throttle", "steering"], [MADE.command_times, *MADE.commands.T])
+    (log,) = read_logs(tmp_path).logs
+    (part,) = log.parts
+    since = part.pose_times[0]
+    sent = int(np.searchsorted(MADE.command_times, since, side="right")) - 1
+    assert MADE.command_times[sent] < since - 0.005
+    assert part.command_times[0] == since
+    np.testing.assert_array_equal(part.commands[0], MADE.commands[sent])
+
+
+def test_a_switch_that_could_be_either_of_two_columns_is_an_error(tmp_path: Path) -> None:
+    held = ((ROW // 40) % 2 == 1).astype(float)
+    ambiguous = (
+        "a.csv: dead man could be any of 'armed', 'enabled'; expected one; a mapping file says which column it is"
+    )
+    assert refused(tmp_path, armed=held, enabled=held) == ambiguous
+    columns = {**WIDE, "armed": held, "enabled": held}
+    del columns["throttle"], columns["yaw"]
+    with pytest.raises(InputError) as error:
+        read_logs(write_table(tmp_path / "a.csv", list(columns), list(columns.values())))
+    assert len(error.value.diagnostics) == 3  # with the missing columns: everything that is wrong at once
+    assert ambiguous in str(error.value).replace(f"{tmp_path}/", "")
+
+
+def test_a_doubtful_switch_in_one_file_is_not_made_up_for_by_another(tmp_path: Path) -> None:
+    held = ((ROW // 40) % 2 == 1).astype(float)
+    commands, poses = ("t", "throttle", "steering"), ("t", "x", "y", "yaw")
+    write_table(tmp_path / "commands.csv", [*commands, "enabled"], [*(WIDE[k] for k in commands), held])
+    write_table(tmp_path / "poses.csv", [*poses, "armed", "engaged"], [*(WIDE[k] for k in poses), held, held])
+    with pytest.raises(InputError, match=r"poses\.csv: dead man could be any of 'armed', 'engaged'; expected one"):
+        read_logs(tmp_path)
+    write_table(tmp_path / "poses.csv", [*poses, "rc_was_armed"], [*(WIDE[k] for k in poses), held * 0])
+    (log,) = read_logs(tmp_path).logs
+    assert [len(part.poses) for part in log.parts] == [40, 40, 35]
+    assert log.guess.endswith(
+        "dead man: commands.csv: time from 't' (s), dead man from 'enabled'; not used: rc_was_armed of poses.csv"
+    )
+
+
 def test_no_motion_is_refused(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).normal(0, 0.01, (3, N))
     said = refused(tmp_path, x=noise[0], y=noise[1], yaw=noise[2])
     assert said.startswith("a.csv: there is no motion: the vehicle gets 0.0")
     assert "limits.least_motion" in said
+
+
+def test_a_log_of_less_than_half_a_second_may_move(tmp_path: Path) -> None:
+    path = write_table(tmp_path / "a.csv", list(WIDE), [values[:16] for values in WIDE.values()])
+    (log,) = read_logs(path).logs  # 0.3 m in 0.375 s
+    assert len(log.parts[0].poses) == 16
+    still = {
+        name: np.full(16, values[0]) if name in ("x", "y", "yaw") else values[:16] for name, values in WIDE.items()
+    }
+    write_table(path, list(still), list(still.values()))
+    with pytest.raises(InputError, match=r"there is no motion: the vehicle gets 0 m far \(between means over up to 0"):
+        read_logs(path)
+
+
+@pytest.mark.parametrize("duration", [0.1, 0.49, 0.5, 0.51, 1.3, 20.0])
+def test_a_straight_drive_gets_as_far_as_the_first_mean_is_from_the_last(duration: float) -> None:
+    times = 7 + np.linspace(0, duration, 1001)
+    way, turn = extent(times, np.column_stack([0.8 * times, 0 * times, 0.1 * times]))
+    block = min(0.5, duration / 2)
+    assert 0.8 * (duration - block) <= way + 0.002 * duration
+    assert way < 0.8 * duration
+    assert turn == pytest.approx(way / 8)
 
 
 def test_commands_and_poses_of_different_times_are_refused(tmp_path: Path) -> None:
@@ -237,6 +321,17 @@ def test_radians_that_were_never_wrapped_are_no_degrees(tmp_path: Path) -> None:
     write_table(tmp_path / "commands.csv", ["t", "throttle", "steering"], [made.command_times, *made.commands.T])
     (log,) = read_logs(tmp_path).logs
     np.testing.assert_allclose(log.parts[0].poses, made.poses)
+
+
+@pytest.mark.parametrize("heading", [40.0, -100.0, 170.0])
+def test_degrees_on_a_straight_line_are_told_by_its_direction(tmp_path: Path, heading: float) -> None:
+    way, yaw = 0.8 * TIMES, np.full(N, heading)
+    noise = np.random.default_rng(5).normal(0, 1.0, N)
+    straight = {"x": way * np.cos(np.deg2rad(heading)), "y": way * np.sin(np.deg2rad(heading))}
+    assert f"'yaw' reaches {heading:g}: degrees, where radians are expected" in refused(tmp_path, **straight, yaw=yaw)
+    assert "degrees, where radians are expected" in refused(tmp_path, **straight, yaw=yaw + noise)
+    (part,) = read(tmp_path, **straight, yaw=np.deg2rad(yaw + noise)).parts
+    assert len(part.poses) == N
 
 
 def test_degrees_on_a_straight_line_are_told_by_the_other_logs(tmp_path: Path) -> None:
@@ -284,6 +379,13 @@ def test_an_orientation_of_zeros_is_no_orientation(tmp_path: Path) -> None:
     assert finding(log, "nan").text == "2 of 235 poses have no orientation, first in line 9 of a.csv; left out"
     with pytest.raises(InputError, match="qx, qy, qz, qw are no orientation; expected a quaternion of length 1"):
         oriented(tmp_path, 0.0, 0.0, WIDE["yaw"] * 0, WIDE["yaw"] * 0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_with_an_orientation_in_a_single_pose_is_refused(tmp_path: Path) -> None:
+    seen = ROW == 5
+    with pytest.raises(InputError, match=r"a\.csv:7: has an orientation in only 1 pose; expected 3 or more"):
+        oriented(tmp_path, 0.0, 0.0, np.sin(WIDE["yaw"] / 2) * seen, np.cos(WIDE["yaw"] / 2) * seen)
 
 
 def test_a_vehicle_that_lies_on_its_side_is_said(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from log_fixtures import Drive, drive, wide_columns, wrapped, write_pair, write_table, write_wide
 
 from kraft.errors import InputError
+from kraft.logs.candidate import Candidate, each_once
 from kraft.logs.columns import axis_score, control_score, time_score, yaw_score
 from kraft.logs.csv_table import read_csv
 from kraft.logs.log import Log
@@ -363,3 +364,93 @@ def test_logs_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
     write_wide(tmp_path / "b" / "log.csv")
     names = [log.name for log in read_logs([tmp_path / "a" / "log.csv", tmp_path / "b" / "log.csv"]).logs]
     assert len(set(names)) == 2
+
+
+@pytest.mark.parametrize("again", [".", "logs", "logs/run_2", "logs/run_2/poses.csv", "link"])
+def test_a_log_that_is_found_again_counts_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, again: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("run_1", "run_2"):
+        write_pair(tmp_path / "logs" / name, MADE)
+    (tmp_path / "link").symlink_to(tmp_path / "logs" / "run_2")
+    before = ["logs"] if again != "." else []
+    found = read_logs([*before, again])
+    assert len(found.logs) == len({log.name for log in found.logs}) == 2
+    (problem,) = found.problems
+    assert problem.problem == "is found more than once" + (", as is 1 other log" if again == "logs" else "")
+    assert problem.expected == "each log counts once"
+
+
+def test_a_part_of_a_log_is_not_counted_besides_the_whole_wherever_it_stands(tmp_path: Path) -> None:
+    part = Candidate("b", "bag", (tmp_path / "a" / "1.mcap",))
+    whole = Candidate("a", "bag", (tmp_path / "a",))
+    other = Candidate("c", "csv", (tmp_path / "c.csv",))
+    (tmp_path / "a").mkdir()
+    for name in ("0.mcap", "1.mcap", "metadata.yaml"):
+        (tmp_path / "a" / name).touch()
+    for found in ([part, whole, other], [whole, other, part]):
+        kept, (said,) = each_once(found)
+        assert kept == [whole, other]
+        assert said.file == str(tmp_path / "a" / "1.mcap")
+    assert each_once([whole, other]) == ([whole, other], [])
+
+
+def test_files_that_are_given_again_make_one_log(tmp_path: Path) -> None:
+    write_pair(tmp_path, MADE)
+    commands, poses = tmp_path / "commands.csv", tmp_path / "poses.csv"
+    for paths in ([commands, poses, commands, poses], [commands, commands, poses], [poses, tmp_path]):
+        found = read_logs(paths)
+        same_drive(found.logs[0], MADE)
+        assert len(found.logs) == 1
+        assert len(found.problems) == 1
+    wide = write_wide(tmp_path / "other" / "wide.csv")
+    found = read_logs([wide, wide, wide])
+    assert [log.name for log in found.logs] == ["wide"]
+    assert [str(problem) for problem in found.problems] == [f"{wide}: is found more than once; each log counts once"]
+
+
+def test_the_truth_alone_is_refused(tmp_path: Path) -> None:
+    write_pair(tmp_path, MADE)
+    (tmp_path / "truth.csv").write_text("t,x,y\n0,1,2\n")
+    assert problems_of(tmp_path / "truth.csv") == (
+        "truth.csv: is the truth of a recorded run, which is never opened; expected the folder that it is in"
+    )
+    found = read_logs(sorted(tmp_path.iterdir()))
+    same_drive(found.logs[0], MADE)
+    assert len(found.problems) == 1
+
+
+def test_no_path_is_no_log() -> None:
+    with pytest.raises(InputError, match="logs: there are none to read; expected CSV files, ROS bags"):
+        read_logs([])
+
+
+@pytest.mark.parametrize(
+    ("repeated", "problem"),
+    [(1, "a quote is opened and not closed"), (30, "a field is longer than 131072 characters")],
+)
+def test_a_stray_quote_is_said_at_its_line_and_the_other_logs_are_read(
+    tmp_path: Path, repeated: int, problem: str
+) -> None:
+    write_wide(tmp_path / "good.csv")
+    heading, *rows = write_wide(tmp_path / "quote.csv").read_text().splitlines()
+    rows[5] = f'"{rows[5]}'
+    (tmp_path / "quote.csv").write_text("\n".join([heading, *rows, *rows[6:] * repeated]) + "\n")
+    found = read_logs(tmp_path)
+    assert [log.name for log in found.logs] == ["good"]
+    assert [str(said).replace(f"{tmp_path}/", "") for said in found.problems] == [
+        f'quote.csv:7: {problem}; expected numbers, and " in pairs'
+    ]
+
+
+def test_a_heading_without_end_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,x" + "x" * 140_000 + "\n1,2\n")
+    assert problems_of(tmp_path / "a.csv").startswith("a.csv:1: a field is longer than 131072 characters; ")
+
+
+def test_a_quoted_text_of_two_lines_is_one_field(tmp_path: Path) -> None:
+    heading, *rows = write_wide(tmp_path / "a.csv").read_text().splitlines()
+    rows = [f'{row},"ok, 5"' for row in rows]
+    for row in (3, -1):
+        rows[row] = rows[row].replace("ok, 5", 'two\nlines of ""text""')
+    (tmp_path / "a.csv").write_text("\n".join([f"{heading},note", *rows]) + "\n")
+    assert len(read_one(tmp_path / "a.csv").parts[0].poses) == len(WIDE["t"])

@@ -10,7 +10,7 @@ import pytest
 from kraft.errors import InputError
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, manoeuvre
 from kraft.recording.recorder import COMMAND_RATE, STOP, Recorder, Recording
-from kraft.recording.room import MARGIN, Room, moved
+from kraft.recording.room import MARGIN, STEP, Room, moved
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.vehicle import load_vehicle
 from kraft.workspace import workspace_of
@@ -121,6 +121,34 @@ def test_boxes_that_would_give_way_count_as_obstacles() -> None:
     assert Room(scenario, MUSHR).clearance(1.75, 2.0, 0.0) == 0.0
     bare = replace(scenario, truth=TRAINING.truth)
     assert Room(bare, MUSHR).clearance(1.75, 2.0, 0.0) > 0.1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_start_leaves_more_room_with_each_metre_that_will_have_been_driven(seed: int) -> None:
+    """0.25 m at first and 0.1 m more for each metre: what docs/record.md promises."""
+    room, metres = Room(TRAINING, MUSHR), np.arange(0.0, 8.05, 0.1)
+    path = np.column_stack([metres, 0 * metres, 0 * metres])
+    place = room.place(path, np.random.default_rng(seed))
+    assert place.time == pytest.approx(STEP * (len(path) - 1))
+    driven = moved(path, place.start)
+    spare = np.array([room.clearance(*pose) for pose in driven]) - (0.25 + 0.1 * metres)
+    (x0, x1), (y0, y1) = TRAINING.bounds.x, TRAINING.bounds.y
+    walls = np.min([driven[:, 0] - x0, x1 - driven[:, 0], driven[:, 1] - y0, y1 - driven[:, 1]], axis=0)
+    assert min(spare.min(), (walls - (0.25 + 0.1 * metres)).min()) >= -1e-9
+
+
+def test_a_start_is_as_far_from_a_box_as_from_the_bounds() -> None:
+    hall = parse_scenario(
+        "name: box\nbounds: {x: [0, 12], y: [0, 12]}\nstart: {x: 1, y: 1, heading_deg: 0}\n"
+        "goal: {center: [11, 11], radius: 0.5}\nobstacles: [{box: {center: [6, 6], size: [4, 4]}}]\n"
+    )
+    metres = np.arange(0.0, 4.05, 0.1)
+    path = np.column_stack([metres, 0 * metres, 0 * metres])
+    for seed in range(10):
+        room = Room(hall, MUSHR)
+        place = room.place(path, np.random.default_rng(seed))
+        clearances = np.array([room.clearance(*pose) for pose in moved(path, place.start)])
+        assert (clearances >= 0.25 + 0.1 * metres - 1e-9).all()
 
 
 def test_a_scenario_without_room_is_refused() -> None:

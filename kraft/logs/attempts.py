@@ -9,9 +9,11 @@ from typing import Final
 
 from kraft.errors import Diagnostic, InputError
 from kraft.logs.choice import Stream
+from kraft.logs.mapping import Mapping
 from kraft.logs.names import parse
 from kraft.logs.pick import HOW, Picked, missing
 from kraft.logs.table import Table
+from kraft.suggest import choose
 
 _TOPIC_HINTS: Final = {
     **dict.fromkeys(("mocap", "vicon", "vrpn", "optitrack", "qualisys", "aruco", "apriltag", "marker", "camera"), 10),
@@ -57,6 +59,22 @@ class Attempt:
 
 def _hint(table: Table) -> int:
     return sum(_TOPIC_HINTS.get(word, 0) for word in parse(table.topic).words)
+
+
+def named(tables: Sequence[Table], name: str | None, mapping: Mapping, *path: str) -> list[Table]:
+    """Tables that the mapping file names at ``path``, all if it names none.
+
+    Raises:
+        InputError: if there is no such table.
+    """
+    if name is None:
+        return list(tables)
+    found = [table for table in tables if name in (table.name, table.topic, table.file)]
+    if not found:
+        files = ", ".join(dict.fromkeys(table.file for table in tables))
+        expected = choose(name, [table.name for table in tables])
+        raise InputError([mapping.source.diagnostic(path, f"there is no {name!r} in {files}", expected)])
+    return found
 
 
 def best(attempts: Sequence[Attempt], what: str) -> tuple[Stream, tuple[str, ...]]:

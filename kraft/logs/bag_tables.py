@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
@@ -14,8 +14,8 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from kraft.errors import InputError
-from kraft.logs.table import Table
+from kraft.errors import Diagnostic, InputError
+from kraft.logs.table import LOG_TIME, STAMP, Table
 
 TYPES: Final = {
     *("ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"),
@@ -24,10 +24,6 @@ TYPES: Final = {
     *("geometry_msgs/msg/Pose2D", "geometry_msgs/msg/TransformStamped", "nav_msgs/msg/Odometry", "std_msgs/msg/Bool"),
 }
 """Messages that are read without being named in a mapping file."""
-LOG_TIME: Final = "log_time"
-STAMP: Final = "header.stamp"
-STAMP_TOLERANCE: Final = 1.0
-"""How far the clocks of the senders and of the recorder may be apart, s."""
 _LIST_MAX: Final = 32  # longer lists are covariances and scans
 _ACKERMANN: Final = """
 float32 steering_angle
@@ -52,15 +48,18 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
     """Read the topics that may hold commands and poses, and those that are named.
 
     Raises:
-        InputError: if the bag is truncated or damaged, or has none of them.
+        InputError: if the bag is truncated or damaged, has none of them, or mixes types of messages on one.
     """
     wanted = set(topics)
     try:
         with AnyReader([path], default_typestore=_typestore()) as reader:
             known = {c.topic: c.msgtype for c in reader.connections}
             chosen = [c for c in reader.connections if c.topic in wanted or c.msgtype in TYPES]
+            _check_types(path, chosen, reader.connections)
             read = _read(reader, chosen)
             _check_counts(chosen, read)
+    except InputError:
+        raise
     except Exception as error:  # whatever a parser may trip over in bytes that are not what they should be
         raise InputError.of(str(path), f"is not a whole bag ({_reason(error)})", _repair(path)) from error
     if not read:
@@ -68,8 +67,7 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
         expected = "expected AckermannDriveStamped or Twist, and Odometry, PoseStamped or the like; or a mapping file"
         raise InputError.of(str(path), f"has no messages on topics that kraft knows; there are {there}", expected)
     origin = min(topic.times[0] for topic in read.values())
-    tables = [_table(str(path), name, topic, origin) for name, topic in sorted(read.items())]
-    return tuple(_trusted(tables))
+    return tuple(_table(str(path), name, topic, origin) for name, topic in sorted(read.items()))
 
 
 @cache
@@ -95,6 +93,18 @@ def _read(reader: AnyReader, chosen: Sequence[Any]) -> dict[str, _Topic]:
             topic.stamps.append(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
         topic.rows.append(tuple(float(get(message)) for get in topic.getters.values()))
     return read
+
+
+def _check_types(path: Path, chosen: Iterable[Any], connections: Sequence[Any]) -> None:
+    """Refuse topics whose messages are not all alike: which of them are meant cannot be told from the topic."""
+    problems = []
+    for topic in sorted({connection.topic for connection in chosen}):
+        types = sorted({connection.msgtype for connection in connections if connection.topic == topic})
+        if len(types) > 1:
+            problem = f"has messages of {len(types)} types: {', '.join(types)}"
+            problems.append(Diagnostic(str(path), problem, "expected one type on a topic", path=topic))
+    if problems:
+        raise InputError(problems)
 
 
 def _check_counts(chosen: Sequence[Any], read: Mapping[str, _Topic]) -> None:
@@ -134,19 +144,6 @@ def _table(file: str, name: str, topic: _Topic, origin: int) -> Table:
         columns[STAMP] = np.array([1e-9 * (stamp - origin) for stamp in topic.stamps])
     columns.update(zip(topic.getters, np.array(topic.rows, float).reshape(len(topic.rows), -1).T, strict=True))
     return Table(file, name, columns, np.arange(1, len(topic.rows) + 1))
-
-
-def _trusted(tables: Sequence[Table]) -> list[Table]:
-    """Drop the senders' stamps where some are by another clock than the rest."""
-    lags = [float(np.median(t.columns[STAMP] - t.columns[LOG_TIME])) if STAMP in t.columns else 0.0 for t in tables]
-    if max(lags) - min(lags) <= STAMP_TOLERANCE:
-        return list(tables)
-    note = {LOG_TIME: f"the stamps in the headers are up to {max(map(abs, lags)):.3g} s off"}
-    return [replace(t, columns=_without(t.columns, STAMP), notes=note) for t in tables]
-
-
-def _without(columns: Mapping[str, Any], name: str) -> dict[str, Any]:
-    return {key: value for key, value in columns.items() if key != name}
 
 
 def _reason(error: Exception) -> str:

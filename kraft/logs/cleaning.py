@@ -15,7 +15,7 @@ from kraft.logs.dead_man import held_intervals, interval_of
 from kraft.logs.findings import Findings, count
 from kraft.logs.log import Array, Finding, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import extent
+from kraft.logs.motion import AVERAGED, extent
 from kraft.logs.parts import POSES_MIN, make_part, pose_gap, stretches
 from kraft.logs.planar import planar
 from kraft.logs.samples import Samples, read_samples
@@ -37,6 +37,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     reports.broken_lines(choice, findings)
     streams, poses, origin = _read(choice, findings)
     poses, xyyaw = planar(poses, findings)
+    _check_number(poses, "has an orientation in only")
     check_units(streams, poses, xyyaw, findings)
     commands = merge(streams, controls, limits)
     _check_overlap(commands, poses, choice)
@@ -62,15 +63,17 @@ def _read(choice: Choice, findings: Findings) -> tuple[tuple[Samples, ...], Samp
             read.append(read_samples(what, stream, findings, rows))
         except InputError as error:
             problems += error.diagnostics
-    if not problems and len(read[-1]) < POSES_MIN:
-        problems.append(
-            read[-1].diagnostic(f"has only {count(len(read[-1]), 'pose')}", f"expected {POSES_MIN} or more", 0)
-        )
     if problems:
         raise InputError(problems)
+    _check_number(read[-1], "has only")
     origin = float(min(samples.times[0] for samples in read))
     *streams, poses = (samples.shifted(origin) for samples in read)
     return tuple(streams), poses, origin
+
+
+def _check_number(poses: Samples, only: str) -> None:
+    if len(poses) < POSES_MIN:
+        raise poses.refuse(f"{only} {count(len(poses), 'pose')}", f"expected {POSES_MIN} or more", 0)
 
 
 def _check_overlap(commands: Commands, poses: Samples, choice: Choice) -> None:
@@ -131,4 +134,5 @@ def _check_motion(poses: Samples, parts: tuple[Part, ...], limits: Limits) -> No
     if all(way < limits.least_motion and turn < TURN_LEAST for way, turn in ways):
         way = max(way for way, _ in ways)
         expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
-        raise poses.refuse(f"there is no motion: the vehicle gets {way:.2g} m far", expected)
+        fact = f"the vehicle gets {way:.2g} m far (between means over up to {AVERAGED:g} s)"
+        raise poses.refuse(f"there is no motion: {fact}", expected)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -50,16 +50,15 @@ def _any_table(file: str, names: Sequence[str], separator: str, lines: list[str]
     rows: list[list[str]] = []
     numbers: list[int] = []
     broken: list[int] = []
-    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
-    for row in reader:
+    for number, row in _fields(file, lines, separator, above):
         fields = row
         while len(fields) > len(names) and not fields[-1].strip():
             fields = fields[:-1]
         if len(fields) == len(names):
             rows.append(fields)
-            numbers.append(above + reader.line_num)
+            numbers.append(number)
         elif any(text.strip() for text in fields) and not fields[0].startswith("#"):
-            broken.append(above + reader.line_num)
+            broken.append(number)
     if not rows:
         expected = f"expected {len(names)} fields, as in its heading"
         raise InputError([Diagnostic(file, "no line has as many fields as the heading", expected, above + 1)])
@@ -70,6 +69,32 @@ def _any_table(file: str, names: Sequence[str], separator: str, lines: list[str]
         if empty.any():
             blank[name] = empty
     return Table(file, "", table, np.array(numbers, np.int64), blank, tuple(broken))
+
+
+def _fields(file: str, lines: Sequence[str], separator: str, above: int) -> Iterator[tuple[int, list[str]]]:
+    """Fields of each row with the number of its last line; ``above`` is how many lines come before.
+
+    Raises:
+        InputError: if a quote is opened and not closed, which would swallow the rows below.
+    """
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    while True:
+        first = reader.line_num
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            problem = f"a field is longer than {csv.field_size_limit()} characters"
+            raise _misquoted(file, problem, above + first + 1) from error
+        if row is None:
+            return
+        spans = reader.line_num == len(lines) and reader.line_num - first > 1
+        if spans and "".join(lines[first:]).count('"') % 2:
+            raise _misquoted(file, "a quote is opened and not closed", above + first + 1)
+        yield above + reader.line_num, row
+
+
+def _misquoted(file: str, problem: str, line: int) -> InputError:
+    return InputError([Diagnostic(file, problem, 'expected numbers, and " in pairs', line)])
 
 
 def read_heading(path: Path, content: bytes) -> tuple[str, ...]:
@@ -104,7 +129,7 @@ def _heading(file: str, lines: list[str]) -> tuple[tuple[tuple[str, ...], str], 
         at = comments[-1]
     line = lines[at].strip().lstrip("#%").strip()
     separator = max(_SEPARATORS, key=lambda s: (line.count(s) > 0, -_SEPARATORS.index(s)))
-    fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    _, fields = next(_fields(file, [line], separator, at))
     return (_unique([text.strip() for text in fields]), separator), lines[at + 1 :], at + 1
 
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from kraft.errors import Diagnostic, InputError
+from kraft.logs.candidate import BAGS, COMPRESSED, Candidate, each_once
 from kraft.logs.grouping import group
 from kraft.logs.mapping import Mapping
 from kraft.suggest import nearest
 
 CSV: Final = (".csv", ".tsv", ".txt")
-BAGS: Final = (".bag", ".mcap", ".db3")
 TRUTH: Final = "truth.csv"
 """Of a recorded run, for people who want to compare: never opened."""
 FORMATS: Final = (
@@ -24,42 +23,33 @@ FORMATS: Final = (
 _DEPTH: Final = 6
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """What looks like one log.
-
-    Attributes:
-        name: unique among those found together.
-        kind: how to read it.
-        files: CSV files, or the one file or folder of a bag.
-    """
-
-    name: str
-    kind: Literal["csv", "run", "bag"]
-    files: tuple[Path, ...]
-
-
 def discover(
     paths: Sequence[Path], controls: Sequence[str], mapping: Mapping
 ) -> tuple[list[Candidate], list[Diagnostic]]:
-    """Find the logs in ``paths``, in the order of their names, and what is wrong with paths that are none."""
+    """Find the logs in ``paths``, in the order of their names, and what is wrong with paths that are none.
+
+    A log that is found more than once is returned once, and that is said.
+    """
     found: list[Candidate] = []
     problems: list[Diagnostic] = []
-    loose: dict[Path, list[Path]] = {}
+    loose: dict[tuple[Path, int], list[Path]] = {}
+    given: Counter[Path] = Counter()
     for path in paths:
         try:
             if path.is_dir():
                 found += _nonempty(path, controls, mapping)
             else:
                 _check_file(path)
-                loose.setdefault(path.parent, []).append(path)
+                loose.setdefault((path.parent, given[path]), []).append(path)
+                given[path] += 1
         except InputError as error:
             problems += error.diagnostics
         except OSError as error:
             problems.append(Diagnostic(str(path), f"cannot be read: {error.strerror}", FORMATS))
-    for folder, files in loose.items():  # files of one folder may belong together
+    for (folder, _), files in loose.items():  # files of one folder may belong together, but none to itself
         found += _logs_of(files, folder, controls, mapping)
-    return _named_apart(found), problems
+    found, repeated = each_once(found)
+    return _named_apart(found), problems + repeated
 
 
 def _check_file(path: Path) -> None:
@@ -68,6 +58,10 @@ def _check_file(path: Path) -> None:
         near = nearest(path.name, siblings)
         raise InputError.of(
             str(path), "is not there", f"did you mean {str(path.parent / near)!r}?" if near else FORMATS
+        )
+    if path.name == TRUTH:
+        raise InputError.of(
+            str(path), "is the truth of a recorded run, which is never opened", "expected the folder that it is in"
         )
     if path.suffix.lower() not in CSV + BAGS:
         raise InputError.of(str(path), "is no log that kraft reads", FORMATS)
@@ -88,7 +82,7 @@ def _scan(folder: Path, root: Path, controls: Sequence[str], mapping: Mapping, d
     name = folder.name if folder == root else folder.relative_to(root).as_posix()
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     names = {path.name for path in entries}
-    if "metadata.yaml" in names and any(path.suffix in BAGS or path.suffix == ".zstd" for path in entries):
+    if "metadata.yaml" in names and any(path.suffix in BAGS or path.suffix == COMPRESSED for path in entries):
         return [Candidate(name, "bag", (folder,))]
     if {"steps.csv", "observations.csv"} <= names:
         return [Candidate(name, "run", (folder / "steps.csv", folder / "observations.csv"))]

@@ -51,8 +51,9 @@ class Part:
     pose is always there, so ``command_times[0] <= pose_times[0]``.
 
     Attributes:
-        command_times: when each command took effect, strictly ascending, shape (m,), s. A command is held
-            until the next one; the last one is held to the last pose.
+        command_times: when each command was given, or began to count because the dead man was held, strictly
+            ascending, shape (m,), s. The vehicle may obey late. A command is held until the next one; the last one
+            is held to the last pose.
         commands: their values, one column per control, shape (m, nu).
         pose_times: when each pose was measured, strictly ascending, shape (n,), s.
         poses: x and y in m, yaw in rad and continuous (unwrapped), shape (n, 3).

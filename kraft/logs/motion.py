@@ -11,6 +11,9 @@ from kraft.logs.log import Array
 CHORD = 0.1
 """Least distance over which a direction of motion is told, m; noise may ask for more."""
 
+AVERAGED = 0.5
+"""Time over which noise is averaged where it is asked how far the vehicle gets, at most, s."""
+
 
 def position_noise(positions: Array) -> float:
     """Standard deviation of a position, from second differences, which motion hardly changes. Shape (n, 2), m."""
@@ -65,9 +68,16 @@ def agreement(found: Chords, yaw: Array) -> tuple[float, float]:
     return float(abs(mean)), float(np.angle(mean) / 2)
 
 
-def extent(times: Array, poses: Array, window: float = 0.5) -> tuple[float, float]:
-    """How far the vehicle gets (m) and turns (rad), noise averaged over ``window`` seconds; poses have shape (n, 3)."""
-    block = ((times - times[0]) / window).astype(np.int64)
+def extent(times: Array, poses: Array) -> tuple[float, float]:
+    """How far the vehicle gets (m) and turns (rad), between means over equal times of at most `AVERAGED`.
+
+    Args:
+        times: of two poses or more, shape (n,), s.
+        poses: shape (n, 3).
+    """
+    passed = times - times[0]
+    blocks = max(2, int(np.ceil(passed[-1] / AVERAGED)))  # a single mean would show no motion at all
+    block = np.minimum((passed * (blocks / passed[-1])).astype(np.int64), blocks - 1)
     _, block, counts = np.unique(block, return_inverse=True, return_counts=True)
     means = np.column_stack([np.bincount(block, poses[:, k]) / counts for k in range(3)])
     spread = means.max(axis=0) - means.min(axis=0)

@@ -9,9 +9,10 @@ import numpy as np
 
 from kraft.errors import Diagnostic
 from kraft.logs.choice import Channel
+from kraft.logs.columns import time_score
 from kraft.logs.mapping import Column, Mapping
 from kraft.logs.names import parse
-from kraft.logs.table import Table
+from kraft.logs.table import LOG_TIME, STAMP, Table
 from kraft.logs.units import ALLOWED, Quantity, Unit
 from kraft.source import KeyPath
 from kraft.suggest import choose, nearest
@@ -57,6 +58,13 @@ class Picker:
             return Picked(None, problem=self.table.diagnostic(f"{role} could be any of {both}", f"expected one; {HOW}"))
         return Picked(self.channel(role, names[0], quantity), best)
 
+    def clock(self, family: set[str], wish: Column | None, *path: str) -> Picked:
+        """Pick the clock of a family of columns (of commands, or of poses); ``path`` is where the family is mapped."""
+        if self.table.topic and wish is None:  # which of a message's two stamps to trust is decided once all are chosen
+            stamp = STAMP if STAMP in self.table.columns else LOG_TIME
+            return Picked(self.channel("time", stamp, "time"))
+        return self.pick("time", lambda column: time_score(column, family), "time", (*path, "time"), wish)
+
     def wished(self, role: str, wish: Column, quantity: Quantity, path: KeyPath) -> Picked:
         """Take the column that the mapping file names."""
         if wish.column not in self.table.columns:
@@ -74,7 +82,7 @@ class Picker:
         allowed = ALLOWED[quantity]
         stated = said in allowed or bool(self.table.topic)  # in ROS messages it is SI (REP 103)
         found = said if said is not None and said in allowed else allowed[0]
-        note = self.table.notes.get(name, "")
+        note = ""
         if quantity == "time" and not stated:
             found, note = _clock_unit(self.table.columns[name])
         if quantity == "control" and not stated and role == "steering":

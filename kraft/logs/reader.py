@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Final
 
 from kraft.errors import Diagnostic, InputError
+from kraft.logs.candidate import Candidate
 from kraft.logs.choice import Choice
 from kraft.logs.cleaning import clean
 from kraft.logs.csv_table import read_csv
-from kraft.logs.discover import Candidate, discover
+from kraft.logs.discover import FORMATS, discover
 from kraft.logs.guess import choose
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Mapping
+from kraft.logs.stamps import on_one_clock
 from kraft.logs.table import Table
 from kraft.logs.unit_checks import DegreesError, doubtful
 
@@ -38,6 +40,8 @@ def read_logs(
         InputError: if there is no log at all, or if none can be read; with every problem.
     """
     given = [paths] if isinstance(paths, str | Path) else list(paths)
+    if not given:
+        raise InputError.of("logs", "there are none to read", FORMATS)
     said = mapping or Mapping()
     candidates, problems = discover([Path(path) for path in given], controls, said)
     read: list[tuple[Log, Choice]] = []
@@ -62,10 +66,9 @@ def _read(candidate: Candidate, controls: Sequence[str], mapping: Mapping) -> tu
         sources, tables = _bag(candidate.files[0], mapping)
     else:
         sources, tables = _csv_files(candidate.files)
-    if candidate.kind == "run":  # its columns are known, and its truth is not asked
-        mapping = Mapping(limits=mapping.limits)
+    if candidate.kind == "run":
         tables = [_without_truth(table) for table in tables]
-    choice = choose(tables, controls, mapping)
+    choice = on_one_clock(choose(tables, controls, mapping))
     parts, findings = clean(choice, controls, mapping)
     return Log(candidate.name, tuple(sources), tuple(controls), parts, findings, str(choice)), choice
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,11 @@ from kraft.logs.log import Array
 
 Flags = NDArray[np.bool_]
 Rows = NDArray[np.int64]
+
+LOG_TIME: Final = "log_time"
+"""Column of a topic: when the recorder received the message, s."""
+STAMP: Final = "header.stamp"
+"""Column of a topic: when the sender says that it is from, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +32,6 @@ class Table:
         rows: the line in the file, or the number of the message on its topic from 1, shape (n,).
         blank: where a cell was empty rather than wrong, for columns that have such cells, each of shape (n,).
         broken: lines that are no rows of this table, because they have too few or too many fields.
-        notes: what a reader of the guess should know about a column.
     """
 
     file: str
@@ -35,7 +40,6 @@ class Table:
     rows: Rows
     blank: Mapping[str, Flags] = field(default_factory=dict)
     broken: tuple[int, ...] = ()
-    notes: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)
