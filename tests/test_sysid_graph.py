@@ -12,12 +12,13 @@ from benchmarks.synthetic_logs import synthetic_logs
 from benchmarks.sysid import NOISE, TRUTH
 from kraft.errors import Defect
 from kraft.sysid.assembly import assemble, starting_point
-from kraft.sysid.chains import begins_at_rest, between, whole
+from kraft.sysid.chains import between, whole
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.motion import Motion
 from kraft.sysid.noise_model import noise_model, threshold
 from kraft.sysid.parameters import parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem
+from kraft.sysid.rest import begins_at_rest
 from kraft.sysid.rho_graph import RhoFactors, bounded_step
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise, smoothed

@@ -15,7 +15,7 @@ import numpy as np
 
 from kraft.errors import InputError
 from kraft.sysid.assembly import assemble, simulated, starting_point
-from kraft.sysid.chains import Stretch, begins_at_rest, between
+from kraft.sysid.chains import Stretch, between
 from kraft.sysid.extras import extras_of
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.input import usable_logs
@@ -23,6 +23,7 @@ from kraft.sysid.noise_model import noise_model
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters, check_names, parameters_of, vehicle_of
 from kraft.sysid.problem import Problem
+from kraft.sysid.rest import begins_at_rest
 from kraft.sysid.result import PredictionErrors
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
