@@ -28,7 +28,7 @@ TELLING: Final = 0.25
 ROUNDS: Final = 10
 """Of the fit that outliers do not pull."""
 SPANS: Final = (0.25, 0.5, 0.75, 1.0)
-"""Over which the speed at the first pose is sought, s: the shortest one that tells, a start from rest bends the path."""
+"""Over which the speed at the first pose is sought, s: the shortest that tells, since a start bends the path."""
 
 
 def begins_at_rest(part: Part) -> bool:
@@ -72,7 +72,7 @@ def _first_speed(basis: Matrix, places: Matrix, sigma: float) -> float:
     weight, fit = np.ones(len(places)), np.zeros((3, 2))
     for _ in range(ROUNDS):
         root = np.sqrt(weight)[:, None]
-        fit = np.linalg.lstsq(root * basis, root * places, rcond=None)[0]
+        fit[:] = np.linalg.lstsq(root * basis, root * places, rcond=None)[0]
         off = np.hypot(*(places - basis @ fit).T)
         weight = 1.0 / np.maximum(off, sigma)
     way = (basis[-1] - basis[0]) @ fit
