@@ -306,24 +306,27 @@ def test_a_drive_that_was_cut_under_way_is_predicted_as_well_as_the_whole() -> N
     assert errors.overall_position < 0.004
 
 
-def test_a_delay_is_found_where_the_commands_before_a_part_are_not_known() -> None:
-    """Cut at changes of the commands: what acts for another 0.2 s is what was commanded before the cut."""
-    data = synthetic_logs(lag(), {**TRUTH, "delay": 0.2}, range(8), seconds=12.0, noise=(0.002, 0.005))
+def test_what_was_commanded_before_a_drive_was_cut_acts_on_with_a_delay() -> None:
+    """Cut at half of the speed that follows, with no command from before: the one that is held acted already."""
+    rng = np.random.default_rng(0)
+    times = np.array([0.0, *np.arange(5.0, 12.0)])
+    drives = [
+        (times, np.column_stack([[0.45, *rng.uniform(0.6, 1.0, 7)], rng.uniform(-0.3, 0.3, 8)])) for _ in range(8)
+    ]
+    truth = {**TRUTH, "delay": 0.4}
+    data = synthetic_logs(lag(), truth, range(8), seconds=12.0, commands=drives, noise=(0.001, 0.002))
     cut = []
     for log in data:
         (part,) = log.parts
-        first = int(np.searchsorted(part.pose_times, part.command_times[4] + 0.3))
-        late = part.command_times >= part.command_times[4]
-        cut.append(
-            changed(log, command_times=part.command_times[late], commands=part.commands[late],
-                    pose_times=part.pose_times[first:], poses=part.poses[first:])
-        )  # fmt: skip
+        held = np.where(part.command_times < 3.0, 3.0, part.command_times)
+        cut.append(changed(log, command_times=held, pose_times=part.pose_times[90:], poses=part.poses[90:]))
     found = identify(lag(), cut, Settings(extras=("delay",)))
-    assert found.values["delay"] == pytest.approx(0.2, abs=0.01)
+    assert found.values["delay"] == pytest.approx(0.4, abs=0.005)
+    assert found.values["tau"] == pytest.approx(TRUTH["tau"], abs=0.01)
 
 
 def test_a_slow_camera_counts_beside_a_fast_one() -> None:
-    fast, slow = (synthetic_logs(lag(), TRUTH, [k], seconds=10.0, rate=rate) for k, rate in ((0, 30.0), (1, 4.0)))
+    fast, slow = (synthetic_logs(lag(), TRUTH, [k], seconds=10.0, rate=rate) for k, rate in ((0, 30.0), (1, 3.7)))
     both = prediction_errors(lag(), [*fast, *fast, *slow], TRUTH)
     alone = [prediction_errors(lag(), data, TRUTH) for data in (fast, slow)]
     for after in (1.0, 2.0, 3.0):
