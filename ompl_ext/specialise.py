@@ -55,6 +55,11 @@ def is_cached(vehicle: Vehicle) -> bool:
     return bool(vehicle.source) and _done_marker(vehicle).exists()
 
 
+def are_steps_cached(vehicle: Vehicle) -> bool:
+    """Whether `step_kernels(vehicle)` will load machine code, or has it, instead of compiling it."""
+    return _key(vehicle) in _steps or (bool(vehicle.source) and _done_marker(vehicle, "steps-complete").exists())
+
+
 def kernels(vehicle: Vehicle) -> VehicleKernels:
     """Compiled kernels of `vehicle`: from this process, else from the on-disk cache, else compiled now (seconds).
 
@@ -80,6 +85,8 @@ def step_kernels(vehicle: Vehicle) -> StepKernels:
     if key not in _steps:
         module = _execute(vehicle, "steps")
         _steps[key] = StepKernels(module.linearise, module.simulate, module.BLOCK)
+        if vehicle.source:
+            _done_marker(vehicle, "steps-complete").touch()
     return _steps[key]
 
 
@@ -94,8 +101,8 @@ def vehicle_cache_folder(vehicle: Vehicle) -> Path:
     return _process_folder()
 
 
-def _done_marker(vehicle: Vehicle) -> Path:
-    return cache_folder(vehicle.hash) / "complete"
+def _done_marker(vehicle: Vehicle, name: str = "complete") -> Path:
+    return cache_folder(vehicle.hash) / name
 
 
 _temporary: list[tempfile.TemporaryDirectory[str]] = []

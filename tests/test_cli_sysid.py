@@ -8,8 +8,10 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from kraft.sysid import compilation
 from kraft.sysid import request as module
 from kraft.vehicle_config import load_vehicle_config
 from kraft_cli.main import main
@@ -31,6 +33,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: Path) -> P
     monkeypatch.chdir(tmp_path)
     shutil.copytree(recorded, tmp_path / "logs")
     return tmp_path
+
+
+def shorten(run: Path, poses: int, apart: int = 3) -> None:
+    """Leave some poses of a log, `apart` thirtieths of a second from each other, where it is fastest."""
+    heading, *rows = (run / "poses.csv").read_text().splitlines(keepends=True)
+    places = np.loadtxt(rows, delimiter=",")[:, 1:3]
+    first = int(np.argmax(np.hypot(*(places[apart * poses :] - places[: -apart * poses]).T)))
+    (run / "poses.csv").write_text("".join([heading, *rows[first : first + apart * poses : apart]]))
 
 
 def said(capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -149,6 +159,80 @@ def test_a_bad_log_is_left_out_and_said(folder: Path, capsys: pytest.CaptureFixt
     assert f"left out: {left_out}" in err
 
 
+def test_a_log_of_a_few_poses_is_left_out_and_counted_so(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shorten(folder / "logs" / "run_02", 4, 9)
+    options = ["--extras", "none", "--out", "my.yaml", "--plot", "my.png", "--json"]
+    assert main(["sysid", "logs", "--model", "mushr-lag", *options]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["logs"] == 7
+    assert content["left_out"] == ["run_02: has no part with 5 poses, the longest has 4; expected a longer drive"]
+    assert f"left out: {content['left_out'][0]}" in err
+    config = load_vehicle_config("my.yaml")
+    assert config.identification is not None
+    assert "run_02" not in [log.name for log in config.identification.logs]
+    assert "of 7 logs held out" in err
+
+
+def test_when_all_logs_have_a_few_poses_it_ends_with_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for run in (folder / "logs").iterdir():
+        shorten(run, 4, 9)
+    assert main(["sysid", "logs"]) == 1
+    assert said(capsys)[-1] == "error: none of the 8 logs can be used"
+
+
+def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [f"logs/run_{k:02d}" for k in (2, 3, 4, 5)]
+    options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
+    assert main(["sysid", *runs, *options, "--json"]) == 0
+    (held_out,) = json.loads(capsys.readouterr().out)["held_out"]
+    shorten(folder / "logs" / held_out, 7)
+    assert main(["sysid", *runs, *options, "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["held_out"] == [held_out]
+    assert (content["rmse_holdout_m"], content["rmse_holdout_initial_m"]) == (None, None)
+    assert (content["prediction"]["holdout"], content["prediction"]["holdout_initial"]) == (None, None)
+    assert content["rmse_train_m"] > 0
+    why = "the fit is not tested: the 1 held out cannot be predicted (logs are all shorter than a second)"
+    assert why in content["warnings"]
+    assert f"warning: {why}" in err
+    assert (folder / "my.png").stat().st_size > 50_000
+    config = load_vehicle_config("my.yaml")
+    assert config.identification is not None
+    assert config.identification.held_out is None
+    assert why in config.identification.warnings
+    assert main(["sysid", *runs, *options]) == 0
+    assert "OPEN LOOP, fitted logs" in capsys.readouterr().out
+
+
+def test_a_held_out_log_that_is_too_short_beside_others_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
+    first, _ = json.loads(capsys.readouterr().out)["held_out"]
+    shorten(folder / "logs" / first, 7)
+    assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["rmse_holdout_m"] > 0
+    assert f"held out, but too short to be predicted: {first}" in content["warnings"]
+
+
+def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as before:
+        before.setattr(compilation, "are_steps_cached", lambda _: False)
+        assert main(["sysid", "logs", "--extras", "none"]) == 0
+        err = said(capsys)
+        begun = err.index("compiling the mushr-lag model for identification on this machine: once, about 8 s ...")
+        assert err[begun + 1].startswith("compiled in ")
+        assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
+        assert not any("compil" in line for line in said(capsys))
+    assert main(["sysid", "logs", "--extras", "none"]) == 0
+    assert not any("compil" in line for line in said(capsys))
+
+
 def test_when_all_logs_are_bad_each_is_explained_and_it_ends_with_1(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -200,6 +284,12 @@ def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str
         (["logs", "--graph", "papre"], "--graph: is 'papre'; did you mean 'paper'?"),
         (["logs", "--pose-noise", "0.01"], "--pose-noise: is '0.01'; expected standard deviations of position (m)"),
         (["logs", "--param", "L"], "--param: is 'L'; expected name=number"),
+        (["nowhere", "--param", "L=7"], "L: is 7; expected a value from 0.15 to 0.6 m"),
+        (["nowhere", "--param", "delay=0.9"], "delay: is 0.9; expected a value from 0 to 0.5 s"),
+        (["nowhere", "--param", "delay=0.1", "--extras", "none"],
+         "values: delay is an extra parameter, and --extras none leaves it out; expected --extras delay or --extras auto"),
+        (["nowhere", "--freeze", "side", "--extras", "lever,delay"],
+         "frozen: side is an extra parameter, and --extras lever,delay leaves it out; expected --extras lever,delay,side"),
         (["logs", "--mapping", "none.yaml"], "none.yaml: "),
         (["logs", "--out", "my.txt"], "my.txt: is not the name of a vehicle file"),
         (["logs", "--plot", "my.gif"], "my.gif: the picture's name ends in '.gif'"),

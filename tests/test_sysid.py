@@ -256,6 +256,8 @@ def broken(**arrays: object) -> list[Log]:
         (list(logs()[:1]), Settings(extras=("leverage",)), "did you mean 'lever'?"),
         (list(logs()[:1]), Settings(process={"theta": -1.0}), "theta is -1; expected a number greater than 0"),
         (list(logs()[:1]), Settings(values={"L": 7.0}), "from 0.15 to 0.6 m"),
+        (list(logs()[:1]), Settings(values={"delay": 0.1}, extras="none"), "expected --extras delay or --extras auto"),
+        (list(logs()[:1]), Settings(frozen=("side",), extras=("lever",)), "expected --extras lever,side or --extras"),
         ([replace(logs()[0], controls=("left", "right"))], Settings(), "has no control throttle, only left, right"),
         (broken(poses=np.full_like(logs()[0].parts[0].poses, np.nan)), Settings(), "broken: has numbers that are not"),
         (broken(poses=np.zeros_like(logs()[0].parts[0].poses)), Settings(), "show no motion"),
@@ -288,6 +290,92 @@ def test_true_parameters_predict_as_well_as_poses_are_seen() -> None:
     assert set(errors.position) == {1.0, 2.0, 3.0}
     assert errors.position[3.0] < 0.004
     assert errors.yaw[3.0] < 0.004
+
+
+def test_a_drive_that_was_cut_under_way_is_predicted_as_well_as_the_whole() -> None:
+    slow_then_fast = (np.array([0.0, 0.02, 5.0]), np.array([[0.5, 0.1], [0.5, 0.1], [1.0, -0.1]]))
+    clean = synthetic_logs(lag(), TRUTH, range(3), seconds=10.0, commands=[slow_then_fast] * 3, noise=(1e-4, 1e-4))
+    parts = [log.parts[0] for log in clean]
+    cut = [
+        changed(log, pose_times=part.pose_times[90:], poses=part.poses[90:])
+        for log, part in zip(clean, parts, strict=True)
+    ]
+    assert prediction_errors(lag(), clean, TRUTH).overall_position < 0.004
+    errors = prediction_errors(lag(), cut, TRUTH)
+    assert errors.windows == 2 * 3
+    assert errors.overall_position < 0.004
+
+
+def test_what_was_commanded_before_a_drive_was_cut_acts_on_with_a_delay() -> None:
+    """Cut at half of the speed that follows, with no command from before: the one that is held acted already."""
+    rng = np.random.default_rng(0)
+    times = np.array([0.0, *np.arange(5.0, 12.0)])
+    drives = [
+        (times, np.column_stack([[0.45, *rng.uniform(0.6, 1.0, 7)], rng.uniform(-0.3, 0.3, 8)])) for _ in range(8)
+    ]
+    truth = {**TRUTH, "delay": 0.4}
+    data = synthetic_logs(lag(), truth, range(8), seconds=12.0, commands=drives, noise=(0.001, 0.002))
+    cut = []
+    for log in data:
+        (part,) = log.parts
+        held = np.where(part.command_times < 3.0, 3.0, part.command_times)
+        cut.append(changed(log, command_times=held, pose_times=part.pose_times[90:], poses=part.poses[90:]))
+    found = identify(lag(), cut, Settings(extras=("delay",)))
+    assert found.values["delay"] == pytest.approx(0.4, abs=0.005)
+    assert found.values["tau"] == pytest.approx(TRUTH["tau"], abs=0.01)
+
+
+def test_a_slow_camera_counts_beside_a_fast_one() -> None:
+    fast, slow = (synthetic_logs(lag(), TRUTH, [k], seconds=10.0, rate=rate) for k, rate in ((0, 30.0), (1, 3.7)))
+    both = prediction_errors(lag(), [*fast, *fast, *slow], TRUTH)
+    alone = [prediction_errors(lag(), data, TRUTH) for data in (fast, slow)]
+    for after in (1.0, 2.0, 3.0):
+        assert min(e.position[after] for e in alone) < both.position[after] < max(e.position[after] for e in alone)
+
+
+def test_initial_values_of_extras_take_part_in_the_initial_prediction() -> None:
+    truth = {**TRUTH, "delay": 0.3}
+    data = synthetic_logs(lag(), truth, range(2), seconds=6.0)
+    given = prediction_errors(lag(), data, {}, Settings(values=truth))
+    assert given.position == prediction_errors(lag(), data, truth).position
+    assert given.position[1.0] < 0.5 * prediction_errors(lag(), data, TRUTH).position[1.0]
+
+
+def test_a_result_at_its_bound_can_be_predicted_with() -> None:
+    data = synthetic_logs(lag(), {**TRUTH, "v_delta": 0.06}, range(2), seconds=8.0)
+    result = identify(lag(), data, PLAIN)
+    assert result.values["v_delta"] == lag().parameters["v_delta"].min
+    assert prediction_errors(lag(), data, result.values).windows > 0
+
+
+def test_a_bound_that_holds_a_parameter_does_not_widen_the_intervals_of_the_others() -> None:
+    """Against fits to the logs without each of them."""
+    data = synthetic_logs(
+        lag(), {**TRUTH, "phi_diff": 0.25}, range(8), seconds=8.0, process=tuple(STATED.process.values()),
+        control_noise=tuple(STATED.control_noise.values()),
+    )  # fmt: skip
+    result = identify(lag(), data, STATED)
+    assert result.parameters["phi_diff"].at_bound
+    moves = [identify(lag(), [*data[:k], *data[k + 1 :]], STATED).values["L"] for k in range(8)]
+    jackknife = np.sqrt(7 / 8 * np.sum((np.array(moves) - np.mean(moves)) ** 2))
+    assert result.parameters["L"].std == pytest.approx(jackknife, rel=0.2)
+    assert result.parameters["phi_diff"].std > 0.0
+
+
+def test_logs_and_parts_that_are_too_short_are_named() -> None:
+    (part,) = logs()[0].parts
+    short = replace(part, pose_times=part.pose_times[:4], poses=part.poses[:4])
+    mixed = [
+        *logs()[:2],
+        replace(logs()[2], parts=(short, *logs()[2].parts)),
+        replace(logs()[3], name="tiny", parts=(short,)),
+    ]
+    result = identify(lag(), mixed, PLAIN)
+    assert [log.name for log in result.logs] == ["log-000", "log-001", "log-002"]
+    assert result.notes == (
+        "left out: tiny: has no part with 5 poses, the longest has 4; expected a longer drive",
+        "log-002: 1 of 2 parts left out, with less than 5 poses",
+    )
 
 
 def test_identified_parameters_predict_other_logs_better_than_nominal_ones() -> None:

@@ -11,23 +11,27 @@ import pytest
 from benchmarks.synthetic_logs import synthetic_logs
 from benchmarks.sysid import NOISE, TRUTH
 from kraft.errors import Defect
+from kraft.logs.log import Log, Part
 from kraft.sysid.assembly import assemble, starting_point
-from kraft.sysid.chains import begins_at_rest, between, whole
+from kraft.sysid.chains import between, whole
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.motion import Motion
 from kraft.sysid.noise_model import noise_model, threshold
+from kraft.sysid.paper_graph import PaperGraph
 from kraft.sysid.parameters import parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem
-from kraft.sysid.rho_graph import RhoFactors, bounded_step
+from kraft.sysid.rest import begins_at_rest
+from kraft.sysid.rho_graph import RhoFactors, bounded_step, held_at_bounds
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise, smoothed
-from kraft.sysid.start import smooth
+from kraft.sysid.start import Search, smooth
 from kraft.sysid.uncertainty import uncertainty
 from kraft.vehicle import load_vehicle
 from kraft.vehicle_config import load_vehicle_config
 from kraft.vehicles.mushr import MUSHR_DRIVE
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.specialise import kernels
+from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 EXTRAS = ("delay", "delay_steering", "dead_band_throttle", "dead_band_steering", "lever", "side", "yaw_offset")
 VALUES = {**TRUTH, "delay": 0.07, "delay_steering": 0.03, "dead_band_throttle": 0.1, "dead_band_steering": 0.02,
@@ -46,6 +50,47 @@ def small_problem(robust: float | None = None, frozen: tuple[str, ...] = ()) -> 
     rng = np.random.default_rng(0)
     controls = point.controls + 0.01 * rng.normal(size=point.controls.shape)
     return problem, replace(point, controls=controls)
+
+
+@derivative
+def point_motion(x, u, p):  # type: ignore[no-untyped-def]
+    """A point that two thrusters push along x and y."""
+    return x[2], x[3], (p[0] * u[0] - x[2]) / p[1], (p[0] * u[1] - x[3]) / p[1]
+
+
+POINT = Vehicle(
+    name="point",
+    derivative=point_motion,
+    state=("x", "y", "vx", "vy"),
+    controls={"ux": (-1.0, 1.0), "uy": (-1.0, 1.0)},
+    parameters={"gain": 0.5, "lag": 0.5},
+    footprint=Footprint(0.3, 0.3),
+    top_speed=1.0,
+    rest=("vx", "vy"),
+)
+
+
+def point_logs(count: int, seconds: float = 10.0, fine: float = 0.005) -> list[Log]:
+    """Drives of `POINT` with a gain of 0.9 and a lag of 0.3, seen with a noise of 5 mm."""
+    motion, logs = Motion(POINT), []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        times = np.arange(0.0, seconds, 0.7)
+        commands = rng.uniform(-1.0, 1.0, (len(times), 2))
+        acting = commands[np.searchsorted(times, fine * (np.arange(round(seconds / fine)) + 0.5), side="right") - 1]
+        states = motion.simulate(
+            np.zeros((1, 4)), np.ascontiguousarray(acting[:, None]), np.array([[0.9, 0.3]]), np.array([fine])
+        )[:, 0]
+        seen = np.arange(0.01, seconds - 0.1, 1 / 30)
+        grid = fine * np.arange(len(states))
+        x, y = (np.interp(seen, grid, states[:, k]) + 0.005 * rng.normal(size=len(seen)) for k in (0, 1))
+        poses = np.column_stack([x, y, np.zeros(len(seen))])
+        logs.append(Log(f"log-{seed}", (), ("ux", "uy"), (Part(times, commands, seen, poses),)))
+    return logs
+
+
+def changed_yaw(log: Log, yaw: float) -> Log:
+    return replace(log, parts=tuple(replace(part, poses=part.poses + np.array([0.0, 0.0, yaw])) for part in log.parts))
 
 
 def whitened(problem: Problem, point: Point) -> Floats:
@@ -205,11 +250,61 @@ def test_the_sandwich_is_the_jackknife_of_the_mean() -> None:
     rng = np.random.default_rng(0)
     said = rng.normal(size=20)
     factors = RhoFactors(np.ones((20, 1, 1)), (said.mean() - said)[:, None], np.zeros(1), np.zeros(1))
-    found = uncertainty(factors, np.array([True]))
+    found = uncertainty(factors, np.array([True]), np.array([False]))
     assert found.kind == "sandwich"
     assert found.covariance[0, 0] == pytest.approx(np.var(said, ddof=1) / 20)
     assert found.graph[0, 0] == pytest.approx(1 / 20)
     assert found.quantile == pytest.approx(2.093, abs=1e-3)  # t, 19 degrees of freedom
+
+
+def test_a_log_left_out_does_not_move_the_others_through_a_parameter_that_its_bound_holds() -> None:
+    """Against the minimum within bounds of what is left without each log."""
+    rng = np.random.default_rng(1)
+    roots = rng.normal(size=(12, 2, 2))
+    information = np.einsum("lij,lkj->lik", roots, roots) + np.eye(2)
+    gradient = rng.normal(size=(12, 2))
+    gradient[:, 1] -= gradient[:, 1].mean()
+    gradient[:, 0] += 50.0  # downhill leads below the lower bound of the first
+    factors = RhoFactors(information, gradient, np.zeros(2), np.zeros(2))
+    low, free = np.array([0.0, -10.0]), np.array([True, True])
+    held = held_at_bounds(factors, low, np.full(2, 10.0))
+    assert held.tolist() == [True, False]
+    found = uncertainty(factors, free, held)
+    left = np.delete(np.arange(12), 5)
+    without = RhoFactors(information[left], gradient[left], np.zeros(2), np.zeros(2))
+    move = bounded_step(without, 0.0, low, np.full(2, 10.0), free)
+    assert move[0] == 0.0
+    assert found.moves[5, 1] == pytest.approx(move[1])
+    assert found.std[0] > 0.0
+    other = (information[:, 1, 1].sum() - information[:, 1, 1]) ** -1.0 * gradient[:, 1]
+    assert found.std[1] == pytest.approx(np.sqrt(11 / 12 * np.sum((other - other.mean()) ** 2)))
+
+
+@pytest.mark.parametrize("graph", [FastGraph, PaperGraph])
+def test_a_step_to_a_bound_ends_on_it_to_the_last_bit(graph: type[FastGraph | PaperGraph]) -> None:
+    problem, point = small_problem()
+    p, rng = problem.parameters, np.random.default_rng(0)
+    rho = next(
+        rho for rho in rng.uniform(p.low, p.high, (200, len(p.low))) if ((rho + (p.high - rho)) > p.high).any()
+    )  # there are such: the step to the bound is rounded
+    point = replace(point, rho=rho)
+    at = graph(problem)
+    at.linearise(point)
+    at.reduce(0.0)
+    assert (at.moved(p.high - rho).rho <= p.high).all()
+    assert (at.moved(p.low - rho).rho >= p.low).all()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.5, 3.0])
+def test_the_search_does_not_look_at_the_yaw_of_a_vehicle_that_has_none(yaw: float) -> None:
+    logs = [changed_yaw(log, yaw) for log in point_logs(4)]
+    settings = Settings(extras="none")
+    parameters = parameters_of(POINT, settings, ())
+    stretches = [whole(log.parts[0], i, settings.step) for i, log in enumerate(logs)]
+    problem = assemble(stretches, len(logs), parameters, noise_model(POINT, settings, NOISE))
+    mean = problem.commands.mean(parameters.nominal)[0]
+    found = Search(parameters, problem.motion, problem.chains, smooth(problem.chains), mean).best()
+    assert found == pytest.approx([0.9, 0.3], rel=0.1)
 
 
 def test_noise_is_measured_in_spite_of_motion_and_outliers() -> None:
@@ -236,9 +331,15 @@ def test_smoothing_follows_the_motion_and_not_the_outliers() -> None:
 
 def test_the_robust_threshold_leaves_as_many_poses_alone_as_in_one_dimension() -> None:
     rng = np.random.default_rng(0)
-    distances = np.linalg.norm(rng.normal(size=(200_000, 3)), axis=1)
-    assert np.mean(distances > threshold(1.345)) == pytest.approx(0.1786, abs=0.003)
-    assert threshold(None) == np.inf
+    for shown in (2, 3):
+        distances = np.linalg.norm(rng.normal(size=(200_000, shown)), axis=1)
+        assert np.mean(distances > threshold(1.345, shown)) == pytest.approx(0.1786, abs=0.003)
+    assert threshold(None, 3) == np.inf
+
+
+def test_a_pose_without_yaw_has_two_residuals_for_the_robust_threshold() -> None:
+    for vehicle, shown in ((POINT, 2), (vehicle_of(load_vehicle_config("mushr-lag")), 3)):
+        assert noise_model(vehicle, Settings(), NOISE).threshold == threshold(1.345, shown)
 
 
 def test_rest_is_told_from_motion_at_a_parts_beginning() -> None:
@@ -246,6 +347,29 @@ def test_rest_is_told_from_motion_at_a_parts_beginning() -> None:
     assert begins_at_rest(part)
     late = replace(part, pose_times=part.pose_times[200:], poses=part.poses[200:])
     assert not begins_at_rest(late)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 0.002, 0.01])
+@pytest.mark.parametrize("delay", [0.0, 0.15])
+def test_rest_is_told_from_slow_motion_with_noise_and_outliers(noise: float, delay: float) -> None:
+    truth = {**TRUTH, "delay": delay}
+    vehicle = load_vehicle_config("mushr-lag")
+    slow, fast = [[0.5, 0.1]], [[1.0, -0.1]]
+    commands = (np.array([0.0, 0.02, 5.0]), np.array(slow + slow + fast))
+    logs = synthetic_logs(
+        vehicle, truth, range(20), seconds=10.0, commands=[commands] * 20, noise=(noise, 0.02), outliers=0.02
+    )
+    parts = [log.parts[0] for log in logs]
+    cut = [replace(part, pose_times=part.pose_times[90:], poses=part.poses[90:]) for part in parts]
+    assert np.mean([begins_at_rest(part) for part in parts]) >= 0.9
+    assert not any(begins_at_rest(part) for part in cut)  # at 0.35 m/s, half of what follows
+
+
+def test_poses_that_cannot_tell_rest_are_not_taken_for_it() -> None:
+    part = synthetic_logs(load_vehicle_config("mushr-lag"), TRUTH, [0], noise=(0.1, 0.02))[0].parts[0]
+    assert not begins_at_rest(part)
+    for count in (1, 2, 5):
+        assert not begins_at_rest(replace(part, pose_times=part.pose_times[:count], poses=part.poses[:count]))
 
 
 def test_poses_lie_in_the_steps_that_they_were_seen_in() -> None:
@@ -260,8 +384,6 @@ def test_poses_lie_in_the_steps_that_they_were_seen_in() -> None:
 
 
 def test_a_factor_that_is_not_finite_stops_the_paper_graph() -> None:
-    from kraft.sysid.paper_graph import PaperGraph
-
     problem, point = small_problem()
     broken = replace(point, states=np.full_like(point.states, np.nan))
     with pytest.raises(Defect, match="not finite"):

@@ -13,15 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kraft.sysid.rest import begins_at_rest
 from ompl_ext.arrays import Floats, Ints, Matrix
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
-
-GLIMPSE = 0.2
-"""Time over which a speed is taken, s."""
-SLOW = 0.6
-"""Share of a part's high speeds that counts as being at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +83,6 @@ def between(part: Part, log: int, step: float, first: int, last: int, resting: b
     begin, end = float(part.pose_times[first]), float(part.pose_times[last - 1])
     steps = max(1, math.ceil((end - begin) / step - 1e-9))
     return Stretch(log, part, begin, steps, max(end - begin, 1e-6) / steps, slice(first, last), resting)
-
-
-def begins_at_rest(part: Part) -> bool:
-    """Whether the first quarter of a second is far slower than the part is at its fastest."""
-    times, places = part.pose_times, part.poses[:, :2]
-    spacing = max(1, round(GLIMPSE / float(np.median(np.diff(times))))) if len(times) > 1 else 1
-    if len(times) <= spacing:
-        return True
-    ahead = places[spacing:] - places[:-spacing]
-    speeds = np.hypot(ahead[:, 0], ahead[:, 1]) / (times[spacing:] - times[:-spacing])
-    early = np.median(speeds[: max(1, spacing // 2)])
-    return bool(early <= SLOW * np.quantile(speeds, 0.9))
 
 
 def chains_of(stretches: Sequence[Stretch], logs: int) -> Chains:

@@ -288,6 +288,11 @@ def _back_substitute(g: Graph, out: Eliminated, rho: Floats, states: Matrix, con
             deviation(s - chain, s, g, out, rho, states, controls)
 
 
+def is_cached() -> bool:
+    """Whether the machine code of both is kept on this machine."""
+    return all(any(_FOLDER.rglob(f"*.{name}-*.nbi")) for name in ("_eliminate", "_back_substitute"))
+
+
 _FOLDER = cache_folder(f"sysid-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")
 
 eliminate = compiled(_eliminate, folder=_FOLDER)

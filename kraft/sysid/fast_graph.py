@@ -70,6 +70,6 @@ class FastGraph:
         """
         states, deviations = np.empty_like(self._point.states), np.empty_like(self._point.controls)
         back_substitute(self._graph, self._out, change, states, deviations)
-        rho = self._point.rho + change
+        rho = self.problem.parameters.within_bounds(self._point.rho + change)
         controls = self.problem.commands.mean(rho)[0] + self._graph.control + deviations
         return Point(self._point.states + states, controls, rho)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from kraft.errors import InputError
 from kraft.sysid.holdout import Split
 from kraft.sysid.prediction import Window, errors_of, windows
 from kraft.sysid.result import Identification, PredictionErrors
@@ -36,20 +37,45 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Predicted:
-    """Forecasts of the logs that were fitted, and of those held out if there are any."""
+    """Forecasts of the logs that were fitted, and of those held out if there are any that can be predicted.
+
+    Attributes:
+        fitted: of the logs that were fitted.
+        held_out: of those held out, None if there are none or none can be predicted.
+        warnings: which logs that were held out cannot be predicted, and why.
+    """
 
     fitted: Forecast
     held_out: Forecast | None
+    warnings: tuple[str, ...] = ()
 
 
 def predicted(vehicle: VehicleConfig | Vehicle, parted: Split, result: Identification, settings: Settings) -> Predicted:
     """Predict every log.
 
+    Held-out logs that cannot be predicted leave the fit as it is: that it could not be tested is a warning.
+
     Raises:
-        InputError: if the logs are too short to predict anything.
+        InputError: if the fitted logs are too short to predict anything.
     """
 
     def forecast(logs: tuple[Log, ...]) -> Forecast:
         return Forecast(windows(vehicle, logs, result.values, settings), windows(vehicle, logs, {}, settings))
 
-    return Predicted(forecast(parted.fitted), forecast(parted.held_out) if parted.held_out else None)
+    fitted = forecast(parted.fitted)
+    if not parted.held_out:
+        return Predicted(fitted, None)
+    try:
+        unseen = forecast(parted.held_out)
+    except InputError as error:
+        why = "; ".join(f"{problem.file} {problem.problem}" for problem in error.diagnostics)
+        said = f"the fit is not tested: the {len(parted.held_out)} held out cannot be predicted ({why})"
+        return Predicted(fitted, None, (said,))
+    return Predicted(fitted, unseen, _missed(parted.held_out, unseen))
+
+
+def _missed(logs: tuple[Log, ...], forecast: Forecast) -> tuple[str, ...]:
+    """That some logs are too short for a window, if there are such."""
+    predicted = {window.log for window in forecast.after}
+    missed = [log.name for log in logs if log.name not in predicted]
+    return (f"held out, but too short to be predicted: {', '.join(missed)}",) if missed else ()

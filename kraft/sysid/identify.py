@@ -14,15 +14,17 @@ from kraft.sysid.chains import whole
 from kraft.sysid.checks import Case, warnings_of
 from kraft.sysid.extras import extras_of
 from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.input import usable_logs
+from kraft.sysid.input import screened, usable_logs
 from kraft.sysid.noise_model import NoiseModel, noise_model
 from kraft.sysid.optimiser import Linearised, Optimum, optimise
-from kraft.sysid.parameters import Parameters, check_names, parameters_of, vehicle_of
+from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem
 from kraft.sysid.reporting import identification
 from kraft.sysid.residuals import residual_ratio
 from kraft.sysid.result import Identification
+from kraft.sysid.rho_graph import held_at_bounds
 from kraft.sysid.selection import AUTOMATIC, shown
+from kraft.sysid.setting_checks import check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.start import Search, Smooth, smooth
@@ -54,7 +56,7 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
     """
     settings = settings or Settings()
     model = vehicle_of(vehicle)
-    check_names(model, settings)
+    check_settings(vehicle, settings)
     task = _Task(vehicle, model, settings, usable_logs(model, logs))
     extras = task.extras_to_try()
     fit = task.fit(task.start(extras), settings.iterations)
@@ -62,7 +64,8 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
     if task.rescale(fit):
         fit = task.fit(task.without(fit, extras), settings.iterations)
         iterations += fit.optimum.iterations
-    notes: list[str] = []
+    short = screened(logs)
+    notes = [*(f"left out: {problem}" for problem in short.problems), *short.shortened]
     if settings.extras == "auto":
         for _ in range(REFITS):
             kept = shown(fit.problem.parameters, fit.optimum.point.rho, fit.uncertain, task.asked)
@@ -153,7 +156,9 @@ class _Task:
     def fit(self, start: _Start, iterations: int) -> _Fit:
         """Solve a problem."""
         optimum = optimise(self._graph(start.problem), start.point, iterations)
-        return _Fit(start.problem, optimum, uncertainty(optimum.factors, start.problem.parameters.free))
+        p, rho = start.problem.parameters, optimum.point.rho
+        held = held_at_bounds(optimum.factors, p.low - rho, p.high - rho)
+        return _Fit(start.problem, optimum, uncertainty(optimum.factors, p.free, held))
 
     def _graph(self, problem: Problem) -> Linearised:
         if self.settings.graph == "fast":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +20,42 @@ LEAST_MOTION = 0.05
 """Distance from its first pose that a part must get to, m, for a log to show motion."""
 
 
+@dataclass(frozen=True)
+class Screened:
+    """Logs of which only parts long enough to say something are left.
+
+    Attributes:
+        logs: those that have such a part.
+        shortened: for those of them that lost other parts, what was left out.
+        problems: for each log that has no such part, that it is left out.
+    """
+
+    logs: tuple[Log, ...]
+    shortened: tuple[str, ...]
+    problems: tuple[Diagnostic, ...]
+
+
+def screened(logs: Sequence[Log]) -> Screened:
+    """Leave out parts with fewer than `LEAST_POSES` poses, and logs that have no other."""
+    kept, shortened, problems = [], [], []
+    for log in logs:
+        parts = tuple(part for part in log.parts if len(part.pose_times) >= LEAST_POSES and len(part.command_times) > 0)
+        if not parts:
+            longest = max((len(part.pose_times) for part in log.parts), default=0)
+            problem = f"has no part with {LEAST_POSES} poses, the longest has {longest}"
+            problems.append(Diagnostic(log.name, problem, "expected a longer drive"))
+            continue
+        if len(parts) < len(log.parts):
+            short = len(log.parts) - len(parts)
+            shortened.append(
+                f"{log.name}: {short} of {len(log.parts)} parts left out, with less than {LEAST_POSES} poses"
+            )
+        kept.append(replace(log, parts=parts))
+    return Screened(tuple(kept), tuple(shortened), tuple(problems))
+
+
 def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
-    """The logs with their commands in the vehicle's order, less parts too short to say anything.
+    """The logs with their commands in the vehicle's order, less parts too short to say anything (see `screened`).
 
     Raises:
         InputError: with every log whose commands are not the vehicle's, or whose numbers are not finite; if there are
@@ -32,7 +66,7 @@ def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
     problems = [problem for log in logs for problem in _problems(vehicle, log)]
     if problems:
         raise InputError(problems)
-    usable = [shaped for log in logs if (shaped := _shaped(vehicle, log)).parts]
+    usable = [_shaped(vehicle, log) for log in screened(logs).logs]
     if not usable:
         raise InputError.of("logs", f"have no part with {LEAST_POSES} poses", "expected longer drives")
     if not any(_moves(part) for log in usable for part in log.parts):
@@ -62,9 +96,7 @@ def _problems(vehicle: Vehicle, log: Log) -> list[Diagnostic]:
 def _shaped(vehicle: Vehicle, log: Log) -> Log:
     order = [log.controls.index(name) for name in vehicle.controls]
     parts = tuple(
-        replace(part, commands=np.ascontiguousarray(part.commands[:, order], dtype=float))
-        for part in log.parts
-        if len(part.pose_times) >= LEAST_POSES and len(part.command_times) > 0
+        replace(part, commands=np.ascontiguousarray(part.commands[:, order], dtype=float)) for part in log.parts
     )
     return replace(log, controls=tuple(vehicle.controls), parts=parts)
 

@@ -73,11 +73,12 @@ def noise_model(vehicle: Vehicle, settings: Settings, noise: Noise) -> NoiseMode
     control = [
         settings.control_noise.get(name, CONTROL_SHARE * (high - low)) for name, (low, high) in vehicle.controls.items()
     ]
-    return NoiseModel(noise, np.array(process), np.array(control), threshold(settings.robust))
+    shown = 3 if vehicle.index("theta") >= 0 else 2
+    return NoiseModel(noise, np.array(process), np.array(control), threshold(settings.robust, shown))
 
 
-def threshold(robust: float | None) -> float:
-    """Threshold for a pose's three residuals together that as many good ones exceed as one exceeds `robust`."""
+def threshold(robust: float | None, shown: int) -> float:
+    """Threshold for the `shown` residuals of a pose together that as many good ones exceed as one exceeds `robust`."""
     if robust is None:
         return math.inf
-    return math.sqrt(float(chi2.isf(2.0 * float(norm.sf(robust)), 3)))
+    return math.sqrt(float(chi2.isf(2.0 * float(norm.sf(robust)), shown)))

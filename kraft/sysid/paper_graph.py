@@ -79,7 +79,7 @@ class PaperGraph:
                 states[s] += solutions[log].at(_x(s))
                 if s < chains.first[c + 1] - 1:
                     controls[s - c] += solutions[log].at(_u(s - c))
-        rho = self._point.rho + change
+        rho = self.problem.parameters.within_bounds(self._point.rho + change)
         before, slopes = self._commands(self._point.rho)
         bend = self._commands(rho)[0] - before - slopes @ change  # a delay moves commands by more than is linear
         return Point(states, controls + bend, rho)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from kraft.errors import Diagnostic, InputError
-from kraft.suggest import choose
 from kraft.sysid.extras import extras_of
 from kraft.sysid.settings import Settings
 from kraft.vehicle import configured
@@ -90,6 +88,11 @@ class Parameters:
         """(np,) whether a parameter is estimated."""
         return np.array([number.name not in self.frozen for number in self.numbers], dtype=bool)
 
+    def within_bounds(self, rho: Floats) -> Floats:
+        """Values (np,) at most a rounding error beyond the bounds, within them: low + (high - low) may exceed high."""
+        clipped: Floats = np.clip(rho, self.low, self.high)
+        return clipped
+
     def model_values(self, rho: Floats) -> Floats:
         """The part of rho that the model takes, at least one number long (as `Vehicle.parameter_array`)."""
         return np.ascontiguousarray(rho[: self.own]) if self.own else np.zeros(1)
@@ -106,54 +109,19 @@ def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, extras: 
     Raises:
         InputError: if settings name a parameter that does not exist, or a value outside its bounds.
     """
+    numbers = tuple(_at(number, settings.values) for number in stated_numbers(vehicle, extras))
+    frozen = frozenset(settings.frozen) & {number.name for number in numbers}
+    return Parameters(vehicle_of(vehicle), numbers, frozen)
+
+
+def stated_numbers(vehicle: VehicleConfig | Vehicle, extras: tuple[str, ...]) -> tuple[Number, ...]:
+    """The model's parameters and the named extras as they are where no setting changes them."""
     model = vehicle_of(vehicle)
     stated = vehicle.parameters if isinstance(vehicle, VehicleConfig) else {}
-    numbers = [_number(name, value, stated.get(name)) for name, value in model.parameters.items()]
+    own = (_number(name, value, stated.get(name)) for name, value in model.parameters.items())
     known = extras_of(model)
-    numbers += [
-        Number(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, False) for e in (known[n] for n in extras)
-    ]
-    numbers = [_at(number, settings.values) for number in numbers]
-    frozen = frozenset(settings.frozen) & {number.name for number in numbers}
-    return Parameters(model, tuple(numbers), frozen)
-
-
-def check_names(vehicle: Vehicle, settings: Settings) -> None:
-    """Refuse settings that name what the vehicle does not have.
-
-    Raises:
-        InputError: with every such name.
-    """
-    extras = extras_of(vehicle)
-    parameters = [*vehicle.parameters, *extras]
-    asked = settings.extras if isinstance(settings.extras, tuple) else ()
-    questions: list[tuple[str, Mapping[str, object] | tuple[str, ...], list[str], str]] = [
-        ("frozen", settings.frozen, parameters, "parameter"),
-        ("values", tuple(settings.values), parameters, "parameter"),
-        ("extras", asked, list(extras), "extra parameter"),
-        ("process", tuple(settings.process), list(vehicle.state), "state component"),
-        ("control_noise", tuple(settings.control_noise), list(vehicle.controls), "control"),
-    ]
-    problems = [
-        Diagnostic(setting, f"{vehicle.name} has no {kind} {name}", choose(name, options))
-        for setting, names, options, kind in questions
-        for name in names
-        if name not in options
-    ]
-    positive: list[tuple[str, Mapping[str, float]]] = [
-        ("process", settings.process),
-        ("control_noise", settings.control_noise),
-        ("noise", vars(settings.noise) if settings.noise else {}),
-        ("settings", {"step": settings.step, "robust": 1.0 if settings.robust is None else settings.robust}),
-    ]
-    problems += [
-        Diagnostic(setting, f"{name} is {value:g}", "expected a number greater than 0")
-        for setting, values in positive
-        for name, value in values.items()
-        if not (value > 0.0 and math.isfinite(value))
-    ]
-    if problems:
-        raise InputError(problems)
+    added = (Number(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, False) for e in (known[n] for n in extras))
+    return (*own, *added)
 
 
 def _number(name: str, value: float, stated: Parameter | None) -> Number:
@@ -178,15 +146,15 @@ def _wide(value: float) -> tuple[float, float]:
 
 
 def _at(number: Number, values: Mapping[str, float]) -> Number:
-    if number.name not in values:
-        return number
-    value = float(values[number.name])
-    if not number.min <= value <= number.max:
-        raise InputError.of(
-            number.name,
-            f"is {value:g}",
-            f"expected a value from {number.min:g} to {number.max:g} {number.unit}".strip(),
-        )
-    return Number(
-        number.name, value, number.min, number.max, number.std, number.unit, number.description, number.stated
-    )
+    if problem := out_of_bounds(number, values):
+        raise InputError([problem])
+    return replace(number, value=float(values.get(number.name, number.value)))
+
+
+def out_of_bounds(number: Number, values: Mapping[str, float]) -> Diagnostic | None:
+    """What is wrong with the value that a number is given, if it is given one."""
+    value = values.get(number.name, number.value)
+    if number.min <= value <= number.max:
+        return None
+    expected = f"expected a value from {number.min:g} to {number.max:g} {number.unit}".strip()
+    return Diagnostic(number.name, f"is {value:g}", expected)

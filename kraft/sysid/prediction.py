@@ -15,15 +15,17 @@ import numpy as np
 
 from kraft.errors import InputError
 from kraft.sysid.assembly import assemble, simulated, starting_point
-from kraft.sysid.chains import Stretch, begins_at_rest, between
+from kraft.sysid.chains import Stretch, between
 from kraft.sysid.extras import extras_of
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.input import usable_logs
 from kraft.sysid.noise_model import noise_model
 from kraft.sysid.optimiser import optimise
-from kraft.sysid.parameters import Parameters, check_names, parameters_of, vehicle_of
+from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Problem
+from kraft.sysid.rest import begins_at_rest
 from kraft.sysid.result import PredictionErrors
+from kraft.sysid.setting_checks import check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.start import smooth
@@ -64,18 +66,20 @@ def windows(
     values: Mapping[str, float] | None = None,
     settings: Settings | None = None,
 ) -> tuple[Window, ...]:
-    """Predict every window of the logs with the parameters and extras `values` (by default the vehicle's).
+    """Predict every window of the logs with the parameters and extras `values`.
+
+    Those that are not among them have the value that `settings` gives them, else the vehicle's, and extras are nothing.
 
     Raises:
         InputError: if the logs cannot be used, or `values` has a parameter that does not exist.
     """
-    values, settings = dict(values or {}), settings or Settings()
+    settings = settings or Settings()
+    values = {**settings.values, **(values or {})}
     model = vehicle_of(vehicle)
     extras = tuple(name for name in extras_of(model) if values.get(name, 0.0) != 0.0)
-    known = {name: values[name] for name in values if name in model.parameters or name in extras}
-    given = replace(settings, values={**settings.values, **values}, frozen=(*model.parameters, *extras))
-    check_names(model, given)
-    parameters = parameters_of(vehicle, replace(given, values={**settings.values, **known}), extras)
+    given = replace(settings, values=values, frozen=(*model.parameters, *extras), extras="auto")
+    check_settings(vehicle, given)
+    parameters = parameters_of(vehicle, given, extras)
     usable = usable_logs(model, logs)
     pieces = [
         (i, before, ahead)
@@ -113,7 +117,8 @@ def prediction_errors(
 def errors_of(predicted: Sequence[Window]) -> PredictionErrors:
     """Root mean square errors of windows that were predicted."""
     since = np.concatenate([w.times - w.times[0] for w in predicted])
-    interval = float(np.median(np.concatenate([np.diff(w.times) for w in predicted])))
+    # of each window's own poses, lest those seen less often than most be missed
+    interval = np.concatenate([np.full(len(w.times), np.median(np.diff(w.times))) for w in predicted])
     off = np.concatenate([w.predicted - w.poses for w in predicted])
     position, yaw = np.hypot(off[:, 0], off[:, 1]), off[:, 2]
     at = {after: np.abs(since - after) <= 0.75 * interval for after in AFTER}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -15,13 +15,15 @@ from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import read_logs
 from kraft.plot.output import picture_format
+from kraft.sysid.compilation import ensure_compiled
 from kraft.sysid.forecast import Predicted, predicted
 from kraft.sysid.holdout import Split, split
 from kraft.sysid.identify import identify
+from kraft.sysid.input import screened
 from kraft.sysid.options import Options, settings_of
-from kraft.sysid.parameters import check_names
 from kraft.sysid.record import record_of
 from kraft.sysid.result import Identification
+from kraft.sysid.setting_checks import check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.subject import Subject, load_subject
 from kraft.sysid.vehicle_file import check_target, write_vehicle
@@ -89,11 +91,13 @@ def carry_out(request: Request, say: Say, warn: Say) -> Identified:
     logs = _read(request, subject, say, warn)
     parted = split(logs.logs, request.holdout)
     say(parted.note)
+    ensure_compiled(subject.vehicle, say)
     began = time.perf_counter()
     try:
         result = identify(subject.given, parted.fitted, settings)
         seconds = time.perf_counter() - began
         found = predicted(subject.given, parted, result, settings)
+        result = replace(result, warnings=(*result.warnings, *found.warnings))
     except InputError as error:  # of the logs: everything else was checked
         _draw_logs(request, subject, parted, error)
         _warn(error, warn)
@@ -107,7 +111,7 @@ def carry_out(request: Request, say: Say, warn: Say) -> Identified:
 def _checked(request: Request, subject: Subject) -> Settings:
     """The settings, after everything that can be wrong before the logs are read."""
     settings = settings_of(request.options)
-    check_names(subject.vehicle, settings)
+    check_settings(subject.given, settings)
     if request.out is not None:
         check_target(request.out)
     if request.plot is not None:
@@ -127,14 +131,20 @@ def _read(request: Request, subject: Subject, say: Say, warn: Say) -> LogSet:
         if not candidates:
             raise
         _warn(error, warn)
-        count = len(candidates)
-        raise NegativeResult(
-            "the only log cannot be used" if count == 1 else f"none of the {count} logs can be used"
-        ) from None
-    _tell(found.logs, say)
-    for problem in found.problems:
+        raise _none_usable(len(candidates)) from None
+    long = screened(found.logs)
+    _tell(long.logs, say)
+    for shortened in long.shortened:
+        say(shortened)
+    for problem in (*found.problems, *long.problems):
         warn(f"left out: {problem}")
-    return found
+    if not long.logs:
+        raise _none_usable(len(candidates))
+    return LogSet(long.logs, (*found.problems, *long.problems))
+
+
+def _none_usable(count: int) -> NegativeResult:
+    return NegativeResult("the only log cannot be used" if count == 1 else f"none of the {count} logs can be used")
 
 
 def _warn(error: InputError, warn: Say) -> None:

@@ -42,15 +42,19 @@ class RhoFactors:
         return float(-(self.total_gradient + 0.5 * self.total_information @ change) @ change)
 
 
+def held_at_bounds(factors: RhoFactors, low: Floats, high: Floats) -> Bools:
+    """(np,) whether a component is at a bound and downhill leads out; changes may be from `low` to `high` (np,)."""
+    gradient = factors.total_gradient
+    held: Bools = ((low >= 0.0) & (gradient > 0.0)) | ((high <= 0.0) & (gradient < 0.0))
+    return held
+
+
 def bounded_step(factors: RhoFactors, damping: float, low: Floats, high: Floats, free: Bools) -> Floats:
     """The best change (np,) of rho with low <= change <= high and 0 where not free.
 
     Components that the unbounded step would carry out of their bounds are held there, and the others follow.
     """
-    change, free = np.zeros(len(free)), free.copy()
-    gradient = factors.total_gradient
-    held = free & (((low >= 0.0) & (gradient > 0.0)) | ((high <= 0.0) & (gradient < 0.0)))
-    free &= ~held  # at a bound, and downhill leads out
+    change, free = np.zeros(len(free)), free & ~held_at_bounds(factors, low, high)
     while free.any():
         change[free] = _solve(factors, damping, free, change)
         outside = free & ((change < low) | (change > high))

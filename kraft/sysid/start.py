@@ -92,8 +92,8 @@ class Search:
         self._lane: Ints = np.concatenate(lane)
         offset = chains.first[chosen][self._lane]
         self._pose = [parameters.vehicle.index(name) for name in ("x", "y", "theta")]
-        observed = _covered(data.poses[offset + self._index[:, 0]], data.poses[offset + self._index[:, 1]])
-        self._observed = observed
+        before, after = (self._turning(data.poses[offset + self._index[:, k]]) for k in (0, 1))
+        self._observed = observed = _covered(before, after)
         typical = np.median(np.hypot(observed[:, 0], observed[:, 1]))
         self._scale = np.array([0.05 * typical + 0.005, 0.05 * typical + 0.005, 0.05 * np.std(observed[:, 2]) + 0.01])
 
@@ -173,10 +173,11 @@ class Search:
         return limited
 
     def _pose_of(self, states: Floats) -> Floats:
-        poses = states[..., self._pose]
-        if self._pose[2] < 0:
-            poses[..., 2] = 0.0
-        return poses
+        return self._turning(states[..., self._pose])
+
+    def _turning(self, poses: Floats) -> Floats:
+        """Poses (..., 3), with a yaw of 0 if the vehicle has none: what is logged of it says nothing about its way."""
+        return poses if self._pose[2] >= 0 else poses * [1.0, 1.0, 0.0]
 
 
 def _covered(before: Floats, after: Floats) -> Floats:

@@ -5,6 +5,9 @@ and the model is true.  The sandwich needs neither: it asks what each log, left 
 information of all logs and A_l, b_l that of log l and its gradient at the optimum, leaving log l out moves rho by
 (A - A_l)^-1 b_l; the spread of these moves is the covariance (the jackknife, known as CR3 for clusters), and a t
 quantile with one degree of freedom less than there are logs makes the interval.
+
+A parameter that its bound holds stays there whichever log is left out, so the others move with it held.  Its own moves
+are those it would make if the bound were a constant force: a spread of nothing would say that it is known exactly.
 """
 
 from __future__ import annotations
@@ -42,8 +45,14 @@ class Uncertainty:
         return std
 
 
-def uncertainty(factors: RhoFactors, free: Bools) -> Uncertainty:
-    """The sandwich covariance from five logs up, the graph's below."""
+def uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncertainty:
+    """The sandwich covariance from five logs up, the graph's below.
+
+    Args:
+        factors: at the optimum.
+        free: (np,) which parameters were estimated.
+        held: (np,) which of them their bounds hold.
+    """
     chosen = np.ix_(free, free)
     total = factors.total_information[chosen]
     graph = _inverse(total)
@@ -52,7 +61,7 @@ def uncertainty(factors: RhoFactors, free: Bools) -> Uncertainty:
         return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), np.zeros((logs, len(total))))
     moves = np.array(
         [
-            np.linalg.lstsq(total - information[chosen], gradient[free], rcond=None)[0]
+            _move(total - information[chosen], gradient[free], held[free])
             for information, gradient in zip(factors.information, factors.gradient, strict=True)
         ]
     )
@@ -61,6 +70,14 @@ def uncertainty(factors: RhoFactors, free: Bools) -> Uncertainty:
     centred = moves - moves.mean(axis=0)
     sandwich = (logs - 1) / logs * centred.T @ centred
     return Uncertainty("sandwich", graph, sandwich, float(t.ppf(0.975, logs - 1)), moves)
+
+
+def _move(rest: Matrix, gradient: Floats, held: Bools) -> Floats:
+    """How the free parameters move (free,) to where `rest`, the information without a log, balances its gradient."""
+    move = np.array(np.linalg.lstsq(rest, gradient, rcond=None)[0], dtype=np.float64)
+    if held.any():
+        move[~held] = np.linalg.lstsq(rest[np.ix_(~held, ~held)], gradient[~held], rcond=None)[0]
+    return move
 
 
 def _inverse(information: Matrix) -> Matrix:
