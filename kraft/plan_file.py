@@ -59,8 +59,6 @@ def check_target(path: Path) -> None:
         InputError: if there is such a file, or a folder, or no permission.
     """
     check_writable(path)
-    if path.is_dir():
-        raise InputError.of(str(path), "is a folder", "expected the place of a plan file")
     if path.exists():
         try:
             read_object(path)

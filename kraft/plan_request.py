@@ -6,9 +6,10 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from kraft.atomic_file import check_writable
+from kraft.atomic_file import check_all, check_writable
 from kraft.errors import Diagnostic, InputError
 from kraft.kernel_cache import ensure_compiled
 from kraft.plan_file import NAME, Origin, check_target, read_plan, write_plan
@@ -73,13 +74,7 @@ def carry_out(request: Request, say: Callable[[str], None]) -> Planned:
     vehicle = _vehicle(request, task)
     previous = _previous(request)
     target = None if request.out is None else request.out / NAME
-    if target is not None:
-        check_target(target)
-    if request.plot is not None:
-        from kraft.plot import picture_format
-
-        picture_format(request.plot)
-        check_writable(request.plot)
+    _check_places(target, request.plot)
     ensure_compiled(vehicle, say)
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
     if target is not None and result.plan is not None:
@@ -90,6 +85,18 @@ def carry_out(request: Request, say: Callable[[str], None]) -> Planned:
     if request.plot is not None:
         _draw(request.plot, task, vehicle, result)
     return Planned(request, task, vehicle, result, target)
+
+
+def _check_places(target: Path | None, plot: Path | None) -> None:
+    """Check before the work that plan file and picture can be written."""
+    checks: list[Callable[[], object]] = []
+    if target is not None:
+        checks.append(partial(check_target, target))
+    if plot is not None:
+        from kraft.plot import picture_format
+
+        checks += [partial(picture_format, plot), partial(check_writable, plot)]
+    check_all(*checks)
 
 
 def parse_parameters(items: Iterable[str]) -> dict[str, float]:

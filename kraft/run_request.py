@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from kraft.atomic_file import check_all
 from kraft.errors import InputError
 from kraft.evaluation.experiment import Experiment, experiment_of
 from kraft.kernel_cache import ensure_compiled
@@ -44,9 +45,8 @@ def carry_out(request: Request, say: Callable[[str], None], on_cycle: Callable[[
         Defect: if a plan does not stand up to exact verification.
     """
     experiment = _experiment(request)
-    if request.out is not None:
-        check_target(request.out)
-    request.wanted.check()
+    out = request.out
+    check_all(*([] if out is None else [lambda: check_target(out)]), request.wanted.check)
     cell = experiment.cells[0]
     ensure_compiled(cell.vehicle, say)
     from kraft.trial import run_trial  # loads the simulator

@@ -12,13 +12,13 @@ import typer
 from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
+from ompl_ext.cache_error import CacheError
 
 
 def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
     """Run a command; whatever it raises is explained on stderr."""
     try:
-        status = command()
-        terminal.out.flush()
+        status = _flushed(terminal, command)
     except KeyboardInterrupt:
         terminal.problem("interrupted")
         return ExitStatus.INTERRUPTED
@@ -34,6 +34,35 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
     return status
 
 
+def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
+    """Run a command and have its output written, not only buffered.
+
+    Raises:
+        InputError: if stdout takes no more, because the disk is full.
+    """
+    try:
+        try:
+            return command()
+        finally:
+            terminal.out.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        if not _stdout_fails():
+            raise
+        _abandon_stdout()
+        problem = f"cannot be written: {error.strerror}"
+        raise InputError.of("stdout", problem, "expected a place with room for it") from error
+
+
+def _stdout_fails() -> bool:
+    try:
+        sys.stdout.flush()  # what could not be written is still in its buffer
+    except OSError:
+        return True
+    return False
+
+
 def explain(terminal: Terminal, error: Exception) -> ExitStatus:
     """Say what went wrong and return the exit code for it."""
     if isinstance(error, InputError):
@@ -42,6 +71,10 @@ def explain(terminal: Terminal, error: Exception) -> ExitStatus:
         return ExitStatus.INVALID
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
+    if isinstance(error, CacheError):
+        problem = f"{error.folder}: the kernel cache cannot be written: {error.reason}"
+        terminal.problem(f"{problem}; expected a folder that can, KRAFT_CACHE_DIR says which")
+        return ExitStatus.INVALID
     if isinstance(error, KraftError) and not isinstance(error, Defect):
         terminal.error(str(error))
         _explain_causes(terminal, error)
