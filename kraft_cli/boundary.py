@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from typing import Final
 
 import typer
 
+from kraft.atomic_file import EXPECTED
 from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 from ompl_ext.cache_error import CacheError
+
+
+FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What writing fails with when it is the disk's fault."""
 
 
 def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
@@ -38,27 +45,25 @@ def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatu
     """Run a command and have its output written, not only buffered.
 
     Raises:
-        InputError: if stdout takes no more, because the disk is full.
+        InputError: if stdout, or a file that is nobody's in particular, takes no more.
     """
     try:
-        try:
-            return command()
-        finally:
-            terminal.out.flush()
-    except BrokenPipeError:
-        raise
+        status = command()
+        terminal.out.flush()
     except OSError as error:
-        if not _stdout_fails():
+        if error.errno not in FULL:
             raise
-        _abandon_stdout()
-        problem = f"cannot be written: {error.strerror}"
-        raise InputError.of("stdout", problem, "expected a place with room for it") from error
+        place = error.filename or ("stdout" if _stdout_fails() else "a file")
+        raise InputError.of(str(place), f"cannot be written: {error.strerror}", EXPECTED) from error
+    return status
 
 
 def _stdout_fails() -> bool:
+    """Whether stdout still takes something: a failed write may have left nothing in its buffer to try again with."""
     try:
-        sys.stdout.flush()  # what could not be written is still in its buffer
+        print(flush=True)
     except OSError:
+        _abandon_stdout()
         return True
     return False
 
@@ -72,8 +77,7 @@ def explain(terminal: Terminal, error: Exception) -> ExitStatus:
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
     if isinstance(error, CacheError):
-        problem = f"{error.folder}: the kernel cache cannot be written: {error.reason}"
-        terminal.problem(f"{problem}; expected a folder that can, KRAFT_CACHE_DIR says which")
+        terminal.problem(f"{error}; expected a place that can, which KRAFT_CACHE_DIR names")
         return ExitStatus.INVALID
     if isinstance(error, KraftError) and not isinstance(error, Defect):
         terminal.error(str(error))

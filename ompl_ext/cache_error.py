@@ -9,5 +9,5 @@ class CacheError(OSError):
     """Machine code cannot be kept in `folder`, because of `reason`."""
 
     def __init__(self, folder: Path, reason: str) -> None:
-        super().__init__(f"the kernel cache {folder} cannot be written: {reason}")
+        super().__init__(f"{folder}: the kernel cache cannot be written: {reason}")
         self.folder, self.reason = folder, reason

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import warnings
 from ctypes.util import find_library
 from typing import Any, Final
@@ -31,10 +32,19 @@ def offscreen_context(width: int, height: int) -> Any:
             context.make_current()
             _try_to_draw()
         except Exception as error:  # each backend and each driver fails in a way of its own
-            reason = str(told[0].message) if told else f"{type(error).__name__}: {error}"
+            reason = _said(told[0].message) if told else f"{type(error).__name__}: {error}"
             problem = f"{backend.upper()} cannot draw here ({reason})"
-            raise MissingDependency(f"a video needs OpenGL without a window: {problem}; {ADVICE}") from error
+            raise MissingDependency(f"a video needs OpenGL without a window: {problem}; {_advice()}") from None
     return context
+
+
+def _advice() -> str:
+    return f"unset MUJOCO_GL, or {ADVICE}" if os.environ.get("MUJOCO_GL") else ADVICE
+
+
+def _said(warning: Warning | str) -> str:
+    """A GLFW warning, ``(number) b'text'``, without the number."""
+    return re.sub(r"^\(\d+\) b?['\"](.*)['\"]$", r"\1", str(warning))
 
 
 def _try_to_draw() -> None:
