@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -128,3 +131,39 @@ def test_the_doctor_is_content_without_what_is_optional(monkeypatch: pytest.Monk
 def test_a_package_that_does_not_load_is_missing_with_the_reason() -> None:
     finding = environment._package("nothing", "there_is_no_such_module")
     assert finding == Finding("nothing", "missing", "No module named 'there_is_no_such_module'")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+def test_the_doctor_tries_whether_the_cache_can_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("KRAFT_CACHE_DIR", "/proc/c")
+    told = "/proc/c cannot be written; set KRAFT_CACHE_DIR to a folder that can"
+    assert environment._cache() == Finding("kernel cache", "missing", told)
+    monkeypatch.setenv("KRAFT_CACHE_DIR", str(tmp_path / "new"))
+    assert environment._cache().state == "ok"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("backend", ["foo", "glfw"])
+def test_the_doctor_finds_a_way_to_draw_that_draws_nothing(backend: str) -> None:
+    hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "doctor", "--json"],
+        cwd=ROOT, env={**hidden, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    found = {each["subject"]: each for each in json.loads(done.stdout)["findings"]}
+    assert found["rendering"]["state"] == "note"
+    assert f"MUJOCO_GL={backend} cannot draw here, unset it" in found["rendering"]["detail"]
+    assert found["mujoco"]["state"] == ("missing" if backend == "foo" else "ok")
+    assert "defect" not in done.stderr
+
+
+def test_a_simulator_that_does_not_load_is_a_missing_dependency() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "run", "turns"],
+        cwd=ROOT, env={**os.environ, "MUJOCO_GL": "foo"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.splitlines()[-1] == (
+        "error: the simulator, MuJoCo, does not load: invalid value for environment variable MUJOCO_GL: foo; "
+        "unset MUJOCO_GL, which is foo"
+    )

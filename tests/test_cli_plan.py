@@ -190,6 +190,8 @@ SECONDS = "expected a number greater than 0 (planning budget in wall-clock time,
         (["turns", "--plot", "picture.doc"], "picture.doc: the picture's name ends in '.doc'; expected"),
         (["turns", "--plot", "room.yaml/p.png"], "room.yaml/p.png: cannot be written: "),
         (["turns", "--out", "room.yaml"], "room.yaml/plan.json: cannot be written: "),
+        (["turns", "--out", "/proc/x"], "/proc/x/plan.json: cannot be written: nothing can be made in /proc ("),
+        (["turns", "--plot", "/proc/x.png"], "/proc/x.png: cannot be written: nothing can be made in /proc ("),
         (["turns", "--from", "none.json"], "none.json: there is no such file; expected a plan file"),
         (["turns", "--from", "room.yaml"], "room.yaml:1:1: is not JSON: Expecting value; expected a plan file"),
         (["turns", "--after", "1"], "--after: is given without --from; expected both or none"),
@@ -204,6 +206,14 @@ def test_bad_arguments_are_explained_without_planning(
     assert err.startswith(expected)
     assert "Traceback" not in err
     assert {p.name for p in tmp_path.iterdir()} == {"room.yaml"}
+
+
+def test_every_place_that_is_taken_is_told_before_planning(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("g.png").mkdir()
+    Path("out/plan.json").mkdir(parents=True)
+    assert main(["plan", "room.yaml", "--plot", "g.png", "--out", "out"]) == 2
+    told = "g.png: is a folder; expected the name of a file\nout/plan.json: is a folder; expected the name of a file\n"
+    assert capsys.readouterr() == ("", told)
 
 
 @pytest.mark.parametrize(

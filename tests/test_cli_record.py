@@ -119,6 +119,7 @@ def test_a_run_that_ends_early_says_so(capsys: pytest.CaptureFixture[str]) -> No
         (["--runs", "0"], "--runs: is 0; expected a number of at least 1"),
         (["--seed", "-1"], "--seed: is -1; expected a number of at least 0"),
         (["--out", "."], ".: is there already; expected a new folder for the logs (--out)"),
+        (["--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
     ],
 )
 def test_bad_arguments_are_explained_without_driving(

@@ -137,6 +137,8 @@ def test_a_collision_names_what_was_hit(short: Path) -> None:
         (["short.yaml", "--method", ""], "--method: is empty; expected the name of a method"),
         (["short.yaml", "--out", "."], ".: is there already; expected a new folder"),
         (["short.yaml", "--out", "short.yaml/run"], "short.yaml/run: cannot be written: "),
+        (["short.yaml", "--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
+        (["short.yaml", "--video", "/proc/x.mp4", "--plot", "/proc/x.png"], "/proc/x.mp4: cannot be written: nothing"),
     ],
 )
 def test_bad_arguments_are_explained_without_driving(
@@ -147,6 +149,19 @@ def test_bad_arguments_are_explained_without_driving(
     assert out == ""
     assert err.startswith(expected)
     assert [path.name for path in Path().iterdir()] == ["short.yaml"]
+
+
+def test_every_place_that_is_taken_is_told_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("out", "g.png", "g.mp4"):
+        Path(name).mkdir()
+    assert main(["run", "short.yaml", "--out", "out", "--plot", "g.png", "--video", "g.mp4"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == [
+        "g.mp4: is a folder; expected the name of a file",
+        "g.png: is a folder; expected the name of a file",
+        "out: is there already; expected a new folder",
+    ]
 
 
 def test_every_option_and_key_of_kraft_run_is_described(capsys: pytest.CaptureFixture[str]) -> None:

@@ -260,6 +260,7 @@ def test_wrong_folders_and_files_are_refused(capsys: pytest.CaptureFixture[str])
         (["file"], "file: is not a folder; expected the folder of a kraft eval\n"),
         (["out", "--out", "out"], "out: is a folder; expected the name of a file\n"),
         (["out", "--out", "file/page.html"], f"file/page.html: cannot be written: {Path.cwd() / 'file'} is not a folder"),
+        (["out", "--out", "/proc/x.html"], "/proc/x.html: cannot be written: nothing can be made in /proc ("),
     ):  # fmt: skip
         assert main(["report", *arguments]) == 2
         assert capsys.readouterr().err.startswith(message)

@@ -19,8 +19,8 @@ def write_report(folder: Path, out: Path | None = None) -> tuple[Results, Path]:
         InputError: if the folder is not one of results, or the page cannot be written.
     """
     path = out or folder / NAME
-    check_writable(path)
     results = read_results(folder)
+    check_writable(path)
     write_whole(path, page(results).encode())
     return results, path
 
