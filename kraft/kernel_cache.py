@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from ompl_ext.clearance import clearance_field
 from ompl_ext.costtogo import cost_to_go
 from ompl_ext.interrupts import interrupts_between_passes
-from ompl_ext.jit import cache_root
+from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal
 from ompl_ext.solver import Dirt
@@ -33,6 +34,15 @@ def ensure_compiled(vehicle: Vehicle, say: Callable[[str], None]) -> None:
     began = time.perf_counter()
     _exercise(vehicle)
     say(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
+
+
+def ensure_maps_compiled(say: Callable[[str], None]) -> None:
+    """Compile what looking at a map needs, the same for every vehicle, unless it was."""
+    if _maps_marker().exists():
+        return
+    say("compiling the maps' kernels for this machine: once, about 6 s ...")
+    with interrupts_between_passes():
+        compile_maps()
 
 
 def _exercise(vehicle: Vehicle) -> None:
@@ -76,3 +86,8 @@ def compile_maps() -> None:
     """Compile the clearance field's and the cost-to-go's kernels."""
     field = clearance_field(Workspace(((0.0, 1.0), (0.0, 1.0)), (box((1.0, 1.0), (0.1, 0.1)),)), 0.1)
     cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0)
+    _maps_marker().touch()
+
+
+def _maps_marker() -> Path:
+    return cache_folder() / "maps"

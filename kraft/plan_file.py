@@ -76,6 +76,17 @@ def read_plan(path: Path) -> Plan:
     return plan_from(path)
 
 
+def planned_scenario(path: Path) -> str | None:
+    """Name of the scenario that a plan file says its plan is for; None if it does not say.
+
+    Raises:
+        InputError: if it is not a plan file.
+    """
+    scenario = read_object(path).get("scenario")
+    name = scenario.get("name") if isinstance(scenario, dict) else None
+    return name if isinstance(name, str) else None
+
+
 def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) -> str:
     """Content of the plan file of a result that has a plan."""
     plan = result.plan

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 
@@ -11,12 +10,11 @@ import numpy as np
 from kraft.errors import Defect
 from kraft.placement import check_placement
 from kraft.previous import Previous
+from kraft.reachability import UNREACHABLE, reachable
 from kraft.scenario import Task
 from kraft.search import Budget, Found, search_of
 from kraft.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats
-from ompl_ext.costtogo import UNREACHABLE
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress
 from ompl_ext.vehicle import Vehicle
@@ -123,8 +121,8 @@ def _accepted(found: Found, verification: Verification | None, seed: int) -> tup
 def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
     """Why no plan can be found from this start, however long one searches; empty if one might be."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
-    if not reachable(dirt, x, y):
-        return "the goal is unreachable: no path from the start is wide enough for the footprint"
+    if not reachable(dirt.problem, x, y):
+        return UNREACHABLE
     if spare < 0.0:
         exact = dirt.exact.distance(x, y, heading_of(state, dirt.vehicle))
         return f"the start is too near to an obstacle: {exact:.4f} m, which is less than the clearance grid resolves"
@@ -132,14 +130,6 @@ def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
     if beyond_delta < 0.0:
         return f"the start lacks {-beyond_delta:.3f} m of the clearance delta that its first cycle asks for"
     return ""
-
-
-def reachable(dirt: Dirt, x: float, y: float) -> bool:
-    """Whether a point is connected to the goal for the disc inscribed in the footprint: necessary, not sufficient."""
-    scalar, togo = dirt.problem.scalar, dirt.problem.togo
-    column = math.floor((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5)
-    row = math.floor((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5)
-    return bool(togo[row : row + 2, column : column + 2].min() < UNREACHABLE)
 
 
 def _shortfall(plan: Plan | None, progress: Progress) -> str:

@@ -12,11 +12,10 @@ from typing import Final
 import typer
 
 from kraft.atomic_file import EXPECTED
-from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult
+from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 from ompl_ext.cache_error import CacheError
-
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What writing fails with when it is the disk's fault."""
@@ -70,10 +69,10 @@ def _stdout_fails() -> bool:
 
 def explain(terminal: Terminal, error: Exception) -> ExitStatus:
     """Say what went wrong and return the exit code for it."""
-    if isinstance(error, InputError):
+    if isinstance(error, InputError | Unreachable):
         for diagnostic in error.diagnostics:
             terminal.problem(str(diagnostic))
-        return ExitStatus.INVALID
+        return ExitStatus.INVALID if isinstance(error, InputError) else ExitStatus.NEGATIVE
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
     if isinstance(error, CacheError):

@@ -45,7 +45,7 @@ class _Noted(event.Listener):  # type: ignore[misc]
 
 @contextmanager
 def interrupts_between_passes() -> Iterator[Callable[[], None]]:
-    """Compile in here: `KeyboardInterrupt` is raised between two passes of numba, by the yielded function, or at the end.
+    """Compile in here: interrupts are raised between two passes of numba, by the yielded function, or at the end.
 
     Does nothing where interrupts do not arrive as exceptions: in another thread than the main one, where they are
     ignored, or within another such block, which then raises them.

@@ -170,7 +170,9 @@ def test_a_full_disk_behind_stdout_is_wrong_input_in_one_line(argv: list[str], b
             [sys.executable, "-m", "kraft_cli", *argv],
             cwd=ROOT, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
         )  # fmt: skip
-    told = "stdout: cannot be written: No space left on device; expected a place that can be written, with room for it\n"
+    told = (
+        "stdout: cannot be written: No space left on device; expected a place that can be written, with room for it\n"
+    )
     assert (done.returncode, done.stderr) == (2, told)
 
 
@@ -187,7 +189,9 @@ def test_a_cache_that_cannot_be_written_is_explained_in_one_line() -> None:
         [sys.executable, "-m", "kraft_cli", "plan", "turns"],
         cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    told = r"/proc/c/\S+: the kernel cache cannot be written: .*; expected a place that can, which KRAFT_CACHE_DIR names\n"
+    told = (
+        r"/proc/c/\S+: the kernel cache cannot be written: .*; expected a place that can, which KRAFT_CACHE_DIR names\n"
+    )
     assert (done.returncode, done.stdout) == (2, "")
     assert re.fullmatch(told, done.stderr)
 

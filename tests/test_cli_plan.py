@@ -140,14 +140,14 @@ def test_no_plan_is_an_answer_with_its_reason_and_code_1(room: Path, capsys: pyt
     assert main(["plan", "room.yaml"]) == 1
     out, err = capsys.readouterr()
     assert "no plan" in out
-    assert err == "the goal is unreachable: no path from the start is wide enough for the footprint\n"
+    assert err == "error: the goal is unreachable: no path from the start is wide enough for the footprint\n"
 
 
 def test_the_plan_that_ends_nearest_is_written_and_said_not_to_arrive(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "turns", "--iterations", "3", "--out", "out"]) == 1
     out, err = capsys.readouterr()
     assert "not solved; the plan ends nearest to the goal" in out
-    assert err.startswith("no plan reaches the goal after 3 iterations")
+    assert err.startswith("error: no plan reaches the goal after 3 iterations")
     assert read_plan(Path("out/plan.json")).reaches_goal is False
 
 
@@ -186,7 +186,7 @@ SECONDS = "expected a number greater than 0 (planning budget in wall-clock time,
         (["turns", "--param", "L"], "--param: is 'L'; expected name=number"),
         (["turns", "--param", "L=nan"], "--param: is 'L=nan'; expected name=number"),
         (["turns", "--param", "L=0.3", "--param", "L=0.4"], "--param: L is given twice; expected it once"),
-        (["turns", "--param", "l=0.3"], "l: mushr has no such parameter; did you mean 'L'?"),
+        (["turns", "--param", "l=0.3"], "--param l: mushr has no such parameter; did you mean 'L'?"),
         (["turns", "--plot", "picture.doc"], "picture.doc: the picture's name ends in '.doc'; expected"),
         (["turns", "--plot", "room.yaml/p.png"], "room.yaml/p.png: cannot be written: "),
         (["turns", "--out", "room.yaml"], "room.yaml/plan.json: cannot be written: "),

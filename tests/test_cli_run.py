@@ -151,6 +151,17 @@ def test_bad_arguments_are_explained_without_driving(
     assert [path.name for path in Path().iterdir()] == ["short.yaml"]
 
 
+def test_a_goal_that_no_path_leads_to_is_told_before_the_drive(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short.write_text(SHORT.replace("center: [2, 2.5], size: [0.5, 0.5]", "center: [1.5, 2], size: [0.2, 4]"))
+    for command in (["run"], ["eval", "--trials", "1", "--methods", "kraft,oneshot-openloop"]):
+        assert main([*command, "short.yaml", "--out", "out"]) == 1
+        assert capsys.readouterr() == ("", (
+            "short.yaml:6:7: goal: the goal is unreachable: no path from the start is wide enough for the footprint; "
+            "expected a goal that the vehicle can get to\n"
+        ))  # fmt: skip
+        assert not Path("out").exists()
+
+
 def test_every_place_that_is_taken_is_told_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("out", "g.png", "g.mp4"):
         Path(name).mkdir()

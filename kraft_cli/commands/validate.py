@@ -14,11 +14,11 @@ from kraft_cli.terminal import Terminal
 def validate(
     context: typer.Context,
     files: Annotated[
-        list[str], typer.Argument(metavar="FILE", help="Scenario, vehicle, method, map or log mapping files.")
+        list[str], typer.Argument(metavar="FILE", help="Scenario, vehicle, method, map, log mapping or plan files.")
     ],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
-    """Check scenario, vehicle, method, map and log mapping files and show every problem of each."""
+    """Check scenario, vehicle, method, map, log mapping and plan files and show every problem of each."""
     from kraft.checking import check_file
 
     terminal: Terminal = context.obj
