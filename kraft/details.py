@@ -31,9 +31,10 @@ def vehicle_details(vehicle: Vehicle) -> list[str]:
     """The model with its parameters, and whether its kernels are there; before they are compiled."""
     values = ", ".join(f"{name} {value:g}" for name, value in vehicle.parameters.items()) or "no parameters"
     shape = vehicle.footprint
+    size = f"{shape.length:g} m x {shape.width:g} m, its centre at {shape.offset:g} m"
     kernels = "read from" if is_cached(vehicle) else "compiled into"
     return [
         f"vehicle {vehicle.name}: {values}",
-        f"footprint {shape.length:g} m x {shape.width:g} m, {shape.offset:g} m ahead; top speed {vehicle.top_speed:g} m/s",
+        f"footprint {size}; top speed {vehicle.top_speed:g} m/s",
         f"kernels {kernels} {vehicle_cache_folder(vehicle)}",
     ]

@@ -13,6 +13,7 @@ from typing import Final, Literal, TypeAlias
 
 from kraft import resources
 from kraft.atomic_file import check_writable
+from kraft.counting import counted
 from kraft.errors import InputError, MissingAsset
 from kraft.version import VERSION
 from kraft.video.gl import BACKENDS
@@ -92,7 +93,7 @@ def _extra(name: str, module: str, purpose: str) -> Finding:
 
 def _processor() -> Finding:
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Finding("cpu", "ok", f"{usable} cores, {platform.machine()}")
+    return Finding("cpu", "ok", f"{counted(usable or 1, 'core')}, {platform.machine()}")
 
 
 def _cache() -> Finding:

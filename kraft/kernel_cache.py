@@ -30,7 +30,7 @@ def ensure_compiled(vehicle: Vehicle, say: Callable[[str], None]) -> None:
     """Compile everything that planning for `vehicle` needs, unless it was; `say` is told before and after."""
     if is_cached(vehicle):
         return
-    say(f"compiling the planner and the {vehicle.name} model for this machine: once, about 20 s ...")
+    say(f"compiling the planner and the model of {vehicle.name} for this machine: once, about 20 s ...")
     began = time.perf_counter()
     _exercise(vehicle)
     say(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")

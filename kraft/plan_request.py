@@ -153,25 +153,20 @@ def _tell(detail: Callable[[str], None], request: Request, task: Task, vehicle: 
     for line in vehicle_details(vehicle):
         detail(line)
     budget = budget_of(task)
-    amount = f"{budget.iterations} iterations" if budget.iterations is not None else f"{budget.time:g} s"
+    amount = f"{budget.iterations} iterations" if budget.iterations is not None else f"{budget.seconds:g} s"
     detail(f"planner {task.planning.planner}: {amount}, seed {request.seed}")
 
 
 def _vehicle(request: Request, task: Task) -> Vehicle:
     parameters = parse_parameters(request.parameters)
-    vehicle = _named_vehicle(request, task, {})
+    vehicle = vehicle_of_task(task) if request.vehicle is None else load_vehicle(request.vehicle)
     if not parameters:
         return vehicle
+    named, folder = (request.vehicle, Path.cwd()) if request.vehicle else (task.vehicle, Path(task.source.file).parent)
     try:
-        return _named_vehicle(request, task, parameters)
+        return load_vehicle(named, folder, parameters)
     except InputError as error:  # without them nothing is wrong
         raise InputError(_of_parameter(d, parameters) for d in error.diagnostics) from error
-
-
-def _named_vehicle(request: Request, task: Task, parameters: Mapping[str, float]) -> Vehicle:
-    if request.vehicle is not None:
-        return load_vehicle(request.vehicle, Path.cwd(), parameters)
-    return vehicle_of_task(task, parameters)
 
 
 def _of_parameter(diagnostic: Diagnostic, parameters: Mapping[str, float]) -> Diagnostic:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kraft.counting import counted
 from kraft.errors import Defect
 from kraft.placement import check_placement
 from kraft.previous import Previous
@@ -136,8 +137,8 @@ def _shortfall(plan: Plan | None, progress: Progress) -> str:
     """Why the search ended without a plan that reaches the goal; empty if there is one."""
     if plan is not None and plan.reaches_goal:
         return ""
-    used = f"{progress.iterations} iterations ({progress.seconds:.3g} s)"
+    used = f"{counted(progress.iterations, 'iteration')} ({progress.seconds:.3g} s)"
     if plan is not None:
         return f"no plan reaches the goal after {used}; the best one ends {plan.cost_to_go:.3g} s short of it"
     unsafe = f", {progress.unsafe} of them because no contingency is safe" if progress.unsafe else ""
-    return f"no edge may be executed after {used}: {progress.edges} were tried{unsafe}"
+    return f"no edge may be executed after {used}, of {counted(progress.edges, 'edge')} tried{unsafe}"

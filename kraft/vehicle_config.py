@@ -142,17 +142,21 @@ class VehicleConfig(FileModel):
         Raises:
             InputError: for parameters that the vehicle does not have and values outside their limits.
         """
-        unknown = [name for name in values if name not in self.parameters]
-        if unknown:
-            raise InputError(
-                Diagnostic(name, f"{self.name} has no such parameter", choose(name, self.parameters))
-                for name in unknown
-            )
+        problems = [
+            Diagnostic(name, f"{self.name} has no such parameter", choose(name, self.parameters))
+            for name in values
+            if name not in self.parameters
+        ]
         parameters = {
             name: {**dict(parameter), "value": values.get(name, parameter.value)}
             for name, parameter in self.parameters.items()
         }
-        changed = build(VehicleConfig, {**dict(self), "parameters": parameters}, self.name)
+        try:
+            changed = build(VehicleConfig, {**dict(self), "parameters": parameters}, self.name)
+        except InputError as error:
+            raise InputError([*problems, *error.diagnostics]) from None
+        if problems:
+            raise InputError(problems)
         changed._source = self._source
         return changed
 

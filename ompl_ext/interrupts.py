@@ -19,7 +19,7 @@ from numba.core import event
 _event: Any = event  # its functions are not typed
 
 
-class _Noted(event.Listener):  # type: ignore[misc]
+class _Noted(event.Listener):
     """Remembers that there was an interrupt; raises it when the next pass begins."""
 
     def __init__(self) -> None:

@@ -126,10 +126,10 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
     assert not Path("out/report.html").exists()
     assert main(["report", "out"]) == 0
     out, err = capsys.readouterr()
-    assert (out, err) == ("out/report.html\n", "8 of 12 trials have not been run yet\n")
+    assert (out, err) == ("out/report.html\n", "8 of 12 trials not run yet\n")
     text = Path("out/report.html").read_text()
     tags = Tags(text)
-    assert "8 of 12 trials have not been run: this page is of those that have." in text_of(tags)
+    assert "8 of 12 trials not run yet: this page is of those that were." in text_of(tags)
     assert tags.classes("rect")["missing"] == 8
 
 
