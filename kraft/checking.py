@@ -87,7 +87,7 @@ def _find(name_or_path: str | Path) -> Path:
     for kind in kinds:
         if name_or_path in resources.names(kind):
             return resources.find(kind, name_or_path)
-    if isinstance(name_or_path, str) and Path(name_or_path).suffix == "" and Path(name_or_path).is_file():
+    if isinstance(name_or_path, str) and Path(name_or_path).suffix in ("", ".json") and Path(name_or_path).is_file():
         return Path(name_or_path)
     return resources.find("scenario", name_or_path)
 

@@ -104,6 +104,41 @@ def test_the_planners_listed_are_those_a_scenario_may_name() -> None:
     assert get_args(Planning.model_fields["planner"].annotation) == tuple(PLANNERS)
 
 
+def test_every_mistake_of_a_vehicle_file_comes_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "configs/vehicles/mushr.yaml").read_text()
+    text = re.sub(r"L: \{value: [\d.]+", "L: {value: 9", text).replace("{length:", "{lenght:")
+    (folder / "car.yaml").write_text(text.replace("top_speed: v_delta", "top_speed: vdelta"))
+    assert main(["validate", "car.yaml"]) == 2
+    *problems, _ = capsys.readouterr().err.splitlines()
+    assert [line.split(": ", 1)[1] for line in problems] == [
+        "parameters.L.value: is 9, above max; expected at most 0.6",
+        "footprint.lenght: unknown key; did you mean 'length'?",
+        "top_speed: is the text 'vdelta'; expected a number in m/s, of at most 100, or the name of a parameter",
+    ]
+
+
+def test_plan_files_are_checked_as_such_and_other_files_of_kraft_are_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", "turns", "--iterations", "3000", "--out", "plans"]) == 0
+    capsys.readouterr()
+    assert main(["validate", "plans/plan.json"]) == 0
+    assert capsys.readouterr().out == "plans/plan.json: valid plan\n"
+    content = json.loads((folder / "plans/plan.json").read_text())
+    (folder / "bad.json").write_text(json.dumps({**content, "durations": "long"}))
+    assert main(["validate", "bad.json"]) == 2
+    assert "bad.json: durations: " in capsys.readouterr().err
+    (folder / "manifest.json").write_text(json.dumps({"schema": "kraft.eval-manifest/1", "trials": 3}))
+    assert main(["validate", "manifest.json"]) == 2
+    assert (
+        capsys.readouterr()
+        .err.splitlines()[0]
+        .startswith(
+            "manifest.json:1:12: schema: is a file that kraft wrote, kraft.eval-manifest/1; expected a scenario, "
+        )
+    )
+
+
 def test_the_doctor_looks_at_every_required_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     named = {re.split(r"[<>=!~\[; ]", requirement)[0] for requirement in project["dependencies"]}

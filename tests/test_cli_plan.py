@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -186,6 +187,9 @@ SECONDS = "expected a number greater than 0 (planning budget in wall-clock time,
         (["turns", "--param", "L"], "--param: is 'L'; expected name=number"),
         (["turns", "--param", "L=nan"], "--param: is 'L=nan'; expected name=number"),
         (["turns", "--param", "L=0.3", "--param", "L=0.4"], "--param: L is given twice; expected it once"),
+        (["turns", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n"),
+        (["turns", "--vehicle", "mushr-lag", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n"),
+        (["turns", "--param", "q=1", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n--param q: mushr has no such parameter; "),
         (["turns", "--param", "l=0.3"], "--param l: mushr has no such parameter; did you mean 'L'?"),
         (["turns", "--plot", "picture.doc"], "picture.doc: the picture's name ends in '.doc'; expected"),
         (["turns", "--plot", "room.yaml/p.png"], "room.yaml/p.png: cannot be written: "),
@@ -206,6 +210,31 @@ def test_bad_arguments_are_explained_without_planning(
     assert err.startswith(expected)
     assert "Traceback" not in err
     assert {p.name for p in tmp_path.iterdir()} == {"room.yaml"}
+
+
+def test_a_plan_of_another_scenario_is_noted(capsys: pytest.CaptureFixture[str]) -> None:
+    run_json(capsys, "room.yaml", "--out", "out")
+    assert main(["plan", "room.yaml", "--from", "out/plan.json"]) == 0
+    assert "note:" not in capsys.readouterr().err
+    text = Path("out/plan.json").read_text()
+    Path("other.json").write_text(text.replace('"name": "room"', '"name": "hall"'))
+    assert main(["plan", "room.yaml", "--from", "other.json"]) == 0
+    assert capsys.readouterr().err == "note: other.json is a plan of hall, not of room\n"
+
+
+def test_verbose_tells_with_what_it_plans_and_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "room.yaml", "--param", "L=0.3", "--iterations", "500", "--out", "out", "-v"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "scenario room: room.yaml"
+    assert lines[1].startswith("vehicle mushr: L 0.3, ")
+    assert any(re.match(r"kernels (read from|compiled into) .*kernels", line) for line in lines)
+    assert "planner dirt: 500 iterations, seed 0" in lines
+    stages = [line for line in lines if re.search(r" in \d+\.\d{3} s$", line)]
+    assert [line.split(" in ")[0] for line in stages] == [
+        "loaded and checked", "planned, with maps and verification,", "written and drawn",
+    ]  # fmt: skip
+    assert main(["plan", "room.yaml"]) == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_every_place_that_is_taken_is_told_before_planning(capsys: pytest.CaptureFixture[str]) -> None:

@@ -151,6 +151,17 @@ def test_bad_arguments_are_explained_without_driving(
     assert [path.name for path in Path().iterdir()] == ["short.yaml"]
 
 
+def test_verbose_tells_with_what_it_drives_and_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.yaml", "-v"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "scenario short: short.yaml"
+    assert lines[1].startswith("method kraft: ")
+    assert lines[2].startswith("replanning, kinodynamic at ")
+    assert lines[3].startswith("vehicle mushr-drive: L ")
+    assert re.fullmatch(r"loaded and checked in \d+\.\d{3} s", lines[6])
+    assert re.fullmatch(r"\d+\.\d{2} s driven in \d+\.\d{3} s", lines[-1])
+
+
 def test_a_goal_that_no_path_leads_to_is_told_before_the_drive(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
     short.write_text(SHORT.replace("center: [2, 2.5], size: [0.5, 0.5]", "center: [1.5, 2], size: [0.2, 4]"))
     for command in (["run"], ["eval", "--trials", "1", "--methods", "kraft,oneshot-openloop"]):

@@ -136,7 +136,7 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
 def test_failed_trials_are_told() -> None:
     evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out", trial="driving_fakes:raises")
     text = text_of(Tags(Path("out/report.html").read_text()))
-    assert "1 trials failed, which is a defect in kraft" in text
+    assert "1 trial failed, which is a defect in kraft" in text
     assert "seed 1: failed: ZeroDivisionError: no speed at all" in text
 
 

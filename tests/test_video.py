@@ -83,6 +83,18 @@ def test_a_second_of_the_film_is_a_second_of_the_trial(film: tuple[Path, TrialRe
     assert len(pictures(film[0])) == round((SECONDS + HOLD) * FPS)
 
 
+def test_the_film_of_the_documentation_can_be_made(
+    drawing: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROOT / "docs" / "run.md").read_text(encoding="utf-8")
+    block = text.split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(tmp_path)
+    spec = short_trial()
+    monkeypatch.setattr("kraft.scenario.load_scenario", lambda _: spec.scenario)
+    exec(block, {})  # the block's own names and no others
+    assert len(pictures(tmp_path / "bump.mp4")) == round((SECONDS + HOLD) * FPS)
+
+
 def test_the_last_picture_says_how_it_ended(film: tuple[Path, TrialResult]) -> None:
     first, *_, last = pictures(film[0])
     assert film[1].outcome is Outcome.TIMEOUT
