@@ -85,10 +85,12 @@ def sysid(
 
 def _tell(terminal: Terminal, done: Identified) -> None:
     """What -v asks for."""
+    from kraft.counting import counted
+
     initial = ", ".join(f"{name} {value:g}" for name, value in done.subject.vehicle.parameters.items())
     terminal.detail(f"model {done.subject.model}, from {initial}")
     state = "converged" if done.result.converged else "not converged"
-    terminal.detail(f"identified in {done.seconds:.2f} s: {state} after {done.result.iterations} iterations")
+    terminal.detail(f"identified in {done.seconds:.2f} s: {state} after {counted(done.result.iterations, 'iteration')}")
 
 
 def _show(terminal: Terminal, done: Identified) -> None:
