@@ -13,6 +13,8 @@ from kraft.errors import Diagnostic, InputError
 from kraft.logs.mapping import Mapping
 from kraft.method import Method
 from kraft.placement import check_placement
+from kraft.plan_file import read_plan
+from kraft.plan_file_reader import SCHEMA as PLAN_SCHEMA
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
@@ -23,7 +25,7 @@ from kraft.vehicle_config import VehicleConfig
 from kraft.workspace import start_state
 from kraft.yaml_nodes import Document, read_document
 
-FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping"]
+FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]
 
 _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "scenario": ScenarioFile,  # first: what no key gives away is checked as a scenario
@@ -32,6 +34,8 @@ _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "map": MapServerFile,
     "mapping": Mapping,
 }
+_WRITTEN: Final = "kraft."
+"""How the `schema` begins of files that kraft itself writes."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ def check_file(name_or_path: str | Path) -> Checked:
         path = _find(name_or_path)
         file = str(path)
         document = read_document(path)
-        kind = recognise(document)
+        kind = "plan" if _schema(document) == PLAN_SCHEMA else recognise(document)
         _check_as(kind, document, path)
     except InputError as error:
         return Checked(file, kind, error.diagnostics)
@@ -70,12 +74,27 @@ def recognise(document: Document) -> FileKind:
     return max(_SCHEMAS, key=likeness)
 
 
+def _schema(document: Document) -> str | None:
+    """What a file that kraft wrote says it is; None for what a person writes.
+
+    Raises:
+        InputError: if it is something that cannot be checked.
+    """
+    schema = document.data.get("schema") if isinstance(document.data, dict) else None
+    if not isinstance(schema, str) or not schema.startswith(_WRITTEN):
+        return None
+    if schema != PLAN_SCHEMA:
+        expected = f"expected a {', '.join(_SCHEMAS)} file, or a plan file ({PLAN_SCHEMA})"
+        raise InputError([document.source.diagnostic("schema", f"is a file that kraft wrote, {schema}", expected)])
+    return schema
+
+
 def _find(name_or_path: str | Path) -> Path:
     kinds: tuple[resources.Kind, ...] = ("vehicle", "method")
     for kind in kinds:
         if name_or_path in resources.names(kind):
             return resources.find(kind, name_or_path)
-    if isinstance(name_or_path, str) and Path(name_or_path).suffix == "" and Path(name_or_path).is_file():
+    if isinstance(name_or_path, str) and Path(name_or_path).suffix in ("", ".json") and Path(name_or_path).is_file():
         return Path(name_or_path)
     return resources.find("scenario", name_or_path)
 
@@ -92,6 +111,8 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         method = _checked(Method, document)
         if method.planner.vehicle is not None:
             _check_vehicle(method.planner.vehicle, document, path.parent)
+    elif kind == "plan":
+        read_plan(path)
     elif kind == "mapping":
         _checked(Mapping, document)
     else:

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
 from kraft import resources
-from kraft.errors import MissingAsset
+from kraft.atomic_file import check_writable
+from kraft.counting import counted
+from kraft.errors import InputError, MissingAsset
 from kraft.version import VERSION
+from kraft.video.gl import BACKENDS
 
 State: TypeAlias = Literal["ok", "note", "missing"]
 
@@ -42,8 +45,7 @@ OPTIONAL: Final[dict[str, tuple[str, str]]] = {
 }
 """Each package that few need: what to import, and what for."""
 
-_GL_BACKENDS: Final = ("egl", "osmesa", "glfw")
-_GL_TRIAL: Final = "import mujoco; mujoco.GLContext(16, 16).make_current()"
+_GL_TRIAL: Final = "from kraft.video.gl import offscreen_context; offscreen_context(16, 16)"
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def _package(name: str, module: str) -> Finding:
     try:
         importlib.import_module(module)
         return Finding(name, "ok", importlib.metadata.version(name))
-    except (ImportError, OSError) as error:  # OSError: a shared library of the package does not load
+    except Exception as error:  # a shared library that does not load, a setting that it does not know, ...
         return Finding(name, "missing", str(error))
 
 
@@ -91,7 +93,7 @@ def _extra(name: str, module: str, purpose: str) -> Finding:
 
 def _processor() -> Finding:
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Finding("cpu", "ok", f"{usable} cores, {platform.machine()}")
+    return Finding("cpu", "ok", f"{counted(usable or 1, 'core')}, {platform.machine()}")
 
 
 def _cache() -> Finding:
@@ -99,16 +101,18 @@ def _cache() -> Finding:
     from ompl_ext.jit import cache_root
 
     folder = cache_root().absolute()
-    existing = next(p for p in (folder, *folder.parents) if p.exists())
-    if existing.is_dir() and os.access(existing, os.W_OK | os.X_OK):
+    try:
+        check_writable(folder / "kernels" / "new")
         return Finding("kernel cache", "ok", str(folder))
-    return Finding("kernel cache", "missing", f"{folder} cannot be written; set KRAFT_CACHE_DIR to a folder that can")
+    except InputError:
+        advice = "set KRAFT_CACHE_DIR to a folder that can"
+        return Finding("kernel cache", "missing", f"{folder} cannot be written; {advice}")
 
 
 def _rendering() -> Finding:
     """Try, in another process, which of MuJoCo's ways to draw without a screen works here."""
     asked = os.environ.get("MUJOCO_GL")
-    for backend in (asked,) if asked else _GL_BACKENDS:
+    for backend in (asked,) if asked else BACKENDS:
         environment = {**os.environ, "MUJOCO_GL": backend}
         command = [sys.executable, "-c", _GL_TRIAL]
         try:
@@ -117,4 +121,5 @@ def _rendering() -> Finding:
             continue
         if trial.returncode == 0:
             return Finding("rendering", "ok", f"MUJOCO_GL={backend}")
-    return Finding("rendering", "note", f"no {asked or 'EGL, OSMesa or GLFW'}; `--video` and `--view` need one")
+    tried = f"MUJOCO_GL={asked} cannot draw here, unset it" if asked else "no EGL, OSMesa or GLFW"
+    return Finding("rendering", "note", f"{tried}; `--video` and `--view` need one of {', '.join(BACKENDS)}")

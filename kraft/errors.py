@@ -6,6 +6,7 @@
     │   ├── MissingDependency  a package
     │   └── MissingAsset       a file that kraft itself ships or makes
     ├── NegativeResult         everything worked and the answer is no (no plan found, not identifiable)
+    │   └── Unreachable        no path leads to the goal; carries the places of the goals
     └── Defect                 kraft broke a promise it makes; never the user's fault
 
 A name or file that the user gave and that does not exist is an InputError. Exit codes belong to the
@@ -83,6 +84,19 @@ class MissingAsset(MissingError):
 
 class NegativeResult(KraftError):
     """Everything worked and the answer is no."""
+
+
+class Unreachable(NegativeResult):
+    """No path leads to a goal, whatever is tried. ``diagnostics`` says which goals, and where they were written."""
+
+    diagnostics: tuple[Diagnostic, ...]
+
+    def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
+        self.diagnostics = tuple(dict.fromkeys(diagnostics))
+        super().__init__(self.diagnostics)
+
+    def __str__(self) -> str:
+        return "\n".join(str(d) for d in self.diagnostics)
 
 
 class Defect(KraftError):

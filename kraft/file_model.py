@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import Annotated, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -16,6 +17,14 @@ class FileModel(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """What is wrong between keys, see `refuse`; asked also where a key is wrong by itself, which pydantic does not.
+
+        `content` is the mapping as it was written: of what it holds nothing is certain.
+        """
+        yield from ()
 
 
 def refuse(problem: str, expected: str, at: KeyPath = ()) -> PydanticCustomError:

@@ -2,52 +2,92 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
-from collections.abc import Callable
-from multiprocessing import get_context
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from ompl_ext.clearance import clearance_field
 from ompl_ext.costtogo import cost_to_go
-from ompl_ext.jit import cache_root
+from ompl_ext.interrupts import interrupts_between_passes
+from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal
 from ompl_ext.solver import Dirt
 from ompl_ext.specialise import is_cached, kernels
 from ompl_ext.vehicle import Vehicle
 
+POLL: Final = 0.05  # s, how late an interrupt is seen
+
 
 def ensure_compiled(vehicle: Vehicle, say: Callable[[str], None]) -> None:
     """Compile everything that planning for `vehicle` needs, unless it was; `say` is told before and after."""
     if is_cached(vehicle):
         return
-    say(f"compiling the planner and the {vehicle.name} model for this machine: once, about 20 s ...")
+    say(f"compiling the planner and the model of {vehicle.name} for this machine: once, about 20 s ...")
     began = time.perf_counter()
     _exercise(vehicle)
     say(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 
+def ensure_maps_compiled(say: Callable[[str], None]) -> None:
+    """Compile what looking at a map needs, the same for every vehicle, unless it was."""
+    if _maps_marker().exists():
+        return
+    say("compiling the maps' kernels for this machine: once, about 6 s ...")
+    with interrupts_between_passes():
+        compile_maps()
+
+
 def _exercise(vehicle: Vehicle) -> None:
-    """Plan a few iterations in a small world: kernels compile when they are first called.
+    """Plan a few iterations in a small world: kernels compile when they are first called."""
+    with interrupts_between_passes() as check:
+        with _maps_meanwhile() as maps:
+            kernels(vehicle)
+            while maps.poll() is None:
+                check()
+                time.sleep(POLL)
+        side = 4 * vehicle.footprint.reach
+        world = Workspace(((0.0, side), (0.0, side)), (box((side, side), (0.1, 0.1)),))
+        dirt = Dirt(vehicle, world, Goal((side / 2, side / 2), side / 4), capacity=1000)
+        state = np.zeros(len(vehicle.state))
+        state[[vehicle.index("x"), vehicle.index("y")]] = side / 2
+        dirt.start(state)
+        dirt.grow(iterations=10)
+        dirt.plan()
 
-    The maps' kernels, the same for every vehicle, compile meanwhile in a process of their own.  Should that fail, they
-    compile here after all, and say why they cannot.
+
+@contextmanager
+def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes]]:
+    """Compile the maps' kernels, the same for every vehicle, in a process that ends with the block at the latest.
+
+    It is silent and in a process group of its own, which no Ctrl-C reaches.  Should it fail, the maps' kernels compile
+    here after all, and say why they cannot.
     """
-    maps = get_context("spawn").Process(target=_compile_maps)
-    maps.start()
-    kernels(vehicle)
-    maps.join()
-    side = 4 * vehicle.footprint.reach
-    world = Workspace(((0.0, side), (0.0, side)), (box((side, side), (0.1, 0.1)),))
-    dirt = Dirt(vehicle, world, Goal((side / 2, side / 2), side / 4), capacity=1000)
-    state = np.zeros(len(vehicle.state))
-    state[[vehicle.index("x"), vehicle.index("y")]] = side / 2
-    dirt.start(state)
-    dirt.grow(iterations=10)
-    dirt.plan()
+    command = [sys.executable, "-c", f"from {__name__} import compile_maps; compile_maps()"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    silent = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, env=environment, stdin=silent, stdout=silent, stderr=silent, process_group=0
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
-def _compile_maps() -> None:
+def compile_maps() -> None:
+    """Compile the clearance field's and the cost-to-go's kernels."""
     field = clearance_field(Workspace(((0.0, 1.0), (0.0, 1.0)), (box((1.0, 1.0), (0.1, 0.1)),)), 0.1)
     cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0)
+    _maps_marker().touch()
+
+
+def _maps_marker() -> Path:
+    return cache_folder() / "maps"

@@ -59,8 +59,6 @@ def check_target(path: Path) -> None:
         InputError: if there is such a file, or a folder, or no permission.
     """
     check_writable(path)
-    if path.is_dir():
-        raise InputError.of(str(path), "is a folder", "expected the place of a plan file")
     if path.exists():
         try:
             read_object(path)
@@ -76,6 +74,17 @@ def read_plan(path: Path) -> Plan:
         InputError: if it is not a plan file or something in it is missing, misshapen, or not a finite number.
     """
     return plan_from(path)
+
+
+def planned_scenario(path: Path) -> str | None:
+    """Name of the scenario that a plan file says its plan is for; None if it does not say.
+
+    Raises:
+        InputError: if it is not a plan file.
+    """
+    scenario = read_object(path).get("scenario")
+    name = scenario.get("name") if isinstance(scenario, dict) else None
+    return name if isinstance(name, str) else None
 
 
 def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from kraft.counting import counted, grouped
 from kraft.plan_request import Planned
 from kraft.planning import PlanResult
 
@@ -49,7 +50,7 @@ def table_rows(planned: Planned) -> list[tuple[str, str]]:
     rows = [("scenario", planned.task.name), ("vehicle", _vehicle(planned))]
     rows.append(("result", _outcome(result)))
     if plan is not None:
-        rows.append(("plan", f"{plan.cost:.2f} s in {len(plan.durations)} edges"))
+        rows.append(("plan", f"{plan.cost:.2f} s in {counted(len(plan.durations), 'edge')}"))
     if progress.first_solution is not None:
         seconds, cost = progress.first_solution
         rows.append(("first solution", f"{cost:.2f} s, found after {1000 * seconds:.2f} ms"))
@@ -65,7 +66,7 @@ def table_rows(planned: Planned) -> list[tuple[str, str]]:
     if result.verification is not None and result.verification.problems:
         rows.append(("not safe", "\n".join(result.verification.problems)))
     if progress.retained:
-        rows.append(("retained", f"{progress.retained} edges of the earlier plan"))
+        rows.append(("retained", f"{counted(progress.retained, 'edge')} of the earlier plan"))
     if progress.iterations:
         rows.append(("search", _search(result)))
     if planned.plan_file is not None:
@@ -101,7 +102,8 @@ def _search(result: PlanResult) -> str:
     progress = result.progress
     rate = _rate(result)
     speed = f", {rate / 1e6:.2f} M edges/s" if rate is not None else ""
-    return f"{progress.iterations:,} iterations, {progress.nodes:,} nodes, {1000 * progress.seconds:.0f} ms{speed}"
+    work = f"{grouped(progress.iterations, 'iteration')}, {grouped(progress.nodes, 'node')}"
+    return f"{work}, {1000 * progress.seconds:.0f} ms{speed}"
 
 
 def _rate(result: PlanResult) -> float | None:

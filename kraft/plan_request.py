@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from kraft.atomic_file import check_writable
+from kraft.atomic_file import check_all, check_writable
+from kraft.details import Stages, no_detail, vehicle_details
 from kraft.errors import Diagnostic, InputError
 from kraft.kernel_cache import ensure_compiled
-from kraft.plan_file import NAME, Origin, check_target, read_plan, write_plan
+from kraft.plan_file import NAME, Origin, check_target, planned_scenario, read_plan, write_plan
 from kraft.planners import PLANNERS
-from kraft.planning import PlanResult, plan_task
+from kraft.planning import PlanResult, budget_of, plan_task
 from kraft.previous import Previous
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.suggest import choose
@@ -60,8 +62,8 @@ class Planned:
     plan_file: Path | None
 
 
-def carry_out(request: Request, say: Callable[[str], None]) -> Planned:
-    """Load, check, plan, write, draw; `say` is told what takes long.
+def carry_out(request: Request, say: Callable[[str], None], detail: Callable[[str], None] = no_detail) -> Planned:
+    """Load, check, plan, write, draw; `say` is told what takes long or is strange, `detail` what -v asks for.
 
     Everything that can be wrong with the request is looked at before any planning.
 
@@ -69,19 +71,17 @@ def carry_out(request: Request, say: Callable[[str], None]) -> Planned:
         InputError: with what is wrong with the request or the files it names.
         Defect: if the plan found does not stand up to exact verification.
     """
+    stages = Stages(detail)
     task = _task(request)
     vehicle = _vehicle(request, task)
-    previous = _previous(request)
+    previous = _previous(request, task, say)
     target = None if request.out is None else request.out / NAME
-    if target is not None:
-        check_target(target)
-    if request.plot is not None:
-        from kraft.plot import picture_format
-
-        picture_format(request.plot)
-        check_writable(request.plot)
+    _check_places(target, request.plot)
+    _tell(detail, request, task, vehicle)
+    stages.ended("loaded and checked")
     ensure_compiled(vehicle, say)
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
+    stages.ended("planned, with maps and verification,")
     if target is not None and result.plan is not None:
         origin = Origin(request.scenario, request.vehicle or task.vehicle, previous)
         write_plan(target, task, vehicle, result, origin)
@@ -89,7 +89,21 @@ def carry_out(request: Request, say: Callable[[str], None]) -> Planned:
         target = None
     if request.plot is not None:
         _draw(request.plot, task, vehicle, result)
+    if target is not None or request.plot is not None:
+        stages.ended("written and drawn")
     return Planned(request, task, vehicle, result, target)
+
+
+def _check_places(target: Path | None, plot: Path | None) -> None:
+    """Check before the work that plan file and picture can be written."""
+    checks: list[Callable[[], object]] = []
+    if target is not None:
+        checks.append(partial(check_target, target))
+    if plot is not None:
+        from kraft.plot import picture_format
+
+        checks += [partial(picture_format, plot), partial(check_writable, plot)]
+    check_all(*checks)
 
 
 def parse_parameters(items: Iterable[str]) -> dict[str, float]:
@@ -134,21 +148,48 @@ def _task(request: Request) -> Task:
     return dataclasses.replace(task, planning=planning)
 
 
+def _tell(detail: Callable[[str], None], request: Request, task: Task, vehicle: Vehicle) -> None:
+    detail(f"scenario {task.name}: {task.source.file}")
+    for line in vehicle_details(vehicle):
+        detail(line)
+    budget = budget_of(task)
+    amount = f"{budget.iterations} iterations" if budget.iterations is not None else f"{budget.seconds:g} s"
+    detail(f"planner {task.planning.planner}: {amount}, seed {request.seed}")
+
+
 def _vehicle(request: Request, task: Task) -> Vehicle:
     parameters = parse_parameters(request.parameters)
-    if request.vehicle is not None:
-        return load_vehicle(request.vehicle, Path.cwd(), parameters)
-    return vehicle_of_task(task, parameters)
+    vehicle = vehicle_of_task(task) if request.vehicle is None else load_vehicle(request.vehicle)
+    if not parameters:
+        return vehicle
+    named, folder = (request.vehicle, Path.cwd()) if request.vehicle else (task.vehicle, Path(task.source.file).parent)
+    try:
+        return load_vehicle(named, folder, parameters)
+    except InputError as error:  # without them nothing is wrong
+        raise InputError(_of_parameter(d, parameters) for d in error.diagnostics) from error
 
 
-def _previous(request: Request) -> Previous | None:
+def _of_parameter(diagnostic: Diagnostic, parameters: Mapping[str, float]) -> Diagnostic:
+    """The same problem, said of the option that causes it."""
+    section, _, rest = diagnostic.path.partition(".")
+    name = rest.partition(".")[0] if section == "parameters" else diagnostic.file
+    where = f"--param {name}" if name in parameters else "--param"
+    path = "" if name in parameters else diagnostic.path
+    return Diagnostic(where, diagnostic.problem, diagnostic.expected, path=path)
+
+
+def _previous(request: Request, task: Task, say: Callable[[str], None]) -> Previous | None:
     if request.previous is None:
         if request.after != 0.0:
             raise InputError.of("--after", "is given without --from", "expected both or none")
         return None
     if not (math.isfinite(request.after) and request.after >= 0):
         raise InputError.of("--after", f"is {request.after:g}", "expected a number of at least 0, s")
-    return Previous(read_plan(request.previous), request.after, str(request.previous))
+    plan = read_plan(request.previous)
+    scenario = planned_scenario(request.previous)
+    if scenario != task.name:
+        say(f"note: {request.previous} is a plan of {scenario or 'a scenario without a name'}, not of {task.name}")
+    return Previous(plan, request.after, str(request.previous))
 
 
 def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
+from kraft.counting import counted
 from kraft.errors import Defect
 from kraft.placement import check_placement
 from kraft.previous import Previous
+from kraft.reachability import UNREACHABLE, reachable
 from kraft.scenario import Task
 from kraft.search import Budget, Found, search_of
 from kraft.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats
-from ompl_ext.costtogo import UNREACHABLE
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress
 from ompl_ext.vehicle import Vehicle
@@ -123,8 +122,8 @@ def _accepted(found: Found, verification: Verification | None, seed: int) -> tup
 def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
     """Why no plan can be found from this start, however long one searches; empty if one might be."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
-    if not reachable(dirt, x, y):
-        return "the goal is unreachable: no path from the start is wide enough for the footprint"
+    if not reachable(dirt.problem, x, y):
+        return UNREACHABLE
     if spare < 0.0:
         exact = dirt.exact.distance(x, y, heading_of(state, dirt.vehicle))
         return f"the start is too near to an obstacle: {exact:.4f} m, which is less than the clearance grid resolves"
@@ -134,20 +133,12 @@ def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
     return ""
 
 
-def reachable(dirt: Dirt, x: float, y: float) -> bool:
-    """Whether a point is connected to the goal for the disc inscribed in the footprint: necessary, not sufficient."""
-    scalar, togo = dirt.problem.scalar, dirt.problem.togo
-    column = math.floor((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5)
-    row = math.floor((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5)
-    return bool(togo[row : row + 2, column : column + 2].min() < UNREACHABLE)
-
-
 def _shortfall(plan: Plan | None, progress: Progress) -> str:
     """Why the search ended without a plan that reaches the goal; empty if there is one."""
     if plan is not None and plan.reaches_goal:
         return ""
-    used = f"{progress.iterations} iterations ({progress.seconds:.3g} s)"
+    used = f"{counted(progress.iterations, 'iteration')} ({progress.seconds:.3g} s)"
     if plan is not None:
         return f"no plan reaches the goal after {used}; the best one ends {plan.cost_to_go:.3g} s short of it"
     unsafe = f", {progress.unsafe} of them because no contingency is safe" if progress.unsafe else ""
-    return f"no edge may be executed after {used}: {progress.edges} were tried{unsafe}"
+    return f"no edge may be executed after {used}, of {counted(progress.edges, 'edge')} tried{unsafe}"

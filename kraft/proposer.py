@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kraft.counting import counted
 from kraft.errors import Defect
 from kraft.method import Planner
 from kraft.scenario import Task
@@ -191,4 +192,4 @@ class Proposer:
 
 def _shortfall(progress: Progress) -> str:
     unsafe = ", many for want of a safe contingency" if progress.unsafe else ""
-    return f"none of {progress.edges} edges may be executed{unsafe}"
+    return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"

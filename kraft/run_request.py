@@ -6,9 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from kraft.atomic_file import check_all
+from kraft.details import Stages, no_detail, vehicle_details
 from kraft.errors import InputError
-from kraft.evaluation.experiment import Experiment, experiment_of
+from kraft.evaluation.experiment import Cell, Experiment, experiment_of
 from kraft.kernel_cache import ensure_compiled
+from kraft.reachability import check_reachable
 from kraft.run_folder import check_target, write_run
 from kraft.trial_result import Cycle, TrialResult, TrialSpec
 from kraft.watching import NOTHING, Wanted, Watchers
@@ -35,33 +38,56 @@ class Run:
     result: TrialResult = field(repr=False)
 
 
-def carry_out(request: Request, say: Callable[[str], None], on_cycle: Callable[[Cycle], None] | None = None) -> Run:
-    """Load, check, drive, write; `say` is told what takes long and `on_cycle` is shown each cycle as it is committed.
+def carry_out(
+    request: Request,
+    say: Callable[[str], None],
+    on_cycle: Callable[[Cycle], None] | None = None,
+    detail: Callable[[str], None] = no_detail,
+) -> Run:
+    """Load, check, drive, write.
+
+    `say` is told what takes long, `detail` what -v asks for, and `on_cycle` is shown each cycle as it is committed.
 
     Raises:
         InputError: with what is wrong with the request or the files it names, before anything is driven.
+        Unreachable: if no path leads to the goal, before anything is driven.
         MissingDependency: if a video or a window is asked for and nothing can be drawn here.
         Defect: if a plan does not stand up to exact verification.
     """
+    stages = Stages(detail)
     experiment = _experiment(request)
-    if request.out is not None:
-        check_target(request.out)
-    request.wanted.check()
+    out = request.out
+    check_all(*([] if out is None else [lambda: check_target(out)]), request.wanted.check)
     cell = experiment.cells[0]
+    _tell(detail, cell)
+    stages.ended("loaded and checked")
     ensure_compiled(cell.vehicle, say)
+    check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial import run_trial  # loads the simulator
 
+    stages.ended("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
     with Watchers(request.wanted, spec, on_cycle) as watchers:
         result = run_trial(spec, watchers.on_cycle, watchers.on_step, keep_trees=watchers.keep_trees)
         watchers.finish(result)
+    stages.ended(f"{result.time:.2f} s driven" + (", drawn" if request.wanted != NOTHING else ""))
     run = Run(request, spec, result)
     if request.out is not None:
         from kraft.run_report import json_content
 
         arguments = {"scenario": request.scenario, "method": request.method, "vehicle": request.vehicle}
         write_run(request.out, experiment, arguments, cell.vehicle, run.result, json_content(run))
+        stages.ended("written")
     return run
+
+
+def _tell(detail: Callable[[str], None], cell: Cell) -> None:
+    detail(f"scenario {cell.scenario.name}: {cell.scenario.source.file}")
+    planner, controller = cell.method.planner, cell.method.controller
+    detail(f"method {cell.method.name}: {cell.method.source.file}")
+    detail(f"{planner.mode}, {controller.kind} at {controller.rate_hz:g} Hz, estimator {cell.method.estimator.kind}")
+    for line in vehicle_details(cell.vehicle):
+        detail(line)
 
 
 def _experiment(request: Request) -> Experiment:

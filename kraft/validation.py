@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kraft.errors import Diagnostic, InputError
+from kraft.file_model import FileModel
 from kraft.schema_lookup import Known, in_file, lookup
 from kraft.source import KeyPath, Source
 from kraft.suggest import choose, nearest
@@ -65,7 +66,17 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
             unknown = detail["type"] == "extra_forbidden"  # said even if its value is unusable too
             if unknown or not _already_reported(in_file(model, detail["loc"]), document):
                 problems.append(_diagnostic(model, document, detail))
+        problems = list(dict.fromkeys([*problems, *_across_keys(model, document)]))
     return (None if problems else value), problems
+
+
+def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
+    """What is wrong between the keys of the whole file, which pydantic looks at only if every key is right."""
+    if issubclass(model, FileModel) and isinstance(document.data, dict):
+        for error in model.across_keys(document.data):
+            context = error.context or {}
+            if not _already_reported(context["at"], document):
+                yield document.source.diagnostic(context["at"], context["problem"], context["expected"])
 
 
 def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:

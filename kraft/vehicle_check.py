@@ -13,6 +13,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
 from kraft.errors import Diagnostic, InputError
+from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.specialise import is_cached
 from ompl_ext.vehicle import Vehicle
 
@@ -27,11 +28,12 @@ def check_functions(vehicle: Vehicle, reference: str) -> None:
     """
     if is_cached(vehicle):
         return
-    problems = [
-        Diagnostic(reference, problem, expected)
-        for function, arguments, count, what in _functions(vehicle)
-        for problem, expected in _problems(function, arguments, count, what)
-    ]
+    with interrupts_between_passes():
+        problems = [
+            Diagnostic(reference, problem, expected)
+            for function, arguments, count, what in _functions(vehicle)
+            for problem, expected in _problems(function, arguments, count, what)
+        ]
     if problems:
         raise InputError(problems)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -14,6 +14,7 @@ from pydantic import (
     StringConstraints,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from kraft import resources
 from kraft.errors import Diagnostic, InputError
@@ -109,9 +110,16 @@ class VehicleConfig(FileModel):
 
     @model_validator(mode="after")
     def _top_speed_is_known(self) -> Self:
-        if isinstance(self.top_speed, str) and self.top_speed not in self.parameters:
-            raise refuse(f"is the text {self.top_speed!r}", _SPEED_EXPECTED, ("top_speed",))
+        for error in self.across_keys(dict(self)):
+            raise error
         return self
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Whether the top speed is the name of a parameter, if it is a name."""
+        speed, parameters = content.get("top_speed"), content.get("parameters", {})
+        if isinstance(speed, str) and isinstance(parameters, Mapping) and speed not in parameters:
+            yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",))
 
     @property
     def source(self) -> Source:
@@ -134,17 +142,21 @@ class VehicleConfig(FileModel):
         Raises:
             InputError: for parameters that the vehicle does not have and values outside their limits.
         """
-        unknown = [name for name in values if name not in self.parameters]
-        if unknown:
-            raise InputError(
-                Diagnostic(name, f"{self.name} has no such parameter", choose(name, self.parameters))
-                for name in unknown
-            )
+        problems = [
+            Diagnostic(name, f"{self.name} has no such parameter", choose(name, self.parameters))
+            for name in values
+            if name not in self.parameters
+        ]
         parameters = {
             name: {**dict(parameter), "value": values.get(name, parameter.value)}
             for name, parameter in self.parameters.items()
         }
-        changed = build(VehicleConfig, {**dict(self), "parameters": parameters}, self.name)
+        try:
+            changed = build(VehicleConfig, {**dict(self), "parameters": parameters}, self.name)
+        except InputError as error:
+            raise InputError([*problems, *error.diagnostics]) from None
+        if problems:
+            raise InputError(problems)
         changed._source = self._source
         return changed
 

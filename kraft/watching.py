@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
+from kraft.atomic_file import check_all, check_writable
 from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
 
 if TYPE_CHECKING:
@@ -32,16 +34,16 @@ class Wanted:
             InputError: if a name or a place is wrong.
             MissingDependency: if nothing can be drawn here.
         """
+        checks: list[Callable[[], object]] = []
         if self.plot is not None:
-            from kraft.atomic_file import check_writable
             from kraft.plot import picture_format
 
-            picture_format(self.plot)
-            check_writable(self.plot)
+            checks += [partial(picture_format, self.plot), partial(check_writable, self.plot)]
         if self.video is not None:
             from kraft.video.available import check_video
 
-            check_video(self.video)
+            checks.append(partial(check_video, self.video))
+        check_all(*checks)
         if self.view:
             from kraft.video.available import check_view
 

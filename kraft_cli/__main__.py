@@ -2,6 +2,6 @@
 
 import sys
 
-from kraft_cli.main import main
+from kraft_cli.entry import main
 
 sys.exit(main())

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from typing import Final
 
 import typer
 
-from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult
+from kraft.atomic_file import EXPECTED
+from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
+from ompl_ext.cache_error import CacheError
+
+FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What writing fails with when it is the disk's fault."""
 
 
 def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
     """Run a command; whatever it raises is explained on stderr."""
     try:
-        status = command()
-        terminal.out.flush()
+        status = _flushed(terminal, command)
     except KeyboardInterrupt:
         terminal.problem("interrupted")
         return ExitStatus.INTERRUPTED
@@ -34,14 +40,44 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
     return status
 
 
+def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
+    """Run a command and have its output written, not only buffered.
+
+    Raises:
+        InputError: if stdout, or a file that is nobody's in particular, takes no more.
+    """
+    try:
+        status = command()
+        terminal.out.flush()
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        place = error.filename or ("stdout" if _stdout_fails() else "a file")
+        raise InputError.of(str(place), f"cannot be written: {error.strerror}", EXPECTED) from error
+    return status
+
+
+def _stdout_fails() -> bool:
+    """Whether stdout still takes something: a failed write may have left nothing in its buffer to try again with."""
+    try:
+        print(flush=True)
+    except OSError:
+        _abandon_stdout()
+        return True
+    return False
+
+
 def explain(terminal: Terminal, error: Exception) -> ExitStatus:
     """Say what went wrong and return the exit code for it."""
-    if isinstance(error, InputError):
+    if isinstance(error, InputError | Unreachable):
         for diagnostic in error.diagnostics:
             terminal.problem(str(diagnostic))
-        return ExitStatus.INVALID
+        return ExitStatus.INVALID if isinstance(error, InputError) else ExitStatus.NEGATIVE
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
+    if isinstance(error, CacheError):
+        terminal.problem(f"{error}; expected a place that can, which KRAFT_CACHE_DIR names")
+        return ExitStatus.INVALID
     if isinstance(error, KraftError) and not isinstance(error, Defect):
         terminal.error(str(error))
         _explain_causes(terminal, error)

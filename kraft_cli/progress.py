@@ -9,6 +9,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
+from kraft.counting import counted
 from kraft.evaluation import Experiment, TrialRow, Watch
 from kraft.evaluation.row import Key
 from kraft_cli.terminal import Terminal
@@ -91,7 +92,7 @@ class Progress(Watch):
             self._counts[row.key[:2]][row.outcome] += 1
         self._done = len(rows)
         there = f", {self._done} of them there already" if rows else ""
-        self._terminal.say(f"{self._total} trials{there}; results in {folder}")
+        self._terminal.say(f"{counted(self._total, 'trial')}{there}; results in {folder}")
         if self._terminal.interactive and not self._terminal.quiet:
             self._bars = self._started()
 

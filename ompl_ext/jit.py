@@ -25,6 +25,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.registry import CPUDispatcher
 
+from ompl_ext.cache_error import CacheError
+
 _njit: Any = numba.njit  # its stubs know neither `_nrt` nor the configuration
 _config: Any = numba.config
 F = TypeVar("F", bound=Callable[..., object])
@@ -60,19 +62,30 @@ def cache_folder(vehicle_hash: str = "") -> Path:
     return cache_root() / "kernels" / source_hash() / (vehicle_hash or "core")
 
 
+def check_cache(folder: Path) -> None:
+    """Make a cache folder and try to write into it.
+
+    Raises:
+        CacheError: if that is not possible.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise CacheError(folder, error.strerror or str(error)) from None
+
+
 def compiled(function: F, *, folder: Path | None = None, signature: object = None) -> F:
     """Compile `function` with numba and keep the machine code in `folder` across processes.
 
     With a `signature` it is compiled, or loaded from the cache, at once; otherwise on its first call.
+
+    Raises:
+        CacheError: if `folder` cannot be written.
     """
     target = folder or cache_folder()
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(
-            f"cannot create the kernel cache {target}: {error.strerror}; "
-            "set KRAFT_CACHE_DIR to a folder that can be written"
-        ) from error
+    check_cache(target)
     before = _config.CACHE_DIR
     _config.CACHE_DIR = str(target)  # read once, when njit attaches the cache
     try:

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ompl_ext.arrays import Floats, Matrix, Matrix32
+from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder
 from ompl_ext.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.vehicle import Vehicle
@@ -124,7 +125,8 @@ def _execute(vehicle: Vehicle, source: str) -> ModuleType:
     sys.modules[name] = module  # numba imports the module by name when it loads cached code
     _target.append(vehicle)
     try:
-        spec.loader.exec_module(module)
+        with interrupts_between_passes():
+            spec.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -101,6 +104,41 @@ def test_the_planners_listed_are_those_a_scenario_may_name() -> None:
     assert get_args(Planning.model_fields["planner"].annotation) == tuple(PLANNERS)
 
 
+def test_every_mistake_of_a_vehicle_file_comes_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "configs/vehicles/mushr.yaml").read_text()
+    text = re.sub(r"L: \{value: [\d.]+", "L: {value: 9", text).replace("{length:", "{lenght:")
+    (folder / "car.yaml").write_text(text.replace("top_speed: v_delta", "top_speed: vdelta"))
+    assert main(["validate", "car.yaml"]) == 2
+    *problems, _ = capsys.readouterr().err.splitlines()
+    assert [line.split(": ", 1)[1] for line in problems] == [
+        "parameters.L.value: is 9, above max; expected at most 0.6",
+        "footprint.lenght: unknown key; did you mean 'length'?",
+        "top_speed: is the text 'vdelta'; expected a number in m/s, of at most 100, or the name of a parameter",
+    ]
+
+
+def test_plan_files_are_checked_as_such_and_other_files_of_kraft_are_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", "turns", "--iterations", "3000", "--out", "plans"]) == 0
+    capsys.readouterr()
+    assert main(["validate", "plans/plan.json"]) == 0
+    assert capsys.readouterr().out == "plans/plan.json: valid plan\n"
+    content = json.loads((folder / "plans/plan.json").read_text())
+    (folder / "bad.json").write_text(json.dumps({**content, "durations": "long"}))
+    assert main(["validate", "bad.json"]) == 2
+    assert "bad.json: durations: " in capsys.readouterr().err
+    (folder / "manifest.json").write_text(json.dumps({"schema": "kraft.eval-manifest/1", "trials": 3}))
+    assert main(["validate", "manifest.json"]) == 2
+    assert (
+        capsys.readouterr()
+        .err.splitlines()[0]
+        .startswith(
+            "manifest.json:1:12: schema: is a file that kraft wrote, kraft.eval-manifest/1; expected a scenario, "
+        )
+    )
+
+
 def test_the_doctor_looks_at_every_required_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     named = {re.split(r"[<>=!~\[; ]", requirement)[0] for requirement in project["dependencies"]}
@@ -128,3 +166,39 @@ def test_the_doctor_is_content_without_what_is_optional(monkeypatch: pytest.Monk
 def test_a_package_that_does_not_load_is_missing_with_the_reason() -> None:
     finding = environment._package("nothing", "there_is_no_such_module")
     assert finding == Finding("nothing", "missing", "No module named 'there_is_no_such_module'")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+def test_the_doctor_tries_whether_the_cache_can_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("KRAFT_CACHE_DIR", "/proc/c")
+    told = "/proc/c cannot be written; set KRAFT_CACHE_DIR to a folder that can"
+    assert environment._cache() == Finding("kernel cache", "missing", told)
+    monkeypatch.setenv("KRAFT_CACHE_DIR", str(tmp_path / "new"))
+    assert environment._cache().state == "ok"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("backend", ["foo", "glfw"])
+def test_the_doctor_finds_a_way_to_draw_that_draws_nothing(backend: str) -> None:
+    hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "doctor", "--json"],
+        cwd=ROOT, env={**hidden, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    found = {each["subject"]: each for each in json.loads(done.stdout)["findings"]}
+    assert found["rendering"]["state"] == "note"
+    assert f"MUJOCO_GL={backend} cannot draw here, unset it" in found["rendering"]["detail"]
+    assert found["mujoco"]["state"] == ("missing" if backend == "foo" else "ok")
+    assert "defect" not in done.stderr
+
+
+def test_a_simulator_that_does_not_load_is_a_missing_dependency() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "run", "turns"],
+        cwd=ROOT, env={**os.environ, "MUJOCO_GL": "foo"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.splitlines()[-1] == (
+        "error: the simulator, MuJoCo, does not load: invalid value for environment variable MUJOCO_GL: foo; "
+        "unset MUJOCO_GL, which is foo"
+    )

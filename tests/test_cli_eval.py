@@ -129,8 +129,39 @@ def test_going_on_needs_no_more_than_the_folder(inline: None, capsys: pytest.Cap
     for content in (whole, again):
         del content["wall_s"]
     assert again == whole
-    assert main(["eval", "slip", "--out", "o", "--resume"]) == 2
+    assert run_json(capsys, "slip", "--out", "o", "--resume") | {"wall_s": 0} == whole | {"folder": "o", "wall_s": 0}
+    assert main(["eval", "--trials", "30", "--out", "o", "--resume"]) == 2
     assert "o/manifest.json: trials: was made with 3, now it is 30; expected the same" in capsys.readouterr().err
+
+
+def test_what_is_not_said_when_going_on_comes_from_the_folder_and_what_is_said_is_compared(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, "slip", "turns", "--methods", "kraft", "--trials", "2", "--seed", "3", "--out", "o")
+    before = Path("o/manifest.json").read_bytes()
+    for said in (["--trials", "2"], ["turns", "slip"], ["--seed", "3"], ["--methods", "kraft", "--trials", "2"]):
+        assert main(["eval", "--out", "o", "--resume", *said]) == 0
+    assert "4 trials, 4 of them there already" in capsys.readouterr().err
+    assert main(["eval", "boxes", "slip", "turns", "--out", "o", "--resume", "--seed", "0"]) == 2
+    same = "expected the same, or another --out"
+    assert capsys.readouterr().err.splitlines() == [
+        f"o/manifest.json: seed: was made with 3, now it is 0; {same}",
+        f"o/manifest.json: scenarios.boxes: scenario boxes is not part of it; {same}",
+    ]
+    assert Path("o/manifest.json").read_bytes() == before
+
+
+def test_a_folder_that_does_not_tell_what_was_not_said_is_refused(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, "slip", "--methods", "kraft", "--trials", "1", "--out", "o")
+    path = Path("o/manifest.json")
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "arguments": {"trials": "many", "seed": 0}}))
+    assert main(["eval", "slip", "--out", "o", "--resume"]) == 2
+    told = "o/manifest.json: arguments: does not tell methods, trials; expected what kraft eval writes there"
+    assert capsys.readouterr().err.startswith(told)
+    assert main(["eval", "slip", "--methods", "kraft", "--trials", "1", "--out", "o", "--resume"]) == 0
 
 
 def test_a_failed_trial_ends_with_70_after_everything_else_is_done(

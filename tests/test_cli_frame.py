@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -156,6 +158,42 @@ def test_a_closed_pipe_is_not_an_error() -> None:
     finally:
         os.close(write)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("buffered", [True, False])
+@pytest.mark.parametrize("argv", [["list", "planners"], ["list", "planners", "--json"], ["--help"], ["run", "--help"]])
+def test_a_full_disk_behind_stdout_is_wrong_input_in_one_line(argv: list[str], buffered: bool) -> None:
+    environment = {**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"}
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "kraft_cli", *argv],
+            cwd=ROOT, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    told = (
+        "stdout: cannot be written: No space left on device; expected a place that can be written, with room for it\n"
+    )
+    assert (done.returncode, done.stderr) == (2, told)
+
+
+def test_a_full_disk_behind_something_else_is_no_defect(capsys: pytest.CaptureFixture[str]) -> None:
+    status, text = ended_with(OSError(errno.ENOSPC, "No space left on device", "cache/kernel.nbc"))
+    assert status == 2
+    assert text.startswith("cache/kernel.nbc: cannot be written: No space left on device; expected ")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+def test_a_cache_that_cannot_be_written_is_explained_in_one_line() -> None:
+    environment = {**os.environ, "KRAFT_CACHE_DIR": "/proc/c"}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "plan", "turns"],
+        cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    told = (
+        r"/proc/c/\S+: the kernel cache cannot be written: .*; expected a place that can, which KRAFT_CACHE_DIR names\n"
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.fullmatch(told, done.stderr)
 
 
 def test_light_commands_do_not_load_heavy_packages() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -125,7 +126,7 @@ def test_the_first_run_says_that_it_compiles_and_a_quiet_one_does_not(
     monkeypatch.setattr(kernel_cache, "is_cached", lambda _: False)
     assert main(["plan", "room.yaml"]) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "compiling the planner and the mushr model for this machine: once, about 20 s ..."
+    assert lines[0] == "compiling the planner and the model of mushr for this machine: once, about 20 s ..."
     assert lines[1].startswith("compiled in ")
     assert main(["plan", "room.yaml", "-q"]) == 0
     assert capsys.readouterr().err == ""
@@ -140,14 +141,14 @@ def test_no_plan_is_an_answer_with_its_reason_and_code_1(room: Path, capsys: pyt
     assert main(["plan", "room.yaml"]) == 1
     out, err = capsys.readouterr()
     assert "no plan" in out
-    assert err == "the goal is unreachable: no path from the start is wide enough for the footprint\n"
+    assert err == "error: the goal is unreachable: no path from the start is wide enough for the footprint\n"
 
 
 def test_the_plan_that_ends_nearest_is_written_and_said_not_to_arrive(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "turns", "--iterations", "3", "--out", "out"]) == 1
     out, err = capsys.readouterr()
     assert "not solved; the plan ends nearest to the goal" in out
-    assert err.startswith("no plan reaches the goal after 3 iterations")
+    assert err.startswith("error: no plan reaches the goal after 3 iterations")
     assert read_plan(Path("out/plan.json")).reaches_goal is False
 
 
@@ -186,10 +187,15 @@ SECONDS = "expected a number greater than 0 (planning budget in wall-clock time,
         (["turns", "--param", "L"], "--param: is 'L'; expected name=number"),
         (["turns", "--param", "L=nan"], "--param: is 'L=nan'; expected name=number"),
         (["turns", "--param", "L=0.3", "--param", "L=0.4"], "--param: L is given twice; expected it once"),
-        (["turns", "--param", "l=0.3"], "l: mushr has no such parameter; did you mean 'L'?"),
+        (["turns", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n"),
+        (["turns", "--vehicle", "mushr-lag", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n"),
+        (["turns", "--param", "q=1", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n--param q: mushr has no such parameter; "),
+        (["turns", "--param", "l=0.3"], "--param l: mushr has no such parameter; did you mean 'L'?"),
         (["turns", "--plot", "picture.doc"], "picture.doc: the picture's name ends in '.doc'; expected"),
         (["turns", "--plot", "room.yaml/p.png"], "room.yaml/p.png: cannot be written: "),
         (["turns", "--out", "room.yaml"], "room.yaml/plan.json: cannot be written: "),
+        (["turns", "--out", "/proc/x"], "/proc/x/plan.json: cannot be written: nothing can be made in /proc ("),
+        (["turns", "--plot", "/proc/x.png"], "/proc/x.png: cannot be written: nothing can be made in /proc ("),
         (["turns", "--from", "none.json"], "none.json: there is no such file; expected a plan file"),
         (["turns", "--from", "room.yaml"], "room.yaml:1:1: is not JSON: Expecting value; expected a plan file"),
         (["turns", "--after", "1"], "--after: is given without --from; expected both or none"),
@@ -204,6 +210,39 @@ def test_bad_arguments_are_explained_without_planning(
     assert err.startswith(expected)
     assert "Traceback" not in err
     assert {p.name for p in tmp_path.iterdir()} == {"room.yaml"}
+
+
+def test_a_plan_of_another_scenario_is_noted(capsys: pytest.CaptureFixture[str]) -> None:
+    run_json(capsys, "room.yaml", "--out", "out")
+    assert main(["plan", "room.yaml", "--from", "out/plan.json"]) == 0
+    assert "note:" not in capsys.readouterr().err
+    text = Path("out/plan.json").read_text()
+    Path("other.json").write_text(text.replace('"name": "room"', '"name": "hall"'))
+    assert main(["plan", "room.yaml", "--from", "other.json"]) == 0
+    assert capsys.readouterr().err == "note: other.json is a plan of hall, not of room\n"
+
+
+def test_verbose_tells_with_what_it_plans_and_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "room.yaml", "--param", "L=0.3", "--iterations", "500", "--out", "out", "-v"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "scenario room: room.yaml"
+    assert lines[1].startswith("vehicle mushr: L 0.3, ")
+    assert any(re.match(r"kernels (read from|compiled into) .*kernels", line) for line in lines)
+    assert "planner dirt: 500 iterations, seed 0" in lines
+    stages = [line for line in lines if re.search(r" in \d+\.\d{3} s$", line)]
+    assert [line.split(" in ")[0] for line in stages] == [
+        "loaded and checked", "planned, with maps and verification,", "written and drawn",
+    ]  # fmt: skip
+    assert main(["plan", "room.yaml"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_every_place_that_is_taken_is_told_before_planning(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("g.png").mkdir()
+    Path("out/plan.json").mkdir(parents=True)
+    assert main(["plan", "room.yaml", "--plot", "g.png", "--out", "out"]) == 2
+    told = "g.png: is a folder; expected the name of a file\nout/plan.json: is a folder; expected the name of a file\n"
+    assert capsys.readouterr() == ("", told)
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_an_interrupt_keeps_the_finished_runs(
 
     monkeypatch.setattr(Recorder, "record", interrupted)
     assert main(["record", "--runs", "3"]) == 130
-    assert capsys.readouterr().err.splitlines()[-1] == "stopped; 1 of 3 runs are in logs"
+    assert capsys.readouterr().err.splitlines()[-1] == "stopped; 1 of 3 runs kept in logs"
     assert {path.name for path in (folder / "logs").iterdir()} == {"run_01"}
     assert {path.name for path in (folder / "logs" / "run_01").iterdir()} == FILES
 
@@ -119,6 +119,7 @@ def test_a_run_that_ends_early_says_so(capsys: pytest.CaptureFixture[str]) -> No
         (["--runs", "0"], "--runs: is 0; expected a number of at least 1"),
         (["--seed", "-1"], "--seed: is -1; expected a number of at least 0"),
         (["--out", "."], ".: is there already; expected a new folder for the logs (--out)"),
+        (["--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
     ],
 )
 def test_bad_arguments_are_explained_without_driving(

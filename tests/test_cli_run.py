@@ -137,6 +137,8 @@ def test_a_collision_names_what_was_hit(short: Path) -> None:
         (["short.yaml", "--method", ""], "--method: is empty; expected the name of a method"),
         (["short.yaml", "--out", "."], ".: is there already; expected a new folder"),
         (["short.yaml", "--out", "short.yaml/run"], "short.yaml/run: cannot be written: "),
+        (["short.yaml", "--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
+        (["short.yaml", "--video", "/proc/x.mp4", "--plot", "/proc/x.png"], "/proc/x.mp4: cannot be written: nothing"),
     ],
 )
 def test_bad_arguments_are_explained_without_driving(
@@ -147,6 +149,41 @@ def test_bad_arguments_are_explained_without_driving(
     assert out == ""
     assert err.startswith(expected)
     assert [path.name for path in Path().iterdir()] == ["short.yaml"]
+
+
+def test_verbose_tells_with_what_it_drives_and_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.yaml", "-v"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "scenario short: short.yaml"
+    assert lines[1].startswith("method kraft: ")
+    assert lines[2].startswith("replanning, kinodynamic at ")
+    assert lines[3].startswith("vehicle mushr-drive: L ")
+    assert re.fullmatch(r"loaded and checked in \d+\.\d{3} s", lines[6])
+    assert re.fullmatch(r"\d+\.\d{2} s driven in \d+\.\d{3} s", lines[-1])
+
+
+def test_a_goal_that_no_path_leads_to_is_told_before_the_drive(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short.write_text(SHORT.replace("center: [2, 2.5], size: [0.5, 0.5]", "center: [1.5, 2], size: [0.2, 4]"))
+    for command in (["run"], ["eval", "--trials", "1", "--methods", "kraft,oneshot-openloop"]):
+        assert main([*command, "short.yaml", "--out", "out"]) == 1
+        assert capsys.readouterr() == ("", (
+            "short.yaml:6:7: goal: the goal is unreachable: no path from the start is wide enough for the footprint; "
+            "expected a goal that the vehicle can get to\n"
+        ))  # fmt: skip
+        assert not Path("out").exists()
+
+
+def test_every_place_that_is_taken_is_told_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("out", "g.png", "g.mp4"):
+        Path(name).mkdir()
+    assert main(["run", "short.yaml", "--out", "out", "--plot", "g.png", "--video", "g.mp4"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == [
+        "g.mp4: is a folder; expected the name of a file",
+        "g.png: is a folder; expected the name of a file",
+        "out: is there already; expected a new folder",
+    ]
 
 
 def test_every_option_and_key_of_kraft_run_is_described(capsys: pytest.CaptureFixture[str]) -> None:

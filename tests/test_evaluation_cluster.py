@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -139,6 +140,19 @@ def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPa
         evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match=r"--cluster: no Dask scheduler answers at nowhere"):
         evaluate(["turns"], ["kraft"], 1, cluster="nowhere")
+
+
+def test_a_wrong_address_ends_at_once_with_one_line_and_leaves_no_folder(tmp_path: Path) -> None:
+    command = ["eval", "turns", "--trials", "1", "--methods", "kraft", "--cluster", "nowhere", "--out", "out"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT)])}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", *command],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (2, "")
+    told = r"--cluster: no Dask scheduler answers at nowhere \(.*\); expected its address, as in tcp://192.0.2.1:8786\n"
+    assert re.fullmatch(told, done.stderr)
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_the_extra_it_ends_with_3_and_says_what_to_install(

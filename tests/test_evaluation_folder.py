@@ -170,18 +170,18 @@ def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
         (
                 {"methods": ("kraft",)},
                 [
-                    "methods.oneshot-openloop: was made with an entry, now it is nothing",
-                    "vehicles.mushr: was made with an entry, now it is nothing",
+                    "methods.oneshot-openloop: method oneshot-openloop is part of it, but left out now",
+                    "vehicles.mushr: vehicle mushr is part of it, but left out now",
                 ],
             ),
-        ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes: was made with nothing, now it is an entry"]),
+        ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes: scenario boxes is not part of it"]),
         ({"realtime": True}, ["realtime: was made with false, now it is true"]),
         (
             {"vehicle": "unicycle2"},
             [
                 "rows.slip, kraft: was made with \"mushr-drive\", now it is \"unicycle2\"",
-                "vehicles.mushr: was made with an entry, now it is nothing",
-                "vehicles.unicycle2: was made with nothing, now it is an entry",
+                "vehicles.mushr: vehicle mushr is part of it, but left out now",
+                "vehicles.unicycle2: vehicle unicycle2 is not part of it",
             ],
         ),
     ],

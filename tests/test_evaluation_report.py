@@ -126,17 +126,17 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
     assert not Path("out/report.html").exists()
     assert main(["report", "out"]) == 0
     out, err = capsys.readouterr()
-    assert (out, err) == ("out/report.html\n", "8 of 12 trials have not been run yet\n")
+    assert (out, err) == ("out/report.html\n", "8 of 12 trials not run yet\n")
     text = Path("out/report.html").read_text()
     tags = Tags(text)
-    assert "8 of 12 trials have not been run: this page is of those that have." in text_of(tags)
+    assert "8 of 12 trials not run yet: this page is of those that were." in text_of(tags)
     assert tags.classes("rect")["missing"] == 8
 
 
 def test_failed_trials_are_told() -> None:
     evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out", trial="driving_fakes:raises")
     text = text_of(Tags(Path("out/report.html").read_text()))
-    assert "1 of the trials failed, which is a defect in kraft" in text
+    assert "1 trial failed, which is a defect in kraft" in text
     assert "seed 1: failed: ZeroDivisionError: no speed at all" in text
 
 
@@ -260,6 +260,7 @@ def test_wrong_folders_and_files_are_refused(capsys: pytest.CaptureFixture[str])
         (["file"], "file: is not a folder; expected the folder of a kraft eval\n"),
         (["out", "--out", "out"], "out: is a folder; expected the name of a file\n"),
         (["out", "--out", "file/page.html"], f"file/page.html: cannot be written: {Path.cwd() / 'file'} is not a folder"),
+        (["out", "--out", "/proc/x.html"], "/proc/x.html: cannot be written: nothing can be made in /proc ("),
     ):  # fmt: skip
         assert main(["report", *arguments]) == 2
         assert capsys.readouterr().err.startswith(message)

@@ -12,9 +12,9 @@ from PIL import Image
 
 from kraft.errors import InputError
 from kraft.method import load_method
-from kraft.plot.drive import Drive, driven_line, footprint_times
+from kraft.plot.drive import SEEN, Drive, driven_line, footprint_times
 from kraft.plot.frame import Frame
-from kraft.plot.run import _compose, key_numbers, plot_run
+from kraft.plot.run import _compose, _key_entries, key_numbers, plot_run
 from kraft.plot.style import look
 from kraft.plot.traces import traces_of
 from kraft.scenario import load_scenario
@@ -76,6 +76,24 @@ def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
     assert clearance.curves[0].values.min() == pytest.approx(driven.min_clearance, abs=1e-9)
     assert throttle.curves[0].values == pytest.approx([step.command[0] for step in driven.steps])
     assert steering.curves[0].values == pytest.approx([step.command[1] for step in driven.steps])
+
+
+def test_the_axes_of_commands_end_at_the_bounds_of_the_vehicle(driven: TrialResult) -> None:
+    for name, expected in (("mushr", (0.0, 1.0)), ("mushr-drive", (-0.5, 1.0))):
+        *_, throttle, steering = traces_of(Drive.of(driven), MOVABLE.task(), load_vehicle(name))
+        assert throttle.limits == expected
+        assert steering.limits == (-0.38, 0.38)
+
+
+def test_the_key_shows_the_camera_as_the_map_does(driven: TrialResult) -> None:
+    drive = Drive.of(driven)
+    line = driven_line(Frame.around(MOVABLE.bounds), drive, MUSHR.top_speed)
+    (camera,) = (entry for entry in _key_entries(drive, line, ()) if entry.text == "camera")
+    assert (camera.kind, camera.colour) == ("dots", SEEN)
+    with look():
+        figure = _compose(drive, MOVABLE.task(), MUSHR, "title", {}, ())
+    dots = [artist for artist in figure.artists + figure.lines if getattr(artist, "get_marker", str)() == "."]
+    assert [artist.get_linestyle() for artist in dots] == ["None"]
 
 
 def test_the_path_has_the_colours_of_its_speed(driven: TrialResult) -> None:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import os
+import subprocess
+import sys
+from ctypes.util import find_library
 from pathlib import Path
 
 import av
@@ -27,6 +31,7 @@ from kraft.video.smooth import smoothed
 from kraft.video.still import write_still
 from kraft.video.type import font, wrapped
 
+ROOT = Path(__file__).resolve().parent.parent
 SECONDS = 0.4
 
 
@@ -76,6 +81,18 @@ def test_a_second_of_the_film_is_a_second_of_the_trial(film: tuple[Path, TrialRe
         assert int(coding.colorspace) == 1  # BT.709, as players expect
         assert float(stream.duration * stream.time_base) == pytest.approx(SECONDS + HOLD, abs=0.04)
     assert len(pictures(film[0])) == round((SECONDS + HOLD) * FPS)
+
+
+def test_the_film_of_the_documentation_can_be_made(
+    drawing: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROOT / "docs" / "run.md").read_text(encoding="utf-8")
+    block = text.split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(tmp_path)
+    spec = short_trial()
+    monkeypatch.setattr("kraft.scenario.load_scenario", lambda _: spec.scenario)
+    exec(block, {})  # the block's own names and no others
+    assert len(pictures(tmp_path / "bump.mp4")) == round((SECONDS + HOLD) * FPS)
 
 
 def test_the_last_picture_says_how_it_ended(film: tuple[Path, TrialResult]) -> None:
@@ -132,9 +149,10 @@ def test_a_file_is_there_when_it_is_complete(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o444 == 0o444
 
 
-@pytest.mark.parametrize("name", ["a.avi", "a", "file/a.mp4"])
+@pytest.mark.parametrize("name", ["a.avi", "a", "file/a.mp4", "folder.mp4"])
 def test_what_cannot_be_a_film_is_refused_before_the_drive(name: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
+    (tmp_path / "folder.mp4").mkdir()
     with pytest.raises(InputError):
         check_video(tmp_path / name)
 
@@ -151,6 +169,24 @@ def test_without_opengl_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(MissingDependency, match=r"libegl1 libgl1-mesa-dri.*MUJOCO_GL=osmesa"):
         check_video(tmp_path / "a.mp4")
+
+
+@pytest.mark.parametrize("backend", ["glfw", "osmesa", "foo"])
+def test_a_way_to_draw_that_draws_nothing_is_told_in_one_line_before_the_drive(backend: str, tmp_path: Path) -> None:
+    """Each in a process of its own: MuJoCo takes MUJOCO_GL when it is loaded."""
+    hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment = {**hidden, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "run", "turns", "--video", "a.mp4"],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if backend == "osmesa" and find_library("OSMesa") is not None:
+        pytest.skip("OSMesa is installed")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.startswith("error: a video needs OpenGL without a window: ")
+    assert "nset" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:

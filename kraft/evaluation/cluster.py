@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final
 
 from kraft.errors import InputError, MissingDependency
@@ -28,11 +29,22 @@ class Cluster:
     """Runs trials on the workers of the Dask scheduler at `address`."""
 
     def __init__(self, address: str) -> None:
+        """Look whether it answers.
+
+        Raises:
+            InputError: if it does not.
+            MissingDependency: if the package distributed is not installed.
+        """
         try:
             import distributed  # noqa: F401
         except ImportError as error:
             raise MissingDependency("--cluster needs the package distributed: pip install 'kraft[cluster]'") from error
         self.address = address
+        try:
+            with ThreadPoolExecutor(1) as pool:  # this thread may have an event loop of its own, as notebooks do
+                pool.submit(asyncio.run, _called(address)).result()
+        except (OSError, ValueError) as error:
+            raise self._silent(error) from error
 
     def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
         """See `kraft.evaluation.executor.Executor`; how many deaths are too many is the scheduler's setting."""
@@ -49,9 +61,12 @@ class Cluster:
 
         try:
             return Client(self.address, timeout=PATIENCE, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            problem = f"no Dask scheduler answers at {self.address} ({error})"
-            raise InputError.of("--cluster", problem, "expected its address, as in tcp://192.0.2.1:8786") from error
+        except (OSError, ValueError) as error:
+            raise self._silent(error) from error
+
+    def _silent(self, error: Exception) -> InputError:
+        problem = f"no Dask scheduler answers at {self.address} ({error})"
+        return InputError.of("--cluster", problem, "expected its address, as in tcp://192.0.2.1:8786")
 
     def _collected(self, client: Client, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
         """Keep a few trials per thread of the cluster going, so that there is little to wait for when it stops."""
@@ -86,6 +101,15 @@ class Cluster:
         except KilledWorker as error:
             return failed(job, f"its worker died too often ({error})")
         return row
+
+
+async def _called(address: str) -> None:
+    """Open a connection and close it: a `Client` that finds nobody goes on trying after it was given up."""
+    from distributed.core import connect
+    from distributed.security import Security
+
+    connection = await connect(address, timeout=PATIENCE, **Security().get_connection_args("client"))
+    connection.abort()
 
 
 def _perform(job: Job, versions_there: Mapping[str, str]) -> TrialRow:

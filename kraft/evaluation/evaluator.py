@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Diagnostic, InputError, Unreachable
 from kraft.evaluation import job
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.executor import Executor
@@ -19,6 +19,8 @@ from kraft.evaluation.folder import Folder, create, reopen, write_results
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import Summary, summarise
+from kraft.kernel_cache import ensure_maps_compiled
+from kraft.reachability import check_reachable
 
 
 class Watch:
@@ -88,6 +90,7 @@ def evaluate(
     Raises:
         InputError: with everything that is wrong with what was given; if the folder cannot be written, or if one to go
             on with differs.  Finished trials stay in the folder.
+        Unreachable: with every goal that no path leads to, before the folder is made.
         MissingError: if something this installation should have is not there.
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
@@ -107,6 +110,8 @@ def evaluate(
         raise InputError([*problems, *error.diagnostics]) from error
     if problems:
         raise InputError(problems)
+    ensure_maps_compiled(watch.say)
+    _check_reachable(experiment)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
         return _carried_out(experiment, executor, None, watch)
@@ -118,6 +123,17 @@ def evaluate(
 def usable_cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_reachable(experiment: Experiment) -> None:
+    found: list[Diagnostic] = []
+    for cell in {(cell.scenario.name, cell.reference): cell for cell in experiment.cells}.values():
+        try:
+            check_reachable(cell.scenario.task(), cell.vehicle)
+        except Unreachable as error:
+            found += error.diagnostics
+    if found:
+        raise Unreachable(found)
 
 
 def _problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:

@@ -25,6 +25,8 @@ DESCRIPTIVE: Final = ("arguments", "began", "host")
 """keys that may differ when an evaluation is gone on with"""
 WORDS: Final = ("title", "description")
 """keys of scenarios and methods that nothing depends on"""
+PARTS: Final = ("scenarios", "methods", "vehicles")
+"""sections with an entry for each"""
 MISSING: Final = object()
 
 
@@ -109,7 +111,7 @@ def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> No
         raise InputError(
             Diagnostic(
                 str(path),
-                f"was made with {_told(before)}, now it is {_told(after)}",
+                _difference(key, before, after),
                 "expected the same, or another --out",
                 path=key,
             )
@@ -139,10 +141,20 @@ def _differences(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any,
         yield path, was, now
 
 
+def _difference(key: str, before: Any, after: Any) -> str:
+    """What is different at a key, in words."""
+    section, _, name = key.partition(".")
+    part = f"{section.removesuffix('s')} {name}"
+    known = section in PARTS and "." not in name
+    if before is MISSING:
+        return f"{part} is not part of it" if known else f"was made without it, now it is {_told(after)}"
+    if after is MISSING:
+        return f"{part} is part of it, but left out now" if known else f"was made with {_told(before)}, now without"
+    return f"was made with {_told(before)}, now it is {_told(after)}"
+
+
 def _told(value: Any) -> str:
-    if value is MISSING:
-        return "nothing"
-    return "an entry" if isinstance(value, dict) else json.dumps(value, ensure_ascii=False)
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _labels(names: Mapping[str, str]) -> dict[str, str]:

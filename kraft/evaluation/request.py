@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from kraft.errors import InputError
 from kraft.evaluation import manifest
@@ -29,24 +30,32 @@ class Request:
     resume: bool = False
     realtime: bool = False
 
-    @property
-    def unspecific(self) -> bool:
-        """Whether nothing was said about what to run."""
-        said = (self.trials, self.methods, self.vehicle, self.seed)
-        return not self.scenarios and not self.realtime and all(value is None for value in said)
+
+UNSAID: Final = Request()
+READERS: Final[dict[str, Callable[[Any], Any]]] = {
+    "scenarios": lambda value: tuple(map(str, value)),
+    "methods": lambda value: ",".join(map(str, value)),
+    "vehicle": lambda value: None if value is None else str(value),
+    "trials": int,
+    "seed": int,
+    "realtime": bool,
+}
+"""How each of a manifest's arguments becomes the option again."""
+OPTIONAL: Final = ("vehicle", "realtime")
+"""Options whose absence says something too."""
 
 
 def complete(request: Request) -> Request:
-    """Fill in where to write, and when going on, what to run if nothing was said about it.
+    """Fill in where to write, and when going on, whatever was not said about what to run, from the folder.
 
     Raises:
-        InputError: if there is no folder to go on with.
+        InputError: if there is no folder to go on with, or its manifest does not say it.
     """
     if request.resume:
         if request.out is None:
             raise InputError.of("--resume", "is given without --out", "expected the folder to go on with")
         check_exists(request.out)
-        return _recorded(request, request.out / manifest.NAME) if request.unspecific else request
+        return _recorded(request, request.out / manifest.NAME)
     return replace(request, out=request.out or default_path(request.seed or 0))
 
 
@@ -100,21 +109,22 @@ def resume_command(request: Request) -> str:
 
 
 def _recorded(request: Request, path: Path) -> Request:
-    """The request with what its folder was made with."""
+    """The request with what its folder was made with, wherever nothing was said; what was said is compared later."""
     if not path.exists():
         return request
-    was = manifest.read_manifest(path).get("arguments")
-    try:
-        assert isinstance(was, dict)
-        return replace(
-            request,
-            scenarios=tuple(map(str, was["scenarios"])),
-            methods=",".join(map(str, was["methods"])),
-            vehicle=None if was["vehicle"] is None else str(was["vehicle"]),
-            trials=int(was["trials"]),
-            seed=int(was["seed"]),
-            realtime=bool(was["realtime"]),
-        )
-    except (AssertionError, KeyError, TypeError, ValueError):
-        expected = "expected what kraft eval writes there; else say again what to run"
-        raise InputError.of(f"{path}: arguments", "is damaged", expected) from None
+    arguments = manifest.read_manifest(path).get("arguments")
+    was = arguments if isinstance(arguments, dict) else {}
+    found: dict[str, Any] = {}
+    missing = []
+    for name, read in READERS.items():
+        if getattr(request, name) != getattr(UNSAID, name):
+            continue
+        try:
+            found[name] = read(was[name])
+        except (KeyError, TypeError, ValueError):
+            missing.append(name)
+    unknown = [name for name in missing if name not in OPTIONAL]
+    if unknown:
+        expected = "expected what kraft eval writes there; else say it again"
+        raise InputError.of(f"{path}: arguments", f"does not tell {', '.join(unknown)}", expected)
+    return replace(request, **found)

@@ -22,6 +22,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 SEEN: Final = "#7d8896"
+SEEN_SIZE: Final = 2.4  # pt
 CRASH: Final = "#c1121f"
 HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
 """Face and edge of what the planner did not know."""
@@ -57,7 +58,7 @@ def draw_seen(axes: Axes, frame: Frame, result: TrialResult) -> None:
     """Positions as the camera measured them."""
     if result.observations:
         places = frame.points(np.array([(seen.x, seen.y) for seen in result.observations]))
-        axes.plot(*places.T, ".", color=SEEN, markersize=2.4, markeredgewidth=0, zorder=3.4)
+        axes.plot(*places.T, ".", color=SEEN, markersize=SEEN_SIZE, markeredgewidth=0, zorder=3.4)
 
 
 def draw_intentions(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialResult) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -21,10 +22,13 @@ BAR, BAR_HEIGHT = 1.2, 0.09
 
 @dataclass(frozen=True)
 class Entry:
-    """One explanation; a `scale` is drawn as the colours from 0 to its largest value."""
+    """One explanation; a `scale` is drawn as the colours from 0 to its largest value.
+
+    `thickness` is that of a line or the size of dots, pt.
+    """
 
     text: str
-    kind: Literal["line", "dashes", "outline", "scale"]
+    kind: Literal["line", "dashes", "dots", "outline", "scale"]
     colour: str = INK
     thickness: float = 1.8
     scale: ScalarMappable | None = None
@@ -54,7 +58,11 @@ def _draw_entry(figure: Figure, page: Page, entry: Entry, left: float, middle: f
         _draw_scale(figure, page, entry.scale, Rectangle(bar_left, middle - BAR_HEIGHT / 2, BAR, BAR_HEIGHT))
     else:
         text_left = left + (OUTLINE if entry.kind == "outline" else SAMPLE) + 0.08
-        if entry.kind != "outline":
+        if entry.kind == "dots":
+            places = left + SAMPLE * np.array([0.15, 0.5, 0.85])
+            dots: Look = {"color": entry.colour, "markersize": entry.thickness, "markeredgewidth": 0}
+            figure.add_artist(Line2D(places, [height] * 3, linestyle="", marker=".", transform=inches, **dots))
+        elif entry.kind != "outline":
             ends = [left, left + SAMPLE], [height, height]
             look: Look = {"color": entry.colour, "linewidth": entry.thickness, "transform": inches}
             figure.add_artist(Line2D(*ends, linestyle=DASHED if entry.kind == "dashes" else "solid", **look))

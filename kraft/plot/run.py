@@ -17,6 +17,7 @@ from kraft.plot.drive import (
     CRASH,
     HIDDEN,
     SEEN,
+    SEEN_SIZE,
     Drive,
     draw_footprints,
     draw_hidden,
@@ -152,7 +153,7 @@ def _key_entries(drive: Drive, line: LineCollection, hidden: Sequence[Hidden]) -
     entries += [
         Entry("estimated speed", "line", ESTIMATED, 1.2),
         Entry("true values", "line", INK, 1.6),
-        Entry("camera", "line", SEEN, 1.2),
+        Entry("camera", "dots", SEEN, 2 * SEEN_SIZE),
         Entry(f"vehicle every {footprint_times(drive):g} s", "outline", INK),
         *([Entry("unknown to the planner", "outline", HIDDEN[hidden[0].kind][1])] if hidden else []),
         Entry("driven, m/s", "scale", scale=line),

@@ -20,7 +20,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
 ESTIMATED: Final = "#a3178f"
-COMMANDS: Final = (("throttle", 1.0), ("steering, rad", 0.4))
+COMMANDS: Final = ("throttle", "steering, rad")
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,9 @@ def traces_of(drive: Drive, task: Task, vehicle: Vehicle) -> list[Trace]:
         Trace("clearance, m", (Curve(clearance, INK),), (0.0, max(0.1, float(clearance.max())))),
     ]
     commands = np.array([step.command for step in steps])
-    for (title, limit), values in zip(COMMANDS, commands.T, strict=True):
-        traces.append(Trace(title, (Curve(values, INK, stepped=True),), (-limit, limit)))
+    for title, values, (low, high) in zip(COMMANDS, commands.T, vehicle.control_bounds, strict=True):
+        limits = min(0.0, float(low), float(values.min())), max(0.0, float(high), float(values.max()))
+        traces.append(Trace(title, (Curve(values, INK, stepped=True),), limits))
     return traces
 
 

@@ -1,5 +1,15 @@
 """The simulated world: MuJoCo, and all that the planner does not know. The only room that reads `Scenario.truth`."""
 
+import os
+
+from kraft.errors import MissingDependency
+
+try:
+    import mujoco  # noqa: F401 - looks at MUJOCO_GL, and fails with whatever it likes if it cannot use what that says
+except (ImportError, OSError, RuntimeError, AttributeError) as error:
+    advice = f"; unset MUJOCO_GL, which is {os.environ['MUJOCO_GL']}" if "MUJOCO_GL" in os.environ else ""
+    raise MissingDependency(f"the simulator, MuJoCo, does not load: {error}{advice}") from None
+
 from kraft.simulation.collision import Collision
 from kraft.simulation.world import World
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
+import warnings
 from ctypes.util import find_library
 from typing import Any, Final
 
@@ -23,13 +25,32 @@ def offscreen_context(width: int, height: int) -> Any:
         MissingDependency: with what to install or set.
     """
     backend = _backend()
-    try:
-        context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-        context.make_current()
-    except Exception as error:  # each backend and each driver fails in a way of its own
-        problem = f"{backend.upper()} cannot draw here ({type(error).__name__}: {error})"
-        raise MissingDependency(f"a video needs OpenGL without a window: {problem}; {ADVICE}") from error
+    with warnings.catch_warnings(record=True) as told:  # GLFW fails by warnings, several for each call
+        warnings.simplefilter("always")
+        try:
+            context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+            context.make_current()
+            _try_to_draw()
+        except Exception as error:  # each backend and each driver fails in a way of its own
+            reason = _said(told[0].message) if told else f"{type(error).__name__}: {error}"
+            problem = f"{backend.upper()} cannot draw here ({reason})"
+            raise MissingDependency(f"a video needs OpenGL without a window: {problem}; {_advice()}") from None
     return context
+
+
+def _advice() -> str:
+    return f"unset MUJOCO_GL, or {ADVICE}" if os.environ.get("MUJOCO_GL") else ADVICE
+
+
+def _said(warning: Warning | str) -> str:
+    """A GLFW warning, ``(number) b'text'``, without the number."""
+    return re.sub(r"^\(\d+\) b?['\"](.*)['\"]$", r"\1", str(warning))
+
+
+def _try_to_draw() -> None:
+    """Raise what MuJoCo raises if the current context, or the lack of one, is not good enough for it."""
+    mujoco: Any = importlib.import_module("mujoco")
+    mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), mujoco.mjtFontScale.mjFONTSCALE_50).free()
 
 
 def _backend() -> str:

@@ -67,6 +67,7 @@ def eval_(
 
 
 def _show(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
+    from kraft.counting import counted
     from kraft.evaluation.summary import SCHEMA, json_content
     from kraft_cli.tables import show_tables
 
@@ -80,5 +81,5 @@ def _show(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
     for row in failed:
         terminal.problem(f"{row.scenario}, {row.method}, seed {row.seed}: failed: {row.error}")
     if failed:
-        terminal.error(f"{len(failed)} of {len(evaluation.rows)} trials failed, which is a defect in kraft")
+        terminal.error(f"{len(failed)} of {counted(len(evaluation.rows), 'trial')} failed, which is a defect in kraft")
     return ExitStatus.INTERNAL if failed else ExitStatus.DONE

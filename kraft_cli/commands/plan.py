@@ -51,11 +51,11 @@ def plan(
 
     terminal: Terminal = context.obj
     request = Request(scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after)
-    planned = carry_out(request, terminal.say)
+    planned = carry_out(request, terminal.say, terminal.detail)
     if json:
         terminal.json("kraft.plan/1", json_content(planned))
     else:
         show_rows(terminal, table_rows(planned), good=planned.result.solved)
     if planned.result.reason:
-        terminal.problem(planned.result.reason)
+        terminal.error(planned.result.reason)
     return ExitStatus.DONE if planned.result.solved else ExitStatus.NEGATIVE

@@ -29,6 +29,7 @@ def record(
     json: Json = False,
 ) -> ExitStatus:
     """Drive manoeuvres without feedback in simulation and write what was commanded and seen, for kraft sysid."""
+    from kraft.counting import counted
     from kraft.recording.request import Request, carry_out
 
     terminal: Terminal = context.obj
@@ -37,21 +38,19 @@ def record(
     def ended(run: Recorded) -> None:
         done.append(run)
         note = f"; {run.note}" if run.note else ""
-        terminal.say(
-            f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {run.poses} poses{note}"
-        )
+        poses = counted(run.poses, "pose")
+        terminal.say(f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
     try:
         carry_out(Request(scenario, out, runs, seed), terminal.say, ended)
     except KeyboardInterrupt:
-        terminal.problem(
-            f"stopped; {len(done)} of {runs} runs are in {out}" if done else "stopped before the first run ended"
-        )
+        kept = f"; {len(done)} of {counted(runs, 'run')} kept in {out}" if done else " before the first run ended"
+        terminal.problem(f"stopped{kept}")
         return ExitStatus.INTERRUPTED
     if json:
         terminal.json("kraft.record/1", _content(scenario, seed, out, done))
     else:
-        terminal.data(f"{len(done)} logs in {out}; kraft sysid {out} identifies the car from them")
+        terminal.data(f"{counted(len(done), 'log')} in {out}; kraft sysid {out} identifies the car from them")
     return ExitStatus.DONE
 
 

@@ -16,6 +16,7 @@ Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The page to writ
 
 def report(context: typer.Context, results: Folder, out: Out = None) -> ExitStatus:
     """Make a page for a browser of what kraft eval found, also while it runs or after it was stopped."""
+    from kraft.counting import counted
     from kraft.evaluation.report import write_report
 
     terminal: Terminal = context.obj
@@ -23,5 +24,5 @@ def report(context: typer.Context, results: Folder, out: Out = None) -> ExitStat
     terminal.data(str(path))
     missing = found.expected - len(found.rows)
     if missing:
-        terminal.say(f"{missing} of {found.expected} trials have not been run yet")
+        terminal.say(f"{missing} of {counted(found.expected, 'trial')} not run yet")
     return ExitStatus.DONE

@@ -44,7 +44,7 @@ def run(
 
     terminal: Terminal = context.obj
     request = Request(scenario, method, vehicle, seed, out, Wanted(video, view, plot))
-    driven = carry_out(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)))
+    driven = carry_out(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)), terminal.detail)
     success = driven.result.outcome is Outcome.SUCCESS
     if json:
         terminal.json(SCHEMA, json_content(driven))

@@ -69,6 +69,7 @@ def sysid(
     options = Options(tuple(freeze or ()), extras, graph, pose_noise, tuple(param or ()))
     request = Request(tuple(logs), model, holdout, out, plot, mapping, options)
     done = carry_out(request, terminal.say, terminal.problem)
+    _tell(terminal, done)
     if json:
         terminal.json(SCHEMA, json_content(done))
     else:
@@ -80,6 +81,16 @@ def sysid(
     unwritten = f"; {out} was not written" if out is not None else ""
     terminal.error(f"not identified: {'; '.join(done.objections)}{unwritten}")
     return ExitStatus.NEGATIVE
+
+
+def _tell(terminal: Terminal, done: Identified) -> None:
+    """What -v asks for."""
+    from kraft.counting import counted
+
+    initial = ", ".join(f"{name} {value:g}" for name, value in done.subject.vehicle.parameters.items())
+    terminal.detail(f"model {done.subject.model}, from {initial}")
+    state = "converged" if done.result.converged else "not converged"
+    terminal.detail(f"identified in {done.seconds:.2f} s: {state} after {counted(done.result.iterations, 'iteration')}")
 
 
 def _show(terminal: Terminal, done: Identified) -> None:

@@ -14,12 +14,13 @@ from kraft_cli.terminal import Terminal
 def validate(
     context: typer.Context,
     files: Annotated[
-        list[str], typer.Argument(metavar="FILE", help="Scenario, vehicle, method, map or log mapping files.")
+        list[str], typer.Argument(metavar="FILE", help="Scenario, vehicle, method, map, log mapping or plan files.")
     ],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
-    """Check scenario, vehicle, method, map and log mapping files and show every problem of each."""
+    """Check scenario, vehicle, method, map, log mapping and plan files and show every problem of each."""
     from kraft.checking import check_file
+    from kraft.counting import counted
 
     terminal: Terminal = context.obj
     checked = [check_file(file) for file in files]
@@ -35,9 +36,5 @@ def validate(
         terminal.problem(str(problem))
     if problems:
         wrong = sum(bool(result.problems) for result in checked)
-        terminal.say(f"{_count(len(problems), 'problem')} in {_count(wrong, 'file')}")
+        terminal.say(f"{counted(len(problems), 'problem')} in {counted(wrong, 'file')}")
     return ExitStatus.INVALID if problems else ExitStatus.DONE
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Final
 
 from kraft.atomic_file import check_writable, write_whole
-from kraft.errors import InputError
 from kraft.evaluation.report.page import page
 from kraft.evaluation.report.results import Results, read_results
 
@@ -20,8 +19,6 @@ def write_report(folder: Path, out: Path | None = None) -> tuple[Results, Path]:
         InputError: if the folder is not one of results, or the page cannot be written.
     """
     path = out or folder / NAME
-    if path.is_dir():
-        raise InputError.of(str(path), "is a folder", "expected the name of a file")
     results = read_results(folder)
     check_writable(path)
     write_whole(path, page(results).encode())

@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import Final
 from xml.etree.ElementTree import Element
 
+from kraft.counting import counted
 from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import Content, document, element
 from kraft.evaluation.report.floor import floor_plan
@@ -31,11 +32,12 @@ def _head(results: Results) -> Iterator[Content]:
     yield element("h1", results.title)
     missing = results.expected - len(results.rows)
     if missing:
-        text = f"{missing} of {results.expected} trials have not been run: this page is of those that have."
+        run = f"{missing} of {counted(results.expected, 'trial')} not run yet"
+        text = f"{run}: this page is of those that were."
         yield element("p", text, class_="alarm")
     failed = results.summary.failed
     if failed:
-        text = f"{failed} of the trials failed, which is a defect in kraft; they do not count as successes."
+        text = f"{counted(failed, 'trial')} failed, which is a defect in kraft: none counts as a success."
         yield element("p", text, class_="alarm")
     yield element("dl", *(part for name, value in _facts(results) for part in _fact(name, value)), class_="facts")
 
@@ -147,7 +149,7 @@ def _row(results: Results, result: Result, longest: float) -> Element:
         element("td", charts.times(result, rows, longest), class_="drawing"),
         element("td", _number(result.t_ex, 2), _small(beside_time), class_="number"),
         element("td", f"{result.against.p:.2g}" if result.against else "–", class_="number"),
-        element("td", str(result.contingencies), element("small", f"of {result.cycles} cycles"), class_="number"),
+        element("td", str(result.contingencies), _small(f"of {counted(result.cycles, 'cycle')}"), class_="number"),
         element("td", _number(result.min_clearance, 3), element("small", "least"), class_="number"),
         element("td", _number(result.planning_p50, 1), _slowest(results, result), class_="number"),
     )

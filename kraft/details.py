@@ -1,0 +1,40 @@
+"""What ``-v`` tells of a command: with what it works, and how long each stage of it took."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ompl_ext.specialise import is_cached, vehicle_cache_folder
+from ompl_ext.vehicle import Vehicle
+
+
+class Stages:
+    """Tells how long each stage of a command took; the clock runs from the beginning on."""
+
+    def __init__(self, detail: Callable[[str], None]) -> None:
+        self.detail = detail
+        self._began = time.perf_counter()
+
+    def ended(self, what: str) -> None:
+        """A stage is over, in which `what` was done."""
+        now = time.perf_counter()
+        self.detail(f"{what} in {now - self._began:.3f} s")
+        self._began = now
+
+
+def no_detail(_: str) -> None:
+    """For those who do not want to know."""
+
+
+def vehicle_details(vehicle: Vehicle) -> list[str]:
+    """The model with its parameters, and whether its kernels are there; before they are compiled."""
+    values = ", ".join(f"{name} {value:g}" for name, value in vehicle.parameters.items()) or "no parameters"
+    shape = vehicle.footprint
+    size = f"{shape.length:g} m x {shape.width:g} m, its centre at {shape.offset:g} m"
+    kernels = "read from" if is_cached(vehicle) else "compiled into"
+    return [
+        f"vehicle {vehicle.name}: {values}",
+        f"footprint {size}; top speed {vehicle.top_speed:g} m/s",
+        f"kernels {kernels} {vehicle_cache_folder(vehicle)}",
+    ]
