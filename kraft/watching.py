@@ -111,5 +111,7 @@ class Watchers:
             scenario = self._spec.scenario
             moved = None if self._world is None else self._world.movable_poses
             title = f"{scenario.name} · {self._spec.method.title}"
-            hidden = hidden_things(scenario, moved)
-            plot_run(self._wanted.plot, scenario.task(), self._spec.vehicle, result, title=title, hidden=hidden)
+            plot_run(
+                self._wanted.plot, scenario.task(), self._spec.vehicle, result,
+                title=title, unknown=scenario.truth.in_words(), hidden=hidden_things(scenario, moved),
+            )  # fmt: skip

@@ -67,6 +67,15 @@ def test_every_ending_is_told(outcome: Outcome, driven: TrialResult) -> None:
     assert ("time limit" in found) == (outcome is Outcome.TIMEOUT)
 
 
+def test_what_the_planner_did_not_know_is_said() -> None:
+    slope = load_scenario("slope")
+    result = run_trial(TrialSpec(slope, load_method("oneshot-openloop"), MUSHR, 0))
+    unknown = slope.truth.in_words()
+    found = texts(_compose(Drive.of(result), slope.task(), MUSHR, "title", key_numbers(result, unknown), ()))
+    assert {"not known to the planner", "a floor that leans 7.16 degrees"} <= set(found)
+    assert "not known to the planner" not in key_numbers(result)
+
+
 def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
     speed, clearance, throttle, steering = traces_of(Drive.of(driven), MOVABLE.task(), MUSHR)
     planned, estimated, true = speed.curves

@@ -48,25 +48,25 @@ def plot_run(
     result: TrialResult,
     *,
     title: str | None = None,
-    notes: Mapping[str, str] | None = None,
+    unknown: Sequence[str] = (),
     hidden: Sequence[Hidden] = (),
 ) -> None:
     """Draw a drive as PNG, SVG or PDF by the suffix of `path`.
 
-    `hidden` is what the planner did not know.  The same arguments give the same bytes.  The file is written in one
-    step or not at all.
+    `unknown` says what the planner did not know, and `hidden` is what of it can be drawn.  The same arguments give the
+    same bytes.  The file is written in one step or not at all.
 
     Raises:
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)  # before the work, not after it
     drive = Drive.of(result)
-    told = key_numbers(result) if notes is None else notes
+    told = key_numbers(result, unknown)
     with look():
         write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", told, hidden))
 
 
-def key_numbers(result: TrialResult) -> Mapping[str, str]:
+def key_numbers(result: TrialResult, unknown: Sequence[str] = ()) -> Mapping[str, str]:
     """What is said above the map, by name."""
     planning = [cycle.planning_ms for cycle in result.cycles]  # measured: left out, so that the picture repeats
     clear = f"{result.min_clearance:.3f} m" if math.isfinite(result.min_clearance) else "–"
@@ -76,6 +76,7 @@ def key_numbers(result: TrialResult) -> Mapping[str, str]:
         "cycles": str(len(planning)),
         "contingencies": str(result.contingencies),
         "seed": str(result.seed),
+        **({"not known to the planner": ", ".join(unknown)} if unknown else {}),
     })  # fmt: skip
 
 
