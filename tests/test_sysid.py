@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from benchmarks.sysid import NOISE, PLAIN, REAL, STATED, TRUTH, real_logs, ten_t
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, prediction_errors, windows
+from kraft.sysid.uncertainty import Uncertainty, uncertainty
 from kraft.vehicle import load_vehicle
 from kraft.vehicle_config import VehicleConfig, load_vehicle_config
 
@@ -201,6 +204,23 @@ def test_one_constant_circle_asks_for_the_other_side() -> None:
     assert said(result, "L and phi_diff cannot be told apart", "arcs to the left and to the right")
     both = identify(lag(), driven(commanded([0.3]), commanded([-0.3]), commanded([0.15])), PLAIN)
     assert not said(both, "L and phi_diff")
+
+
+def test_what_cannot_be_told_apart_follows_from_the_correlation_that_is_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def alike(*given: Any) -> Uncertainty:
+        found = uncertainty(*given)
+        covariance = found.covariance.copy()
+        covariance[0, 3] = covariance[3, 0] = -0.96 * np.sqrt(covariance[0, 0] * covariance[3, 3])
+        return replace(found, covariance=covariance)
+
+    monkeypatch.setattr(import_module("kraft.sysid.identify"), "uncertainty", alike)
+    result = identify(lag(), logs(), PLAIN)
+    assert result.correlation[0, 3] == pytest.approx(-0.96)
+    assert abs(result.graph_covariance[0, 3]) < 0.9 * np.prod(np.sqrt(np.diag(result.graph_covariance)[[0, 3]]))
+    assert said(result, "L and tau cannot be told apart (correlation -0.96):")
+    assert sum("told apart" in warning for warning in result.warnings) == 1
 
 
 def test_a_lag_without_changes_of_throttle_is_not_told() -> None:

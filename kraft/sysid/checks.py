@@ -107,17 +107,25 @@ def _prior(case: Case) -> Iterator[str]:
 
 
 def _correlation(case: Case) -> Iterator[str]:
-    covariance = case.uncertain.graph
-    std = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(std, std)
+    reported, stated = _correlations(case.uncertain.covariance), _correlations(case.uncertain.graph)
     names = case.names
-    for i in range(len(names)):
-        for j in range(i):
-            if abs(correlation[i, j]) > ALIKE:
-                yield (
-                    f"{names[j]} and {names[i]} cannot be told apart (correlation {correlation[i, j]:.2f}): drive "
-                    f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
-                )
+    for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
+        # either says that one makes up for the other; the one that is reported is named first
+        by_noise = abs(reported[i, j]) <= ALIKE
+        found = stated[i, j] if by_noise else reported[i, j]
+        if abs(found) > ALIKE:
+            yield (
+                f"{names[j]} and {names[i]} cannot be told apart (correlation {found:.2f}"
+                f"{' by the stated noise' if by_noise else ''}): drive "
+                f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
+            )
+
+
+def _correlations(covariance: Floats) -> Floats:
+    """(free, free)"""
+    std = np.sqrt(np.diag(covariance))
+    correlation: Floats = covariance / np.outer(std, std)
+    return correlation
 
 
 def _residuals(case: Case) -> Iterator[str]:
