@@ -43,6 +43,13 @@ def shorten(run: Path, poses: int, apart: int = 3) -> None:
     (run / "poses.csv").write_text("".join([heading, *rows[first : first + apart * poses : apart]]))
 
 
+def weaken(run: Path, factor: float) -> None:
+    """Scale the throttle of a log, as if it were of a car that drives faster with less of it."""
+    heading, *rows = (run / "commands.csv").read_text().splitlines()
+    commands = np.loadtxt(rows, delimiter=",") * [1.0, factor, 1.0]
+    np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=heading, comments="")
+
+
 def said(capsys: pytest.CaptureFixture[str]) -> list[str]:
     return capsys.readouterr().err.splitlines()
 
@@ -116,6 +123,35 @@ def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFix
     assert main(arguments) == 0  # over the file that it wrote
 
 
+def test_a_file_is_for_planning_which_knows_no_dead_band(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["params"]
+    assert main(["sysid", "logs", "--out", "my.yaml", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    written = load_vehicle_config("my.yaml")
+    assert "dead_band_throttle" in alone
+    assert not [name for name in content["params"] if name.startswith(("delay", "dead_band"))]
+    assert written.values == {
+        name: pytest.approx(content["params"][name]["value"], rel=1e-5) for name in written.values
+    }
+    fastest = max(
+        np.loadtxt(path, delimiter=",", skiprows=1)[:, 4].max() for path in (folder / "logs").glob("*/truth.csv")
+    )
+    assert written.top_speed == "v_delta"
+    assert written.values["v_delta"] < 1.02 * fastest
+    assert alone["v_delta"]["value"] > 1.05 * fastest
+    assert any(note.startswith("for a file to plan with, no delay or dead band") for note in content["notes"])
+
+
+def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--out", "my.yaml", "--extras", "delay,lever", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    warning = "planning does not know delay, and my.yaml is off by as much: for a file to plan with, leave them out"
+    assert any(each.startswith(warning) for each in content["warnings"])
+    assert main(["sysid", "logs", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
+    assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
+
+
 def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     runs = [f"logs/run_{k:02d}" for k in (2, 3, 4)]
     assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
@@ -146,6 +182,29 @@ def test_straight_lines_do_not_identify_a_wheelbase(folder: Path, capsys: pytest
     assert any(line.startswith("warning: L is known no better than before") for line in err)
     assert not (folder / "my.yaml").exists()
     assert (folder / "my.png").exists()
+
+
+@pytest.mark.parametrize(("factor", "status"), [(0.95, 0), (0.6, 1)])
+def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_not_written(
+    factor: float, status: int, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--json"]
+    assert main(arguments) == 0
+    held_out = json.loads(capsys.readouterr().out)["held_out"]
+    (folder / "my.yaml").unlink()
+    for run in (folder / "logs").iterdir():
+        if run.is_dir() and run.name not in held_out:
+            weaken(run, factor)
+    assert main(arguments) == status
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    identified, initial = (100 * content[f"rmse_holdout{which}_m"] for which in ("", "_initial"))
+    both = f"({identified:.2f} cm identified, {initial:.2f} cm initial"
+    assert f"warning: the identified values predict held-out logs no better than the initial values do {both}" in err
+    assert (folder / "my.yaml").exists() == (status == 0)
+    assert content["identifiable"] == (status == 0)
+    refused = f"error: not identified: held-out logs are predicted far better with the initial values {both})"
+    assert (f"{refused}; my.yaml was not written" in err) == (status == 1)
 
 
 def test_a_bad_log_is_left_out_and_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

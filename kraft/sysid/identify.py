@@ -12,7 +12,7 @@ import numpy as np
 from kraft.sysid.assembly import assemble, starting_point
 from kraft.sysid.chains import whole
 from kraft.sysid.checks import Case, warnings_of
-from kraft.sysid.extras import extras_of
+from kraft.sysid.extras import extras_of, moves
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.input import screened, usable_logs
 from kraft.sysid.noise_model import NoiseModel, noise_model
@@ -66,7 +66,7 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
         iterations += fit.optimum.iterations
     short = screened(logs)
     notes = [*(f"left out: {problem}" for problem in short.problems), *short.shortened]
-    if settings.extras == "auto":
+    if settings.extras in ("auto", "plan"):
         for _ in range(REFITS):
             kept = shown(fit.problem.parameters, fit.optimum.point.rho, fit.uncertain, task.asked)
             if kept == fit.problem.parameters.extras:
@@ -127,7 +127,9 @@ class _Task:
         known, wanted = extras_of(self.model), self.settings.extras
         if wanted == "none":
             return ()
-        names = set(AUTOMATIC) | self.asked if wanted == "auto" else set(wanted)
+        if isinstance(wanted, tuple):
+            return tuple(name for name in known if name in wanted)
+        names = {name for name in AUTOMATIC if wanted == "auto" or not moves(name)} | self.asked
         return tuple(name for name in known if name in names)
 
     def problem(self, parameters: Parameters) -> Problem:

@@ -89,9 +89,6 @@ def remarks(done: Identified) -> list[str]:
         f"noise of the poses {1000 * noise.position:.3g} mm, {math.degrees(noise.yaw):.2g} deg, {origin}",
         *result.notes,
     ]
-    unknown = [name for name in result.extras if name.startswith(("delay", "dead_band"))]
-    if unknown and done.request.out is not None:
-        said.append(f"planning does not know {', '.join(unknown)}: for a file to plan with, add --extras none")
     if result.rear_axle is not None:
         said.append(f"the tracked point is {result.rear_axle:.3f} m ahead of the rear axle")
     return said

@@ -16,6 +16,7 @@ from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import read_logs
 from kraft.plot.output import picture_format
 from kraft.sysid.compilation import ensure_compiled
+from kraft.sysid.extras import moves
 from kraft.sysid.forecast import Predicted, predicted
 from kraft.sysid.holdout import Split, split
 from kraft.sysid.identify import identify
@@ -97,12 +98,16 @@ def carry_out(request: Request, say: Say, warn: Say) -> Identified:
         result = identify(subject.given, parted.fitted, settings)
         seconds = time.perf_counter() - began
         found = predicted(subject.given, parted, result, settings)
-        result = replace(result, warnings=(*result.warnings, *found.warnings))
+        result = replace(
+            result,
+            warnings=(*result.warnings, *found.warnings, *_unknown_to_planning(request, result)),
+            notes=(*result.notes, *_for_planning(settings)),
+        )
     except InputError as error:  # of the logs: everything else was checked
         _draw_logs(request, subject, parted, error)
         _warn(error, warn)
         raise NegativeResult("the parameters cannot be identified from these logs") from None
-    done = Identified(request, subject, logs, parted, result, found, objections(result), seconds)
+    done = Identified(request, subject, logs, parted, result, found, objections(result, found), seconds)
     _draw(done)
     _write(done)
     return done
@@ -114,10 +119,30 @@ def _checked(request: Request, subject: Subject) -> Settings:
     check_settings(subject.given, settings)
     if request.out is not None:
         check_target(request.out)
+        if settings.extras == "auto":
+            settings = replace(settings, extras="plan")
     if request.plot is not None:
         picture_format(request.plot)
         check_writable(request.plot)
     return settings
+
+
+def _for_planning(settings: Settings) -> tuple[str, ...]:
+    """That delays and dead bands were not looked for."""
+    if settings.extras != "plan":
+        return ()
+    return ("for a file to plan with, no delay or dead band is identified: planning does not know them",)
+
+
+def _unknown_to_planning(request: Request, result: Identification) -> tuple[str, ...]:
+    """That a file to plan with lacks what the vehicle was asked to be identified with."""
+    extras = [name for name in result.extras if moves(name)]
+    if request.out is None or not extras:
+        return ()
+    return (
+        f"planning does not know {', '.join(extras)}, and {request.out} is off by as much: for a file to plan with, "
+        "leave them out of --extras, --param and --freeze",
+    )
 
 
 def _read(request: Request, subject: Subject, say: Say, warn: Say) -> LogSet:

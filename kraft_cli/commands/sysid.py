@@ -33,7 +33,9 @@ Parameters = Annotated[
 ]
 Extras = Annotated[
     str,
-    typer.Option(metavar="auto|none|A,B", help="Parameters beside the model's: those that the data show, or these."),
+    typer.Option(
+        metavar="auto|plan|none|A,B", help="Parameters beside the model's: those that the data show, or these."
+    ),
 ]
 PoseNoise = Annotated[
     str | None,
