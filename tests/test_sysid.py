@@ -252,6 +252,23 @@ def test_a_value_at_its_bound_is_named() -> None:
     assert said(result, "v_delta is at its upper bound 2 m/s")
 
 
+def test_an_interval_is_cut_at_a_bound_and_that_the_data_do_not_bound_it_is_said() -> None:
+    free = identify(lag(), logs(), PLAIN)
+    tau = free.parameters["tau"]
+    most = tau.value + 0.5 * tau.std
+    narrow = lag().parameters["tau"].model_copy(update={"value": tau.value - tau.std, "max": most})
+    near = lag().model_copy(update={"parameters": {**lag().parameters, "tau": narrow}})
+    result = identify(near, logs(), PLAIN)
+    found = result.parameters["tau"]
+    assert not found.at_bound
+    assert found.ci95[0] == pytest.approx(tau.ci95[0], abs=0.2 * tau.std)
+    assert found.ci95[1] == most == found.max
+    assert found.cut
+    assert said(result, "the data do not bound tau", f"beyond its bounds {lag().parameters['tau'].min:g} to {most:g} s")
+    assert not any(each.cut for each in free.parameters.values())
+    assert not said(free, "do not bound")
+
+
 @pytest.mark.parametrize(("factor", "words"), [(0.1, "stated too small"), (10.0, "stated too large")])
 def test_noise_that_does_not_fit_the_residuals_is_named(factor: float, words: str) -> None:
     noise = Noise(factor * NOISE.position, factor * NOISE.yaw)

@@ -57,7 +57,7 @@ def _cells(name: str, estimate: Estimated) -> tuple[str, str, str, str]:
     values = (estimate.value, *estimate.ci95, estimate.initial)
     value, low, high, initial = (f"{number:.{digits}f}".replace("-", "\N{MINUS SIGN}") for number in values)
     unit = "" if estimate.unit in ("", "1") else f", {estimate.unit}"
-    interval = "frozen" if estimate.frozen else f"{low} to {high}" + (", at its bound" if estimate.at_bound else "")
+    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.remark}"
     return f"{name}{unit}", value, interval, initial
 
 

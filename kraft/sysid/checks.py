@@ -52,7 +52,7 @@ class Case:
 
 def warnings_of(case: Case) -> tuple[str, ...]:
     """All that is doubtful, most important first."""
-    checks = (_convergence, _steering, _bounds, _prior, _correlation, _residuals, _disagreement)
+    checks = (_convergence, _steering, _bounds, _prior, _open, _correlation, _residuals, _disagreement)
     return tuple(warning for check in checks for warning in check(case))
 
 
@@ -103,6 +103,21 @@ def _prior(case: Case) -> Iterator[str]:
     for name in unidentified(case):
         yield (
             f"{name} is known no better than before: the logs do not show it; drive {lacking(p, name)}, or freeze it"
+        )
+
+
+def _open(case: Case) -> Iterator[str]:
+    p, known = case.problem.parameters, {*at_bound(case), *unidentified(case)}  # those have warnings of their own
+    half = case.uncertain.quantile * case.uncertain.std
+    values = case.optimum.point.rho[p.free]
+    for name, value, reach in zip(case.names, values, half, strict=True):
+        number = p.numbers[p.index(name)]
+        if name in known or number.min <= value - reach <= value + reach <= number.max:
+            continue
+        yield (
+            f"the data do not bound {name}: its 95 % interval, {value - reach:.3g} to {value + reach:.3g}, "
+            f"reaches beyond its bounds {number.min:g} to {number.max:g} {number.unit}".rstrip()
+            + f" and is cut there; drive {lacking(p, name)}, or freeze it"
         )
 
 

@@ -123,7 +123,7 @@ def _errors(errors: PredictionErrors) -> dict[str, Any]:
 def _row(name: str, estimate: Estimated) -> tuple[str, ...]:
     digits = _digits(estimate)
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
-    interval = "frozen" if estimate.frozen else f"{low} to {high}{', at its bound' if estimate.at_bound else ''}"
+    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.remark}"
     value = f"{estimate.value:.{digits}f}"
     return name, value, interval, f"{estimate.initial:.{digits}f}", estimate.unit, estimate.description
 

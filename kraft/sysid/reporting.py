@@ -47,7 +47,7 @@ def _estimated(case: Case) -> dict[str, Estimated]:
         number.name: Estimated(
             value=float(rho[k]),
             std=float(std[k]),
-            ci95=(float(rho[k] - half[k]), float(rho[k] + half[k])),
+            ci95=(max(float(rho[k] - half[k]), number.min), min(float(rho[k] + half[k]), number.max)),
             unit=number.unit,
             description=number.description,
             initial=number.value,
