@@ -4,24 +4,47 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
-from kraft.errors import InputError
+from kraft.errors import Diagnostic, InputError
 
 EXPECTED = "expected a place that can be written, with room for it"
 
 
 def check_writable(path: Path) -> None:
-    """Find out before the work whether a file can be written at `path`.
+    """Find out before the work whether a file or a new folder can be put at `path`, by trying to in the nearest folder.
 
     Raises:
-        InputError: if a file stands where a folder has to be, or the folder is closed to us.
+        InputError: if a folder stands there, a file stands where a folder has to be, or nothing can be made there.
     """
+    if path.is_dir():
+        raise InputError.of(str(path), "is a folder", "expected the name of a file")
     folder = next(p for p in path.absolute().parents if os.path.lexists(p))
     if not folder.is_dir():
         raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED)
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError.of(str(path), f"cannot be written: no permission to write into {folder}", EXPECTED)
+    try:  # permissions do not tell: think of /proc, and of what is mounted read-only
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".kraft-"):
+            pass
+    except OSError as error:
+        problem = f"cannot be written: nothing can be made in {folder} ({error.strerror})"
+        raise InputError.of(str(path), problem, EXPECTED) from None
+
+
+def check_all(*checks: Callable[[], object]) -> None:
+    """Make every check, and raise what all of them found.
+
+    Raises:
+        InputError: with the problems of every check that raises one.
+    """
+    problems: list[Diagnostic] = []
+    for check in checks:
+        try:
+            check()
+        except InputError as error:
+            problems += error.diagnostics
+    if problems:
+        raise InputError(problems)
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -89,6 +89,74 @@ def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_mod
     assert errors["MUSHR_LAG"][0] < 0.5 * errors["MUSHR"][0]
 
 
+def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]
+    assert main(arguments) == 0
+    (wraps,) = (line for line in said(capsys) if "yaw wraps" in line)
+    found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v tells where\)", wraps)
+    assert found is not None
+    assert main(["-v", *arguments]) == 0
+    each = [line for line in said(capsys) if re.match(r"run_\d\d: yaw wraps \d times?, first at line", line)]
+    assert len(each) == int(found.group(1)) > 1
+    assert main(["sysid", "logs/run_02", *arguments[2:]]) == 0
+    assert any(line.startswith("run_02: yaw wraps 5 times, first at line") for line in said(capsys))
+
+
+@pytest.mark.parametrize(
+    ("mapping", "options", "expected"),
+    [
+        ("commands: {controls: {throttle: thrott}}\n", [],
+         ["m.yaml:1:33: commands.controls.throttle: there is no column 'thrott' in commands.csv, poses.csv; did you mean 'throttle'?"]),
+        ("commands: {controls: {throttel: throttle}}\nposes: {yaw: hed, quaternion: null}\n", [],
+         ["m.yaml:1:23: commands.controls.throttel: is no control of the vehicle; did you mean 'throttle'?",
+          "m.yaml:2:14: poses.yaw: there is no column 'hed' in commands.csv, poses.csv; expected one of t, throttle, steering, x, y, yaw"]),
+        ("{}\n", ["--model", "unicycle2"],
+         ["logs: the logs have throttle, steering; the vehicle needs acceleration, angular_acceleration; expected logs of "
+          "this vehicle, another vehicle, or a mapping file that says which columns they are"]),
+    ],
+)  # fmt: skip
+def test_a_mapping_or_a_vehicle_that_fits_no_log_is_one_line_for_each_mistake(
+    mapping: str, options: list[str], expected: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "m.yaml").write_text(mapping)
+    assert main(["sysid", "logs", "--mapping", "m.yaml", *options]) == 2
+    assert said(capsys) == expected
+
+
+def test_a_column_that_only_some_logs_lack_leaves_those_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = folder / "logs" / "run_02" / "commands.csv"
+    for run in (folder / "logs").iterdir():
+        if run.is_dir() and run.name != "run_02":
+            path = run / "commands.csv"
+            path.write_text(path.read_text().replace("throttle", "gas", 1))
+    (folder / "m.yaml").write_text("commands: {controls: {throttle: gas}}\n")
+    assert "throttle" in commands.read_text()
+    assert main(["sysid", "logs", "--mapping", "m.yaml", "--extras", "none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["logs"] == 7
+    assert "left out: m.yaml:1:33: commands.controls.throttle: there is no column 'gas' in commands.csv" in err
+
+
+def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_read(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "my.yaml").mkdir()
+    assert main(["sysid", "nowhere", "--out", "my.yaml", "--plot", "/proc/my.png", "--freeze", "l"]) == 2
+    proc, frozen, out = said(capsys)
+    assert proc.startswith("/proc/my.png: cannot be written: nothing can be made in /proc")
+    assert frozen == "frozen: mushr-lag has no parameter l; did you mean 'L'?"
+    assert out == "my.yaml: is a folder; expected the name of a file"
+
+
+def test_a_file_is_compiled_by_its_own_name(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sysid", "logs", "--extras", "none", "--out", "my.yaml", "-q"]) == 0
+    monkeypatch.setattr(compilation, "are_steps_cached", lambda _: False)
+    assert main(["sysid", "logs", "--extras", "none", "--model", "my.yaml"]) == 0
+    assert "compiling the model of my.yaml for identification on this machine" in capsys.readouterr().err
+
+
 def test_a_person_gets_tables_and_hears_what_was_taken_for_what(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]) == 0
     out, err = capsys.readouterr()
@@ -284,7 +352,7 @@ def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not
         before.setattr(compilation, "are_steps_cached", lambda _: False)
         assert main(["sysid", "logs", "--extras", "none"]) == 0
         err = said(capsys)
-        begun = err.index("compiling the mushr-lag model for identification on this machine: once, about 8 s ...")
+        begun = err.index("compiling the model of mushr-lag for identification on this machine: once, about 8 s ...")
         assert err[begun + 1].startswith("compiled in ")
         assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
         assert not any("compil" in line for line in said(capsys))

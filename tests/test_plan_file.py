@@ -214,7 +214,7 @@ def test_a_plan_replaces_a_plan_and_nothing_else(
     with pytest.raises(InputError, match="there is a file that is not a plan file"):
         write_plan(path, task, mushr, result, ORIGIN)
     assert path.read_text() == '{"recipe": "soup"}'
-    with pytest.raises(InputError, match="is a folder; expected the place of a plan file"):
+    with pytest.raises(InputError, match="is a folder; expected the name of a file"):
         write_plan(tmp_path, task, mushr, result, ORIGIN)
 
 

@@ -67,6 +67,11 @@ def test_warnings_bounds_and_objections_are_told() -> None:
     assert "NOT converged" in seen
 
 
+def test_one_warning_is_counted_as_one() -> None:
+    assert "\nwarning\n" in f"\n{texts(page(SPLIT, replace(RESULT, warnings=('one',), iterations=1)))}\n"
+    assert "converged after 1 iteration" in texts(page(SPLIT, replace(RESULT, iterations=1)))
+
+
 def test_everything_frozen_leaves_a_page() -> None:
     frozen = {name: replace(each, frozen=True, std=0.0) for name, each in RESULT.parameters.items()}
     nothing = np.zeros((0, 0))

@@ -182,7 +182,15 @@ def test_outliers_hardly_move_the_wheelbase() -> None:
 def test_the_optimiser_says_when_it_has_not_converged() -> None:
     result = identify(lag(), logs(), replace(PLAIN, iterations=1))
     assert not result.converged
-    assert "had not converged after 1 iterations" in result.warnings[0]
+    assert "had not converged after 1 iteration: " in result.warnings[0]
+    assert result.iterations == 1
+
+
+def test_iterations_are_counted_alike_wherever_they_are_said() -> None:
+    result = identify(lag(), logs(), Settings(iterations=2))
+    assert not result.converged
+    assert result.iterations > 2
+    assert f"had not converged after {result.iterations} iterations: " in result.warnings[0]
 
 
 def said(result: Identification, *words: str) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kraft.logs.findings import count
 from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.problem import Problem
@@ -42,6 +43,8 @@ class Case:
     logs: Sequence[str]
     """names"""
     noise_measured: bool
+    iterations: int
+    """of the optimiser, trying extras included"""
 
     @property
     def names(self) -> list[str]:
@@ -79,8 +82,8 @@ def unidentified(case: Case) -> tuple[str, ...]:
 def _convergence(case: Case) -> Iterator[str]:
     if not case.optimum.converged:
         yield (
-            f"the optimiser had not converged after {case.optimum.iterations} iterations: values and intervals are "
-            "where it stopped; allow more iterations or freeze parameters that are not identifiable"
+            f"the optimiser had not converged after {count(case.iterations, 'iteration')}: values and intervals are "
+            "where it stopped; freeze parameters that the logs do not show, or leave out extra ones (extras none)"
         )
 
 

@@ -74,8 +74,9 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
             fit = task.fit(task.without(fit, kept), settings.iterations)
             iterations += fit.optimum.iterations
         notes.append(_choice(extras, fit.problem.parameters.extras))
-    case = Case(fit.problem, fit.optimum, fit.uncertain, task.data, [log.name for log in task.logs], not settings.noise)
-    return identification(case, warnings_of(case), tuple(notes), iterations)
+    names = [log.name for log in task.logs]
+    case = Case(fit.problem, fit.optimum, fit.uncertain, task.data, names, not settings.noise, iterations)
+    return identification(case, warnings_of(case), tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,7 +70,7 @@ def sysid(
     terminal: Terminal = context.obj
     options = Options(tuple(freeze or ()), extras, graph, pose_noise, tuple(param or ()))
     request = Request(tuple(logs), model, holdout, out, plot, mapping, options)
-    done = carry_out(request, terminal.say, terminal.problem)
+    done = carry_out(request, terminal.say, terminal.problem, terminal.detail)
     if json:
         terminal.json(SCHEMA, json_content(done))
     else:
