@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kraft.sysid import compilation
+from kraft.sysid import compilation, pace
 from kraft.sysid import request as module
 from kraft.vehicle_config import load_vehicle_config
 from kraft_cli.main import main
@@ -148,6 +148,23 @@ def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_r
     assert out == "my.yaml: is a folder; expected the name of a file"
 
 
+def test_an_identification_that_takes_long_says_how_it_goes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heard: list[str] = []
+    times = iter([0.0, 1.9, 2.0, 3.9, 4.1])
+    tell = pace.Pace(heard.append, lambda: next(times))
+    for made in range(1, 5):
+        tell(made, 1000.0 / made)
+    assert heard == ["iteration 2, cost 500", "iteration 4, cost 250"]
+    monkeypatch.setattr(pace, "EVERY", 0.0)
+    arguments = ["sysid", "logs/run_02", "--extras", "none", "--graph", "paper"]
+    assert main(arguments) == 0
+    assert any(re.fullmatch(r"iteration 1, cost [\d.]+", line) for line in said(capsys))
+    assert main([*arguments, "-q"]) == 0
+    assert not any("iteration" in line for line in said(capsys))
+
+
 def test_a_file_is_compiled_by_its_own_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -267,7 +284,7 @@ def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_no
     out, err = capsys.readouterr()
     content = json.loads(out)
     identified, initial = (100 * content[f"rmse_holdout{which}_m"] for which in ("", "_initial"))
-    both = f"({identified:.2f} cm identified, {initial:.2f} cm initial"
+    both = f"(position {identified:.2f} cm identified, {initial:.2f} cm initial"
     assert f"warning: the identified values predict held-out logs no better than the initial values do {both}" in err
     assert (folder / "my.yaml").exists() == (status == 0)
     assert content["identifiable"] == (status == 0)

@@ -193,6 +193,13 @@ def test_iterations_are_counted_alike_wherever_they_are_said() -> None:
     assert f"had not converged after {result.iterations} iterations: " in result.warnings[0]
 
 
+def test_whoever_watches_hears_every_iteration_once() -> None:
+    heard: list[tuple[int, float]] = []
+    result = identify(lag(), logs(), watch=lambda made, cost: heard.append((made, cost)))
+    assert [made for made, _ in heard] == list(range(1, result.iterations + 1))
+    assert heard[-1][1] == result.cost
+
+
 def said(result: Identification, *words: str) -> bool:
     return any(all(word in warning for word in words) for warning in result.warnings)
 

@@ -20,8 +20,8 @@ def no_better(forecast: Forecast) -> tuple[str, ...]:
     if _ratio(forecast) <= ALIKE:
         return ()
     return (
-        f"the identified values predict held-out logs no better than the initial values do ({_errors(forecast)} of "
-        "position): look for logs of another floor, slope, load or car and leave them out, record more logs, or choose "
+        f"the identified values predict held-out logs no better than the initial values do ({_errors(forecast)}): "
+        "look for logs of another floor, slope, load or car and leave them out, record more logs, or choose "
         "a model that has what these lack; --plot shows the prediction",
     )
 
@@ -41,4 +41,4 @@ def _ratio(forecast: Forecast) -> float:
 
 def _errors(forecast: Forecast) -> str:
     after, before = forecast.errors.overall_position, forecast.errors_before.overall_position
-    return f"{100 * after:.2f} cm identified, {100 * before:.2f} cm initial"
+    return f"position {100 * after:.2f} cm identified, {100 * before:.2f} cm initial"

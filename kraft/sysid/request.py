@@ -17,6 +17,7 @@ from kraft.sysid.forecast import Predicted, predicted
 from kraft.sysid.holdout import Split, split
 from kraft.sysid.identify import identify
 from kraft.sysid.options import Options, settings_of
+from kraft.sysid.pace import Pace
 from kraft.sysid.reading import Say, explain, read
 from kraft.sysid.record import record_of
 from kraft.sysid.result import Identification
@@ -95,7 +96,7 @@ def carry_out(request: Request, say: Say, warn: Say, detail: Say = _silent) -> I
     ensure_compiled(subject.vehicle, subject.reference, say)
     began = time.perf_counter()
     try:
-        result = identify(subject.given, parted.fitted, settings)
+        result = identify(subject.given, parted.fitted, settings, Pace(say))
         seconds = time.perf_counter() - began
         found = predicted(subject.given, parted, result, settings)
         result = replace(
