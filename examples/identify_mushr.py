@@ -66,8 +66,9 @@ def show(done: Identified) -> None:
     """Print what came out."""
     print(f"{done.request.model}:")
     for heading, rows in (parameter_table(done), prediction_table(done)):
+        widths = [max(map(len, column)) for column in zip(heading, *rows, strict=True)]
         for row in (heading, *rows):
-            print("   ", "  ".join(cell.ljust(24) for cell in row).rstrip())
+            print("   ", "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
     for warning in done.result.warnings:
         print("    warning:", warning)
 

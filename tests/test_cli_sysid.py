@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kraft.sysid import compilation
+from kraft.sysid import compilation, pace
 from kraft.sysid import request as module
 from kraft.vehicle_config import load_vehicle_config
 from kraft_cli.main import main
@@ -41,6 +41,13 @@ def shorten(run: Path, poses: int, apart: int = 3) -> None:
     places = np.loadtxt(rows, delimiter=",")[:, 1:3]
     first = int(np.argmax(np.hypot(*(places[apart * poses :] - places[: -apart * poses]).T)))
     (run / "poses.csv").write_text("".join([heading, *rows[first : first + apart * poses : apart]]))
+
+
+def weaken(run: Path, factor: float) -> None:
+    """Scale the throttle of a log, as if it were of a car that drives faster with less of it."""
+    heading, *rows = (run / "commands.csv").read_text().splitlines()
+    commands = np.loadtxt(rows, delimiter=",") * [1.0, factor, 1.0]
+    np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=heading, comments="")
 
 
 def said(capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -82,6 +89,91 @@ def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_mod
     assert errors["MUSHR_LAG"][0] < 0.5 * errors["MUSHR"][0]
 
 
+def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]
+    assert main(arguments) == 0
+    (wraps,) = (line for line in said(capsys) if "yaw wraps" in line)
+    found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v tells where\)", wraps)
+    assert found is not None
+    assert main(["-v", *arguments]) == 0
+    each = [line for line in said(capsys) if re.match(r"run_\d\d: yaw wraps \d times?, first at line", line)]
+    assert len(each) == int(found.group(1)) > 1
+    assert main(["sysid", "logs/run_02", *arguments[2:]]) == 0
+    assert any(line.startswith("run_02: yaw wraps 5 times, first at line") for line in said(capsys))
+
+
+@pytest.mark.parametrize(
+    ("mapping", "options", "expected"),
+    [
+        ("commands: {controls: {throttle: thrott}}\n", [],
+         ["m.yaml:1:33: commands.controls.throttle: there is no column 'thrott' in commands.csv, poses.csv; did you mean 'throttle'?"]),
+        ("commands: {controls: {throttel: throttle}}\nposes: {yaw: hed, quaternion: null}\n", [],
+         ["m.yaml:1:23: commands.controls.throttel: is no control of the vehicle; did you mean 'throttle'?",
+          "m.yaml:2:14: poses.yaw: there is no column 'hed' in commands.csv, poses.csv; expected one of t, throttle, steering, x, y, yaw"]),
+        ("{}\n", ["--model", "unicycle2"],
+         ["logs: the logs have throttle, steering; the vehicle needs acceleration, angular_acceleration; expected logs of "
+          "this vehicle, another vehicle, or a mapping file that says which columns they are"]),
+    ],
+)  # fmt: skip
+def test_a_mapping_or_a_vehicle_that_fits_no_log_is_one_line_for_each_mistake(
+    mapping: str, options: list[str], expected: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "m.yaml").write_text(mapping)
+    assert main(["sysid", "logs", "--mapping", "m.yaml", *options]) == 2
+    assert said(capsys) == expected
+
+
+def test_a_column_that_only_some_logs_lack_leaves_those_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = folder / "logs" / "run_02" / "commands.csv"
+    for run in (folder / "logs").iterdir():
+        if run.is_dir() and run.name != "run_02":
+            path = run / "commands.csv"
+            path.write_text(path.read_text().replace("throttle", "gas", 1))
+    (folder / "m.yaml").write_text("commands: {controls: {throttle: gas}}\n")
+    assert "throttle" in commands.read_text()
+    assert main(["sysid", "logs", "--mapping", "m.yaml", "--extras", "none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["logs"] == 7
+    assert "left out: m.yaml:1:33: commands.controls.throttle: there is no column 'gas' in commands.csv" in err
+
+
+def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_read(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "my.yaml").mkdir()
+    assert main(["sysid", "nowhere", "--out", "my.yaml", "--plot", "/proc/my.png", "--freeze", "l"]) == 2
+    proc, frozen, out = said(capsys)
+    assert proc.startswith("/proc/my.png: cannot be written: nothing can be made in /proc")
+    assert frozen == "frozen: mushr-lag has no parameter l; did you mean 'L'?"
+    assert out == "my.yaml: is a folder; expected the name of a file"
+
+
+def test_an_identification_that_takes_long_says_how_it_goes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heard: list[str] = []
+    times = iter([0.0, 1.9, 2.0, 3.9, 4.1])
+    tell = pace.Pace(heard.append, lambda: next(times))
+    for made in range(1, 5):
+        tell(made, 1000.0 / made)
+    assert heard == ["iteration 2, cost 500", "iteration 4, cost 250"]
+    monkeypatch.setattr(pace, "EVERY", 0.0)
+    arguments = ["sysid", "logs/run_02", "--extras", "none", "--graph", "paper"]
+    assert main(arguments) == 0
+    assert any(re.fullmatch(r"iteration 1, cost [\d.]+", line) for line in said(capsys))
+    assert main([*arguments, "-q"]) == 0
+    assert not any("iteration" in line for line in said(capsys))
+
+
+def test_a_file_is_compiled_by_its_own_name(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sysid", "logs", "--extras", "none", "--out", "my.yaml", "-q"]) == 0
+    monkeypatch.setattr(compilation, "are_steps_cached", lambda _: False)
+    assert main(["sysid", "logs", "--extras", "none", "--model", "my.yaml"]) == 0
+    assert "compiling the model of my.yaml for identification on this machine" in capsys.readouterr().err
+
+
 def test_a_person_gets_tables_and_hears_what_was_taken_for_what(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]) == 0
     out, err = capsys.readouterr()
@@ -116,6 +208,35 @@ def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFix
     assert main(arguments) == 0  # over the file that it wrote
 
 
+def test_a_file_is_for_planning_which_knows_no_dead_band(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["params"]
+    assert main(["sysid", "logs", "--out", "my.yaml", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    written = load_vehicle_config("my.yaml")
+    assert "dead_band_throttle" in alone
+    assert not [name for name in content["params"] if name.startswith(("delay", "dead_band"))]
+    assert written.values == {
+        name: pytest.approx(content["params"][name]["value"], rel=1e-5) for name in written.values
+    }
+    fastest = max(
+        np.loadtxt(path, delimiter=",", skiprows=1)[:, 4].max() for path in (folder / "logs").glob("*/truth.csv")
+    )
+    assert written.top_speed == "v_delta"
+    assert written.values["v_delta"] < 1.02 * fastest
+    assert alone["v_delta"]["value"] > 1.05 * fastest
+    assert any(note.startswith("for a file to plan with, no delay or dead band") for note in content["notes"])
+
+
+def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--out", "my.yaml", "--extras", "delay,lever", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    warning = "planning does not know delay, and my.yaml is off by as much: for a file to plan with, leave them out"
+    assert any(each.startswith(warning) for each in content["warnings"])
+    assert main(["sysid", "logs", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
+    assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
+
+
 def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     runs = [f"logs/run_{k:02d}" for k in (2, 3, 4)]
     assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
@@ -146,6 +267,29 @@ def test_straight_lines_do_not_identify_a_wheelbase(folder: Path, capsys: pytest
     assert any(line.startswith("warning: L is known no better than before") for line in err)
     assert not (folder / "my.yaml").exists()
     assert (folder / "my.png").exists()
+
+
+@pytest.mark.parametrize(("factor", "status"), [(0.95, 0), (0.6, 1)])
+def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_not_written(
+    factor: float, status: int, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--json"]
+    assert main(arguments) == 0
+    held_out = json.loads(capsys.readouterr().out)["held_out"]
+    (folder / "my.yaml").unlink()
+    for run in (folder / "logs").iterdir():
+        if run.is_dir() and run.name not in held_out:
+            weaken(run, factor)
+    assert main(arguments) == status
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    identified, initial = (100 * content[f"rmse_holdout{which}_m"] for which in ("", "_initial"))
+    both = f"(position {identified:.2f} cm identified, {initial:.2f} cm initial"
+    assert f"warning: the identified values predict held-out logs no better than the initial values do {both}" in err
+    assert (folder / "my.yaml").exists() == (status == 0)
+    assert content["identifiable"] == (status == 0)
+    refused = f"error: not identified: held-out logs are predicted far better with the initial values {both})"
+    assert (f"{refused}; my.yaml was not written" in err) == (status == 1)
 
 
 def test_a_bad_log_is_left_out_and_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -225,7 +369,7 @@ def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not
         before.setattr(compilation, "are_steps_cached", lambda _: False)
         assert main(["sysid", "logs", "--extras", "none"]) == 0
         err = said(capsys)
-        begun = err.index("compiling the mushr-lag model for identification on this machine: once, about 8 s ...")
+        begun = err.index("compiling the model of mushr-lag for identification on this machine: once, about 8 s ...")
         assert err[begun + 1].startswith("compiled in ")
         assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
         assert not any("compil" in line for line in said(capsys))

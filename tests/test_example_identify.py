@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -28,7 +29,12 @@ def test_it_identifies_three_models_as_the_commands_do(
 ) -> None:
     bundled = {name: (resources.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS}
     assert run(tmp_path / "all", monkeypatch) == 0
-    assert "mushr-drive:" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "mushr-drive:" in told
+    # columns are as wide as what stands in them
+    heading = r"^    PARAMETER  VALUE {2,4}95 % INTERVAL \(sandwich\)  INITIAL  UNIT  MEANING$"
+    assert len(re.findall(heading, told, re.M)) == 3
+    assert len(re.findall(r"^    OPEN LOOP, held-out logs  1 s {5,8}2 s", told, re.M)) == 3
     assert all((tmp_path / "all" / f"{name}.png").stat().st_size > 50_000 for name in MODELS)
     assert {name: (resources.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS} == bundled
     monkeypatch.chdir(tmp_path)

@@ -284,6 +284,7 @@ def test_no_content_breaks_the_reader(tmp_path_factory: pytest.TempPathFactory, 
         ("0,1,2\n1,2,3\n", "a.csv:1: the first line is not a heading; expected the names of the columns, such as t,throttle,steering,x,y,yaw"),
         ("t,x,y,yaw,throttle,steering\n", "a.csv: has a heading but no rows; expected a row for each moment"),
         ("PK\0\0", "a.csv: is not a text file; expected comma-separated values in UTF-8"),
+        ("t,cmd_speed,cmd_stear,x,y,yaw\n1,2,3,4,5,6\n", "a.csv: no column is recognised as steering; there are t, cmd_speed, cmd_stear, x, y, yaw; did you mean 'cmd_stear' for steering? a mapping file says which column it is"),
         ("t,throttle,steerng,x,y\n1,2,3,4,5\n", "a.csv: no column is recognised as steering; there are t, throttle, steerng, x, y; did you mean 'steerng' for steering? a mapping file says which column it is\n"
          "a.csv: no column is recognised as yaw; there are t, throttle, steerng, x, y; expected one; a mapping file says which column it is"),
         ("t,left_throttle,right_throttle,steering,x,y,yaw\n1,2,3,4,5,6,7\n", "a.csv: throttle could be any of 'left_throttle', 'right_throttle'; expected one; a mapping file says which column it is"),

@@ -67,6 +67,29 @@ def test_warnings_bounds_and_objections_are_told() -> None:
     assert "NOT converged" in seen
 
 
+def test_one_warning_is_counted_as_one() -> None:
+    assert "\nwarning\n" in f"\n{texts(page(SPLIT, replace(RESULT, warnings=('one',), iterations=1)))}\n"
+    assert "converged after 1 iteration" in texts(page(SPLIT, replace(RESULT, iterations=1)))
+
+
+def test_long_names_and_remarks_leave_the_table_beside_the_matrix() -> None:
+    names = ("L", "phi_diff", "v_delta", "delay", "dead_band_throttle", "dead_band_steering", "yaw_offset")
+    parameters = {name: estimated(-0.0331, 0.00001, unit="rad", min=-0.0331, at_bound=True) for name in names}
+    covariance = np.eye(len(names))
+    result = replace(
+        RESULT, parameters=parameters, names=names, extras=names[3:], covariance=covariance, graph_covariance=covariance
+    )
+    figure = page(SPLIT, result)
+    figure.canvas.draw()
+    (matrix,) = (axes for axes in figure.axes if names == tuple(text.get_text() for text in axes.get_yticklabels()))
+    labels = min(text.get_window_extent().x0 for text in matrix.get_yticklabels())
+    bars = [axes for axes in figure.axes if axes.get_ylim() == (-1.0, 1.0) and not axes.axison]
+    heading = next(text for text in figure.texts if text.get_text() == "in its bounds")
+    assert len(bars) == len(names)
+    assert all(bar.get_window_extent().width > 0 and bar.get_window_extent().x1 < labels for bar in bars)
+    assert heading.get_window_extent().x1 < labels
+
+
 def test_everything_frozen_leaves_a_page() -> None:
     frozen = {name: replace(each, frozen=True, std=0.0) for name, each in RESULT.parameters.items()}
     nothing = np.zeros((0, 0))

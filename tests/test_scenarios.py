@@ -44,10 +44,11 @@ INSIDE = {
 }
 
 
-SCENES = (*PAPER, "training")
+HALLS = ("training", "training-real")
+SCENES = (*PAPER, *HALLS)
 
 
-def test_the_eight_scenes_of_the_paper_and_the_training_hall_are_bundled() -> None:
+def test_the_eight_scenes_of_the_paper_and_the_training_halls_are_bundled() -> None:
     assert resources.names("scenario") == tuple(sorted(SCENES))
 
 
@@ -76,8 +77,9 @@ def test_a_scene_has_the_papers_geometry(name: str) -> None:
     )
 
 
-def test_the_training_hall_is_empty_but_for_its_walls_and_the_markers_height_is_known() -> None:
-    scene = load_scenario("training")
+@pytest.mark.parametrize("name", HALLS)
+def test_a_training_hall_is_empty_but_for_its_walls_and_the_markers_height_is_known(name: str) -> None:
+    scene = load_scenario(name)
     walls = [o for o in scene.obstacles if isinstance(o, Box)]
     assert len(walls) == len(scene.obstacles) == 4
     assert all(max(map(abs, w.center)) == 6 and max(w.size) == 12 for w in walls)
@@ -87,6 +89,14 @@ def test_the_training_hall_is_empty_but_for_its_walls_and_the_markers_height_is_
 def test_nothing_is_hidden_in_turns_boxes_and_the_training_hall() -> None:
     for name in ("turns", "boxes", "training"):
         assert load_scenario(name).truth == Truth()
+
+
+def test_the_car_of_the_real_training_hall_is_that_of_the_real_scenes() -> None:
+    hall = load_scenario("training-real")
+    for name in ("turns-real", "boxes-real"):
+        assert load_scenario(name).truth == hall.truth
+    plain = load_scenario("training")
+    assert (hall.obstacles, hall.bounds, hall.sensing) == (plain.obstacles, plain.bounds, plain.sensing)
 
 
 def test_each_other_scene_hides_its_own_feature() -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from benchmarks.sysid import NOISE, PLAIN, REAL, STATED, TRUTH, real_logs, ten_t
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, prediction_errors, windows
+from kraft.sysid.uncertainty import Uncertainty, uncertainty
 from kraft.vehicle import load_vehicle
 from kraft.vehicle_config import VehicleConfig, load_vehicle_config
 
@@ -179,7 +182,22 @@ def test_outliers_hardly_move_the_wheelbase() -> None:
 def test_the_optimiser_says_when_it_has_not_converged() -> None:
     result = identify(lag(), logs(), replace(PLAIN, iterations=1))
     assert not result.converged
-    assert "had not converged after 1 iterations" in result.warnings[0]
+    assert "had not converged after 1 iteration: " in result.warnings[0]
+    assert result.iterations == 1
+
+
+def test_iterations_are_counted_alike_wherever_they_are_said() -> None:
+    result = identify(lag(), logs(), Settings(iterations=2))
+    assert not result.converged
+    assert result.iterations > 2
+    assert f"had not converged after {result.iterations} iterations: " in result.warnings[0]
+
+
+def test_whoever_watches_hears_every_iteration_once() -> None:
+    heard: list[tuple[int, float]] = []
+    result = identify(lag(), logs(), watch=lambda made, cost: heard.append((made, cost)))
+    assert [made for made, _ in heard] == list(range(1, result.iterations + 1))
+    assert heard[-1][1] == result.cost
 
 
 def said(result: Identification, *words: str) -> bool:
@@ -201,6 +219,23 @@ def test_one_constant_circle_asks_for_the_other_side() -> None:
     assert said(result, "L and phi_diff cannot be told apart", "arcs to the left and to the right")
     both = identify(lag(), driven(commanded([0.3]), commanded([-0.3]), commanded([0.15])), PLAIN)
     assert not said(both, "L and phi_diff")
+
+
+def test_what_cannot_be_told_apart_follows_from_the_correlation_that_is_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def alike(*given: Any) -> Uncertainty:
+        found = uncertainty(*given)
+        covariance = found.covariance.copy()
+        covariance[0, 3] = covariance[3, 0] = -0.96 * np.sqrt(covariance[0, 0] * covariance[3, 3])
+        return replace(found, covariance=covariance)
+
+    monkeypatch.setattr(import_module("kraft.sysid.identify"), "uncertainty", alike)
+    result = identify(lag(), logs(), PLAIN)
+    assert result.correlation[0, 3] == pytest.approx(-0.96)
+    assert abs(result.graph_covariance[0, 3]) < 0.9 * np.prod(np.sqrt(np.diag(result.graph_covariance)[[0, 3]]))
+    assert said(result, "L and tau cannot be told apart (correlation -0.96):")
+    assert sum("told apart" in warning for warning in result.warnings) == 1
 
 
 def test_a_lag_without_changes_of_throttle_is_not_told() -> None:
@@ -230,6 +265,23 @@ def test_a_value_at_its_bound_is_named() -> None:
     result = identify(lag(), data, PLAIN)
     assert result.parameters["v_delta"].at_bound
     assert said(result, "v_delta is at its upper bound 2 m/s")
+
+
+def test_an_interval_is_cut_at_a_bound_and_that_the_data_do_not_bound_it_is_said() -> None:
+    free = identify(lag(), logs(), PLAIN)
+    tau = free.parameters["tau"]
+    most = tau.value + 0.5 * tau.std
+    narrow = lag().parameters["tau"].model_copy(update={"value": tau.value - tau.std, "max": most})
+    near = lag().model_copy(update={"parameters": {**lag().parameters, "tau": narrow}})
+    result = identify(near, logs(), PLAIN)
+    found = result.parameters["tau"]
+    assert not found.at_bound
+    assert found.ci95[0] == pytest.approx(tau.ci95[0], abs=0.2 * tau.std)
+    assert found.ci95[1] == most == found.max
+    assert found.cut
+    assert said(result, "the data do not bound tau", f"beyond its bounds {lag().parameters['tau'].min:g} to {most:g} s")
+    assert not any(each.cut for each in free.parameters.values())
+    assert not said(free, "do not bound")
 
 
 @pytest.mark.parametrize(("factor", "words"), [(0.1, "stated too small"), (10.0, "stated too large")])

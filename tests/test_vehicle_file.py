@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from sysid_fakes import estimated, fake_identification, fake_log, fake_predicted
+from sysid_fakes import estimated, fake_identification, fake_log, fake_predicted, fake_windows
 
 from kraft import resources
 from kraft.errors import InputError
+from kraft.sysid.comparison import no_better
+from kraft.sysid.forecast import Forecast
 from kraft.sysid.holdout import Split, split
 from kraft.sysid.record import record_of
 from kraft.sysid.result import Estimated
@@ -24,7 +27,8 @@ from kraft_cli.main import main
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))
 SPLIT = Split(LOGS[:3], LOGS[3:], "")
 RESULT = fake_identification(LOGS[:3], warnings=("a: b, c # d",), interval="sandwich")
-RECORD = record_of("mushr", RESULT, SPLIT, fake_predicted(SPLIT))
+PREDICTED = fake_predicted(SPLIT)
+RECORD = record_of("mushr", RESULT, SPLIT, PREDICTED)
 CODE = """from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 
@@ -210,10 +214,23 @@ def test_an_impossible_holdout_is_refused(count: int, fraction: float) -> None:
 
 
 def test_what_the_logs_do_not_show_is_an_objection() -> None:
-    assert objections(RESULT) == ()
-    assert objections(replace(RESULT, converged=False)) == ("the fit did not converge",)
-    assert objections(replace(RESULT, unidentified=("L", "v_delta"))) == ("the logs do not show L, v_delta",)
-    assert objections(replace(RESULT, unidentified=("delay",))) == ()  # an extra that planning does not use
+    assert objections(RESULT, PREDICTED) == ()
+    assert objections(replace(RESULT, converged=False), PREDICTED) == ("the fit did not converge",)
+    assert objections(replace(RESULT, unidentified=("L", "v_delta")), PREDICTED) == ("the logs do not show L, v_delta",)
+    assert objections(replace(RESULT, unidentified=("delay",)), PREDICTED) == ()  # an extra that planning does not use
     one = RESULT.graph_covariance.copy()
     one[0, 1] = one[1, 0] = -0.995 * np.sqrt(one[0, 0] * one[1, 1])
-    assert objections(replace(RESULT, graph_covariance=one)) == ("L and phi_diff cannot be told apart",)
+    assert objections(replace(RESULT, graph_covariance=one), PREDICTED) == ("L and phi_diff cannot be told apart",)
+
+
+@pytest.mark.parametrize(("identified_drift", "warned", "refused"), [(0.1005, 0, 0), (0.11, 1, 0), (0.2, 1, 1)])
+def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far_worse_ones_refused(
+    identified_drift: float, warned: int, refused: int
+) -> None:
+    unseen = Forecast(fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1))
+    assert len(no_better(unseen)) == warned
+    found = objections(RESULT, replace(PREDICTED, held_out=unseen))
+    assert len(found) == refused
+    for said in (*no_better(unseen), *found):
+        assert re.search(r"\d\d\.\d\d cm identified, \d\d\.\d\d cm initial", said)
+    assert objections(RESULT, replace(PREDICTED, held_out=None)) == ()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Final
 
 import numpy as np
 
 from kraft.errors import Diagnostic
 from kraft.logs.choice import Channel
-from kraft.logs.columns import time_score
+from kraft.logs.columns import SYNONYMS, YAW, time_score
 from kraft.logs.mapping import Column, Mapping
 from kraft.logs.names import parse
 from kraft.logs.table import LOG_TIME, STAMP, Table
@@ -18,6 +20,10 @@ from kraft.source import KeyPath
 from kraft.suggest import choose, nearest
 
 Score = Callable[[str], int | None]
+SPELT: Final = 4
+"""Letters that a word must have for another one to be a slip of it."""
+SLIP: Final = 0.75
+"""How alike the two must be."""
 HOW = "a mapping file says which column it is"
 
 
@@ -46,8 +52,7 @@ class Picker:
     def pick(self, role: str, score: Score, quantity: Quantity, path: KeyPath, wish: Column | None) -> Picked:
         """Pick the column for a role; ``path`` is where the mapping file would say it, ``wish`` what it says."""
         if wish is not None:
-            written = (*path, "column")
-            return self.wished(role, wish, quantity, written if written in self.mapping.source.values else path)
+            return self.wished(role, wish, quantity, written_at(path, self.mapping))
         scores = {name: fit for name in self.table.columns if (fit := score(name)) is not None}
         if not scores:
             return Picked(None, missing=role)
@@ -90,14 +95,27 @@ class Picker:
         return Channel(role, name, found, stated=stated, note=note)
 
 
+def written_at(path: KeyPath, mapping: Mapping) -> KeyPath:
+    """Where the mapping file has the name of the column that it describes at `path`."""
+    written = (*path, "column")
+    return written if written in mapping.source.values else path
+
+
 def missing(table: Table, roles: Sequence[str]) -> Diagnostic:
     """Say for which roles nothing fits in a table."""
     names = list(table.columns)
     shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
     noun = "field" if table.topic else "column"
     problem = f"no {noun} is recognised as {' or as '.join(roles)}; there are {shown}"
-    near = [f"{name!r} for {role}" for role in roles if (name := nearest(role, names)) is not None]
+    near = [f"{name!r} for {role}" for role in roles if (name := _near_miss(role, names)) is not None]
     return table.diagnostic(problem, f"did you mean {', '.join(near)}? {HOW}" if near else f"expected one; {HOW}")
+
+
+def _near_miss(role: str, names: Sequence[str]) -> str | None:
+    """The column most like a role, or one with a word that is much like a name of the role: cmd_stear for steering."""
+    known = [word for word in SYNONYMS.get(role, YAW if role == "yaw" else ()) if len(word) >= SPELT]
+    misspelt = (name for name in names if any(get_close_matches(word, known, 1, SLIP) for word in parse(name).words))
+    return nearest(role, names) or next(misspelt, None)
 
 
 def _clock_unit(values: np.ndarray) -> tuple[Unit, str]:

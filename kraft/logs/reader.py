@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Mapping
 from kraft.logs.stamps import on_one_clock
 from kraft.logs.table import Table
+from kraft.logs.unfit import UnfitError, heading, unfit
 from kraft.logs.unit_checks import DegreesError, doubtful
 
 CONTROLS: Final = ("throttle", "steering")
@@ -37,7 +39,8 @@ def read_logs(
         mapping: what `load_mapping` returned, where the names of the columns say too little.
 
     Raises:
-        InputError: if there is no log at all, or if none can be read; with every problem.
+        InputError: if there is no log at all, or if none can be read; with every problem.  It is an `UnfitError` where
+            mapping file or controls fit none of the logs.
     """
     given = [paths] if isinstance(paths, str | Path) else list(paths)
     if not given:
@@ -46,9 +49,17 @@ def read_logs(
     candidates, problems = discover([Path(path) for path in given], controls, said)
     read: list[tuple[Log, Choice]] = []
     degrees: set[tuple[str, str]] = set()
+    places, tables, unread = tuple(problems), list[Table](), 0
     for candidate in candidates:
         try:
-            read.append(_read(candidate, controls, said))
+            sources, found = _tables(candidate, said)
+        except InputError as error:
+            problems += error.diagnostics
+            unread += 1
+            continue
+        tables += map(heading, found)
+        try:
+            read.append(_read(candidate.name, sources, found, controls, said))
         except DegreesError as error:
             degrees |= error.columns
             problems += error.diagnostics
@@ -57,20 +68,31 @@ def read_logs(
     logs, alike = _without_degrees(read, degrees)
     problems += alike
     if not logs:
+        # a table that cannot be read may have what is looked for
+        if not unread and tables and (wrong := unfit(_common(candidates), tables, controls, said)):
+            raise UnfitError([*places, *wrong])
         raise InputError(problems)
     return LogSet(tuple(logs), tuple(dict.fromkeys(problems)))
 
 
-def _read(candidate: Candidate, controls: Sequence[str], mapping: Mapping) -> tuple[Log, Choice]:
+def _common(candidates: Sequence[Candidate]) -> str:
+    """The folder that all logs are in, or the only one."""
+    return os.path.commonpath([candidate.place for candidate in candidates]) or "."
+
+
+def _tables(candidate: Candidate, mapping: Mapping) -> tuple[list[Source], list[Table]]:
     if candidate.kind == "bag":
-        sources, tables = _bag(candidate.files[0], mapping)
-    else:
-        sources, tables = _csv_files(candidate.files)
-    if candidate.kind == "run":
-        tables = [_without_truth(table) for table in tables]
+        return _bag(candidate.files[0], mapping)
+    sources, tables = _csv_files(candidate.files)
+    return sources, [_without_truth(table) for table in tables] if candidate.kind == "run" else tables
+
+
+def _read(
+    name: str, sources: Sequence[Source], tables: Sequence[Table], controls: Sequence[str], mapping: Mapping
+) -> tuple[Log, Choice]:
     choice = on_one_clock(choose(tables, controls, mapping))
     parts, findings = clean(choice, controls, mapping)
-    return Log(candidate.name, tuple(sources), tuple(controls), parts, findings, str(choice)), choice
+    return Log(name, tuple(sources), tuple(controls), parts, findings, str(choice)), choice
 
 
 def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from kraft.sysid.prediction import Window
 
 ROW: Final = 0.215
+BAR: Final = 0.75
+"""Least width of the bars in the table, which is that of their heading."""
+BETWEEN: Final = 0.12
+"""Room between columns of the table."""
 DOUBTED: Final = 0.5
 """Observations of which less than this counts are marked."""
 BIN: Final = 0.1
@@ -36,15 +40,22 @@ def draw_parameters(
 ) -> None:
     """A table, for each parameter where estimate and initial value lie between its bounds; warnings below it."""
     rows = [("", "value", "95 % interval", "initial"), *(_cells(name, each) for name, each in parameters.items())]
-    left = part.left
+    widths = [
+        max(text_width(cell, LABEL, bold=column == 0) for cell in cells) / 72
+        for column, cells in enumerate(zip(*rows, strict=True))
+    ]
+    shrunk = min(
+        1.0, (part.width - BAR - BETWEEN * len(widths)) / sum(widths)
+    )  # long names and remarks leave the bars their room
+    left, size = part.left, shrunk * LABEL
     for column, cells in enumerate(zip(*rows, strict=True)):
         for k, cell in enumerate(cells):
             colour, weight = (GREY, "normal") if k == 0 else (INK, "normal" if column else "bold")
-            page.text(figure, left, part.top + 0.12 + ROW * k, cell, LABEL, colour, weight=weight)
-        left += (max(text_width(cell, LABEL, bold=column == 0) for cell in cells) + 8.0) / 72
-    page.text(figure, left, part.top + 0.12, "in its bounds", LABEL, GREY)
+            page.text(figure, left, part.top + 0.12 + ROW * k, cell, size, colour, weight=weight)
+        left += shrunk * widths[column] + BETWEEN
+    page.text(figure, left, part.top + 0.12, "in its bounds", size, GREY)
     for k, estimate in enumerate(parameters.values(), 1):
-        bar = Rectangle(left, part.top + ROW * k - 0.01, max(part.left + part.width - left, 0.5), 0.16)
+        bar = Rectangle(left, part.top + ROW * k - 0.01, part.left + part.width - left, 0.16)
         _draw_bar(page.axes(figure, bar), estimate)
     below = part.top + 0.12 + ROW * len(rows)
     _draw_warnings(figure, page, Rectangle(part.left, below, part.width, part.bottom - below), warnings)
@@ -57,7 +68,7 @@ def _cells(name: str, estimate: Estimated) -> tuple[str, str, str, str]:
     values = (estimate.value, *estimate.ci95, estimate.initial)
     value, low, high, initial = (f"{number:.{digits}f}".replace("-", "\N{MINUS SIGN}") for number in values)
     unit = "" if estimate.unit in ("", "1") else f", {estimate.unit}"
-    interval = "frozen" if estimate.frozen else f"{low} to {high}" + (", at its bound" if estimate.at_bound else "")
+    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.remark}"
     return f"{name}{unit}", value, interval, initial
 
 

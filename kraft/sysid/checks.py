@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kraft.logs.findings import count
 from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.problem import Problem
@@ -42,6 +43,8 @@ class Case:
     logs: Sequence[str]
     """names"""
     noise_measured: bool
+    iterations: int
+    """of the optimiser, trying extras included"""
 
     @property
     def names(self) -> list[str]:
@@ -52,7 +55,7 @@ class Case:
 
 def warnings_of(case: Case) -> tuple[str, ...]:
     """All that is doubtful, most important first."""
-    checks = (_convergence, _steering, _bounds, _prior, _correlation, _residuals, _disagreement)
+    checks = (_convergence, _steering, _bounds, _prior, _open, _correlation, _residuals, _disagreement)
     return tuple(warning for check in checks for warning in check(case))
 
 
@@ -79,8 +82,8 @@ def unidentified(case: Case) -> tuple[str, ...]:
 def _convergence(case: Case) -> Iterator[str]:
     if not case.optimum.converged:
         yield (
-            f"the optimiser had not converged after {case.optimum.iterations} iterations: values and intervals are "
-            "where it stopped; allow more iterations or freeze parameters that are not identifiable"
+            f"the optimiser had not converged after {count(case.iterations, 'iteration')}: values and intervals are "
+            "where it stopped; freeze parameters that the logs do not show, or leave out extra ones (extras none)"
         )
 
 
@@ -106,18 +109,41 @@ def _prior(case: Case) -> Iterator[str]:
         )
 
 
+def _open(case: Case) -> Iterator[str]:
+    p, known = case.problem.parameters, {*at_bound(case), *unidentified(case)}  # those have warnings of their own
+    half = case.uncertain.quantile * case.uncertain.std
+    values = case.optimum.point.rho[p.free]
+    for name, value, reach in zip(case.names, values, half, strict=True):
+        number = p.numbers[p.index(name)]
+        if name in known or number.min <= value - reach <= value + reach <= number.max:
+            continue
+        yield (
+            f"the data do not bound {name}: its 95 % interval, {value - reach:.3g} to {value + reach:.3g}, "
+            f"reaches beyond its bounds {number.min:g} to {number.max:g} {number.unit}".rstrip()
+            + f" and is cut there; drive {lacking(p, name)}, or freeze it"
+        )
+
+
 def _correlation(case: Case) -> Iterator[str]:
-    covariance = case.uncertain.graph
-    std = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(std, std)
+    reported, stated = _correlations(case.uncertain.covariance), _correlations(case.uncertain.graph)
     names = case.names
-    for i in range(len(names)):
-        for j in range(i):
-            if abs(correlation[i, j]) > ALIKE:
-                yield (
-                    f"{names[j]} and {names[i]} cannot be told apart (correlation {correlation[i, j]:.2f}): drive "
-                    f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
-                )
+    for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
+        # either says that one makes up for the other; the one that is reported is named first
+        by_noise = abs(reported[i, j]) <= ALIKE
+        found = stated[i, j] if by_noise else reported[i, j]
+        if abs(found) > ALIKE:
+            yield (
+                f"{names[j]} and {names[i]} cannot be told apart (correlation {found:.2f}"
+                f"{' by the stated noise' if by_noise else ''}): drive "
+                f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
+            )
+
+
+def _correlations(covariance: Floats) -> Floats:
+    """(free, free)"""
+    std = np.sqrt(np.diag(covariance))
+    correlation: Floats = covariance / np.outer(std, std)
+    return correlation
 
 
 def _residuals(case: Case) -> Iterator[str]:

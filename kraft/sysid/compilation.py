@@ -21,11 +21,17 @@ from ompl_ext.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 
 
-def ensure_compiled(vehicle: Vehicle, say: Callable[[str], None]) -> None:
-    """Compile the model's steps and the graph's elimination, unless they were; `say` is told before and after."""
+def ensure_compiled(vehicle: Vehicle, asked: str, say: Callable[[str], None]) -> None:
+    """Compile the model's steps and the graph's elimination, unless they were; `say` is told before and after.
+
+    Args:
+        vehicle: whose model it is.
+        asked: name or file that it was asked for by.
+        say: is told.
+    """
     if are_steps_cached(vehicle) and is_cached():
         return
-    say(f"compiling the {vehicle.name} model for identification on this machine: once, about 8 s ...")
+    say(f"compiling the model of {asked} for identification on this machine: once, about 8 s ...")
     began = time.perf_counter()
     _exercise(vehicle)
     say(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")

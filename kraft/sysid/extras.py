@@ -16,6 +16,14 @@ DEAD_BANDS = {"throttle": 0.5, "steering": 0.25}
 """Controls that a dead band makes sense for, and the share of their range that it may take."""
 
 
+def moves(name: str) -> bool:
+    """Whether an extra belongs to how the vehicle moves: planning does not know it, and is off by as much.
+
+    The others belong to how the vehicle is seen, which planning need not know.
+    """
+    return name.startswith(("delay", "dead_band_"))
+
+
 @dataclass(frozen=True)
 class Extra:
     """A parameter that every model may be given; 0 is its nominal value and means that it is not there."""

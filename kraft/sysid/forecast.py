@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from kraft.errors import InputError
+from kraft.sysid.comparison import no_better
 from kraft.sysid.holdout import Split
 from kraft.sysid.prediction import Window, errors_of, windows
 from kraft.sysid.result import Identification, PredictionErrors
@@ -42,7 +43,7 @@ class Predicted:
     Attributes:
         fitted: of the logs that were fitted.
         held_out: of those held out, None if there are none or none can be predicted.
-        warnings: which logs that were held out cannot be predicted, and why.
+        warnings: that the initial values predict better, which held-out logs cannot be predicted, and why.
     """
 
     fitted: Forecast
@@ -71,7 +72,7 @@ def predicted(vehicle: VehicleConfig | Vehicle, parted: Split, result: Identific
         why = "; ".join(f"{problem.file} {problem.problem}" for problem in error.diagnostics)
         said = f"the fit is not tested: the {len(parted.held_out)} held out cannot be predicted ({why})"
         return Predicted(fitted, None, (said,))
-    return Predicted(fitted, unseen, _missed(parted.held_out, unseen))
+    return Predicted(fitted, unseen, (*no_better(unseen), *_missed(parted.held_out, unseen)))
 
 
 def _missed(logs: tuple[Log, ...], forecast: Forecast) -> tuple[str, ...]:

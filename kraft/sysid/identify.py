@@ -12,11 +12,11 @@ import numpy as np
 from kraft.sysid.assembly import assemble, starting_point
 from kraft.sysid.chains import whole
 from kraft.sysid.checks import Case, warnings_of
-from kraft.sysid.extras import extras_of
+from kraft.sysid.extras import extras_of, moves
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.input import screened, usable_logs
 from kraft.sysid.noise_model import NoiseModel, noise_model
-from kraft.sysid.optimiser import Linearised, Optimum, optimise
+from kraft.sysid.optimiser import Linearised, Optimum, Watch, optimise, unwatched
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem
 from kraft.sysid.reporting import identification
@@ -42,13 +42,19 @@ REFITS = 3
 """Most times that extras are dropped and the rest is fitted anew."""
 
 
-def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Settings | None = None) -> Identification:
+def identify(
+    vehicle: VehicleConfig | Vehicle,
+    logs: Sequence[Log],
+    settings: Settings | None = None,
+    watch: Watch = unwatched,
+) -> Identification:
     """Estimate the parameters of a vehicle from logs.
 
     Args:
         vehicle: a vehicle file, whose parameters have bounds and priors, or a vehicle from code, which gets wide ones.
         logs: of `kraft.logs.reader.read_logs`; the sandwich interval treats them as independent of each other.
         settings: by default what suits most logs.
+        watch: is told after each iteration of the optimiser how many it made, trying extras included, and the cost.
 
     Raises:
         InputError: if the logs cannot be used (no motion, controls that the vehicle does not have), or a setting names
@@ -57,25 +63,23 @@ def identify(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Se
     settings = settings or Settings()
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
-    task = _Task(vehicle, model, settings, usable_logs(model, logs))
+    task = _Task(vehicle, model, settings, usable_logs(model, logs), watch)
     extras = task.extras_to_try()
     fit = task.fit(task.start(extras), settings.iterations)
-    iterations = fit.optimum.iterations
     if task.rescale(fit):
         fit = task.fit(task.without(fit, extras), settings.iterations)
-        iterations += fit.optimum.iterations
     short = screened(logs)
     notes = [*(f"left out: {problem}" for problem in short.problems), *short.shortened]
-    if settings.extras == "auto":
+    if settings.extras in ("auto", "plan"):
         for _ in range(REFITS):
             kept = shown(fit.problem.parameters, fit.optimum.point.rho, fit.uncertain, task.asked)
             if kept == fit.problem.parameters.extras:
                 break
             fit = task.fit(task.without(fit, kept), settings.iterations)
-            iterations += fit.optimum.iterations
         notes.append(_choice(extras, fit.problem.parameters.extras))
-    case = Case(fit.problem, fit.optimum, fit.uncertain, task.data, [log.name for log in task.logs], not settings.noise)
-    return identification(case, warnings_of(case), tuple(notes), iterations)
+    names = [log.name for log in task.logs]
+    case = Case(fit.problem, fit.optimum, fit.uncertain, task.data, names, not settings.noise, task.iterations)
+    return identification(case, warnings_of(case), tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +103,9 @@ class _Task:
     """What stays the same while extras come and go."""
 
     def __init__(
-        self, vehicle: VehicleConfig | Vehicle, model: Vehicle, settings: Settings, logs: Sequence[Log]
+        self, vehicle: VehicleConfig | Vehicle, model: Vehicle, settings: Settings, logs: Sequence[Log], watch: Watch
     ) -> None:
+        self.watch, self.iterations = watch, 0
         self.vehicle, self.model, self.settings, self.logs = vehicle, model, settings, logs
         self.stretches = [whole(part, i, settings.step) for i, log in enumerate(logs) for part in log.parts]
         self.noise: NoiseModel = noise_model(
@@ -127,7 +132,9 @@ class _Task:
         known, wanted = extras_of(self.model), self.settings.extras
         if wanted == "none":
             return ()
-        names = set(AUTOMATIC) | self.asked if wanted == "auto" else set(wanted)
+        if isinstance(wanted, tuple):
+            return tuple(name for name in known if name in wanted)
+        names = {name for name in AUTOMATIC if wanted == "auto" or not moves(name)} | self.asked
         return tuple(name for name in known if name in names)
 
     def problem(self, parameters: Parameters) -> Problem:
@@ -155,7 +162,11 @@ class _Task:
 
     def fit(self, start: _Start, iterations: int) -> _Fit:
         """Solve a problem."""
-        optimum = optimise(self._graph(start.problem), start.point, iterations)
+        before = self.iterations
+        optimum = optimise(
+            self._graph(start.problem), start.point, iterations, lambda made, cost: self.watch(before + made, cost)
+        )
+        self.iterations += optimum.iterations
         p, rho = start.problem.parameters, optimum.point.rho
         held = held_at_bounds(optimum.factors, p.low - rho, p.high - rho)
         return _Fit(start.problem, optimum, uncertainty(optimum.factors, p.free, held))

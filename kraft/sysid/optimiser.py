@@ -5,6 +5,7 @@ GTSAM's own optimisers hand every custom factor a copy of all values, which cost
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,6 +24,10 @@ RELAXATIONS = 2
 FIRST_DAMPING = 1e-4
 LEAST_DAMPING = 1e-9
 MOST_DAMPING = 1e10
+
+
+Watch = Callable[[int, float], None]
+"""Is told how many iterations were made, and the cost."""
 
 
 class Linearised(Protocol):
@@ -55,8 +60,12 @@ class Optimum:
     """at the point, undamped"""
 
 
-def optimise(graph: Linearised, start: Point, most: int) -> Optimum:
-    """Minimise the cost within the parameters' bounds, in at most `most` iterations."""
+def unwatched(_: int, __: float) -> None:
+    """For those who do not want to be told."""
+
+
+def optimise(graph: Linearised, start: Point, most: int, watch: Watch = unwatched) -> Optimum:
+    """Minimise the cost within the parameters' bounds, in at most `most` iterations; `watch` is told after each."""
     problem = graph.problem
     low, high, free = problem.parameters.low, problem.parameters.high, problem.parameters.free
     point, cost = start, graph.cost(start)
@@ -73,6 +82,7 @@ def optimise(graph: Linearised, start: Point, most: int) -> Optimum:
             point, cost, damping = candidate, lower, max(0.1 * damping, LEAST_DAMPING)
         else:
             damping *= 10.0
+        watch(iterations, cost)
         graph.linearise(point)
     return Optimum(point, cost, converged, iterations, graph.reduce(0.0))
 

@@ -53,6 +53,8 @@ def _extras(text: str) -> Extras:
     match _names((text,)):
         case ("auto",):
             return "auto"
+        case ("plan",):
+            return "plan"
         case ("none",):
             return "none"
         case names:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+from kraft.logs.findings import count
 from kraft.sysid.request import Identified
 from kraft.sysid.result import Estimated, PredictionErrors
 
@@ -85,13 +86,10 @@ def remarks(done: Identified) -> list[str]:
     state = "converged" if result.converged else "NOT converged"
     why = INTERVALS[result.interval]
     said = [
-        f"{state} after {result.iterations} iterations, {done.seconds:.2f} s; intervals follow {why}",
+        f"{state} after {count(result.iterations, 'iteration')}, {done.seconds:.2f} s; intervals follow {why}",
         f"noise of the poses {1000 * noise.position:.3g} mm, {math.degrees(noise.yaw):.2g} deg, {origin}",
         *result.notes,
     ]
-    unknown = [name for name in result.extras if name.startswith(("delay", "dead_band"))]
-    if unknown and done.request.out is not None:
-        said.append(f"planning does not know {', '.join(unknown)}: for a file to plan with, add --extras none")
     if result.rear_axle is not None:
         said.append(f"the tracked point is {result.rear_axle:.3f} m ahead of the rear axle")
     return said
@@ -126,7 +124,7 @@ def _errors(errors: PredictionErrors) -> dict[str, Any]:
 def _row(name: str, estimate: Estimated) -> tuple[str, ...]:
     digits = _digits(estimate)
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
-    interval = "frozen" if estimate.frozen else f"{low} to {high}{', at its bound' if estimate.at_bound else ''}"
+    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.remark}"
     value = f"{estimate.value:.{digits}f}"
     return name, value, interval, f"{estimate.initial:.{digits}f}", estimate.unit, estimate.description
 

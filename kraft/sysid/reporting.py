@@ -10,8 +10,8 @@ from kraft.sysid.result import Estimated, Identification, LogFit, PartFit
 from ompl_ext.arrays import Floats
 
 
-def identification(case: Case, warnings: tuple[str, ...], notes: tuple[str, ...], iterations: int) -> Identification:
-    """The result; `iterations` of all fits together."""
+def identification(case: Case, warnings: tuple[str, ...], notes: tuple[str, ...]) -> Identification:
+    """The result."""
     p, noise = case.problem.parameters, case.problem.noise
     vehicle, rho = p.vehicle, case.optimum.point.rho
     axle = ahead_of_axle(p, case.problem.motion, rho)
@@ -26,7 +26,7 @@ def identification(case: Case, warnings: tuple[str, ...], notes: tuple[str, ...]
         graph_covariance=case.uncertain.graph,
         unidentified=unidentified(case),
         converged=case.optimum.converged,
-        iterations=iterations,
+        iterations=case.iterations,
         cost=case.optimum.cost,
         noise=noise.noise,
         noise_measured=case.noise_measured,
@@ -47,7 +47,7 @@ def _estimated(case: Case) -> dict[str, Estimated]:
         number.name: Estimated(
             value=float(rho[k]),
             std=float(std[k]),
-            ci95=(float(rho[k] - half[k]), float(rho[k] + half[k])),
+            ci95=(max(float(rho[k] - half[k]), number.min), min(float(rho[k] + half[k]), number.max)),
             unit=number.unit,
             description=number.description,
             initial=number.value,

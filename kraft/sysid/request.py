@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from kraft.atomic_file import check_writable
+from kraft.atomic_file import check_all, check_writable
 from kraft.errors import InputError, NegativeResult
-from kraft.logs.discover import discover
-from kraft.logs.log import Log, LogSet
-from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import read_logs
+from kraft.logs.log import LogSet
 from kraft.plot.output import picture_format
 from kraft.sysid.compilation import ensure_compiled
+from kraft.sysid.extras import moves
 from kraft.sysid.forecast import Predicted, predicted
 from kraft.sysid.holdout import Split, split
 from kraft.sysid.identify import identify
-from kraft.sysid.input import screened
 from kraft.sysid.options import Options, settings_of
+from kraft.sysid.pace import Pace
+from kraft.sysid.reading import Say, explain, read
 from kraft.sysid.record import record_of
 from kraft.sysid.result import Identification
 from kraft.sysid.setting_checks import check_settings
@@ -30,7 +28,10 @@ from kraft.sysid.vehicle_file import check_target, write_vehicle
 from kraft.sysid.verdict import objections
 
 MODEL: Final = "mushr-lag"
-Say = Callable[[str], None]
+
+
+def _silent(_: str) -> None:
+    """For those who do not ask for details."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Identified:
     seconds: float
 
 
-def carry_out(request: Request, say: Say, warn: Say) -> Identified:
+def carry_out(request: Request, say: Say, warn: Say, detail: Say = _silent) -> Identified:
     """Load, check, read, identify, predict, write, draw.
 
     A vehicle file is written only if there are no objections.  The page is drawn in any case; where nothing could be
@@ -81,6 +82,7 @@ def carry_out(request: Request, say: Say, warn: Say) -> Identified:
         request: what to do.
         say: is told what was read and decided.
         warn: is told what is wrong with logs that are left out.
+        detail: is told where in which log that was found of which `say` gets a sum.
 
     Raises:
         InputError: with what is wrong with the request or the files it names, before anything is identified.
@@ -88,21 +90,25 @@ def carry_out(request: Request, say: Say, warn: Say) -> Identified:
     """
     subject = load_subject(request.model)
     settings = _checked(request, subject)
-    logs = _read(request, subject, say, warn)
+    logs = read(request.logs, request.mapping, tuple(subject.vehicle.controls), say, warn, detail)
     parted = split(logs.logs, request.holdout)
     say(parted.note)
-    ensure_compiled(subject.vehicle, say)
+    ensure_compiled(subject.vehicle, subject.reference, say)
     began = time.perf_counter()
     try:
-        result = identify(subject.given, parted.fitted, settings)
+        result = identify(subject.given, parted.fitted, settings, Pace(say))
         seconds = time.perf_counter() - began
         found = predicted(subject.given, parted, result, settings)
-        result = replace(result, warnings=(*result.warnings, *found.warnings))
+        result = replace(
+            result,
+            warnings=(*result.warnings, *found.warnings, *_unknown_to_planning(request, result)),
+            notes=(*result.notes, *_for_planning(settings)),
+        )
     except InputError as error:  # of the logs: everything else was checked
         _draw_logs(request, subject, parted, error)
-        _warn(error, warn)
+        explain(error, warn)
         raise NegativeResult("the parameters cannot be identified from these logs") from None
-    done = Identified(request, subject, logs, parted, result, found, objections(result), seconds)
+    done = Identified(request, subject, logs, parted, result, found, objections(result, found), seconds)
     _draw(done)
     _write(done)
     return done
@@ -110,59 +116,39 @@ def carry_out(request: Request, say: Say, warn: Say) -> Identified:
 
 def _checked(request: Request, subject: Subject) -> Settings:
     """The settings, after everything that can be wrong before the logs are read."""
+    check_all(
+        lambda: check_settings(subject.given, settings_of(request.options)),
+        lambda: None if request.out is None else check_target(request.out),
+        lambda: None if request.plot is None else _check_picture(request.plot),
+    )
     settings = settings_of(request.options)
-    check_settings(subject.given, settings)
-    if request.out is not None:
-        check_target(request.out)
-    if request.plot is not None:
-        picture_format(request.plot)
-        check_writable(request.plot)
+    if request.out is not None and settings.extras == "auto":
+        return replace(settings, extras="plan")
     return settings
 
 
-def _read(request: Request, subject: Subject, say: Say, warn: Say) -> LogSet:
-    """Read every log, and say what it was taken for and what was found in it."""
-    mapping = Mapping() if request.mapping is None else load_mapping(request.mapping)
-    controls = tuple(subject.vehicle.controls)
-    candidates, _ = discover(request.logs, controls, mapping)
-    try:
-        found = read_logs(request.logs, controls, mapping)
-    except InputError as error:
-        if not candidates:
-            raise
-        _warn(error, warn)
-        raise _none_usable(len(candidates)) from None
-    long = screened(found.logs)
-    _tell(long.logs, say)
-    for shortened in long.shortened:
-        say(shortened)
-    for problem in (*found.problems, *long.problems):
-        warn(f"left out: {problem}")
-    if not long.logs:
-        raise _none_usable(len(candidates))
-    return LogSet(long.logs, (*found.problems, *long.problems))
+def _check_picture(path: Path) -> None:
+    """Refuse a name and a place that no picture can have."""
+    picture_format(path)
+    check_writable(path)
 
 
-def _none_usable(count: int) -> NegativeResult:
-    return NegativeResult("the only log cannot be used" if count == 1 else f"none of the {count} logs can be used")
+def _for_planning(settings: Settings) -> tuple[str, ...]:
+    """That delays and dead bands were not looked for."""
+    if settings.extras != "plan":
+        return ()
+    return ("for a file to plan with, no delay or dead band is identified: planning does not know them",)
 
 
-def _warn(error: InputError, warn: Say) -> None:
-    for diagnostic in error.diagnostics:
-        warn(str(diagnostic))
-
-
-def _tell(logs: Sequence[Log], say: Say) -> None:
-    """Say what was taken for what, once for logs of one kind, and what was found."""
-    kinds: dict[str, list[str]] = {}
-    for log in logs:
-        kinds.setdefault(log.guess, []).append(log.name)
-    for guess, names in kinds.items():
-        whose = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-        say(f"{whose}: {guess}")
-    for log in logs:
-        for finding in log.findings:
-            say(f"{log.name}: {finding}")
+def _unknown_to_planning(request: Request, result: Identification) -> tuple[str, ...]:
+    """That a file to plan with lacks what the vehicle was asked to be identified with."""
+    extras = [name for name in result.extras if moves(name)]
+    if request.out is None or not extras:
+        return ()
+    return (
+        f"planning does not know {', '.join(extras)}, and {request.out} is off by as much: for a file to plan with, "
+        "leave them out of --extras, --param and --freeze",
+    )
 
 
 def _draw(done: Identified) -> None:

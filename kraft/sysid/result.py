@@ -18,7 +18,7 @@ class Estimated:
     std: float
     """0 for a frozen parameter"""
     ci95: tuple[float, float]
-    """95 % interval, as `Identification.interval` says"""
+    """95 % interval, as `Identification.interval` says, cut at the bounds"""
     unit: str
     description: str
     initial: float
@@ -27,6 +27,16 @@ class Estimated:
     max: float
     frozen: bool
     at_bound: bool
+
+    @property
+    def cut(self) -> bool:
+        """Whether its interval reaches to a bound that the value is not at: the data do not bound it on that side."""
+        return not (self.frozen or self.at_bound) and (self.ci95[0] <= self.min or self.ci95[1] >= self.max)
+
+    @property
+    def remark(self) -> str:
+        """What is said after its interval, if anything."""
+        return ", at its bound" if self.at_bound else ", cut at its bound" if self.cut else ""
 
 
 @dataclass(frozen=True)

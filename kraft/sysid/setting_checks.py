@@ -49,7 +49,7 @@ def _unknown(vehicle: Vehicle, settings: Settings) -> list[Diagnostic]:
 
 def _without_extra(vehicle: Vehicle, settings: Settings) -> list[Diagnostic]:
     """Extras that are frozen or given a value, and that the fit will not have."""
-    if settings.extras == "auto":  # has those that are asked for
+    if settings.extras in ("auto", "plan"):  # have those that are asked for
         return []
     chosen = settings.extras if isinstance(settings.extras, tuple) else ()
     return [

@@ -36,12 +36,12 @@ def check_target(path: Path) -> None:
     """
     if path.suffix not in (".yaml", ".yml"):
         raise InputError.of(str(path), "is not the name of a vehicle file", "expected a name that ends in .yaml")
+    check_writable(path)
     if os.path.lexists(path):
         config, _ = check(VehicleConfig, read_document(path))
         if config is None or config.identification is None:
             problem = "is there already, and kraft sysid did not write it"
             raise InputError.of(str(path), problem, "expected a new file, or one that an identification wrote")
-    check_writable(path)
 
 
 def write_vehicle(

@@ -1,4 +1,4 @@
-"""Whether an identification may be used: a planner must not be given numbers that the logs do not show."""
+"""Whether an identification may be used: a planner must not be given numbers that logs do not show, nor worse ones."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ from typing import Final
 
 import numpy as np
 
+from kraft.sysid.comparison import far_worse
+from kraft.sysid.forecast import Predicted
 from kraft.sysid.result import Identification
 
 SAME: Final = 0.99
 """Correlation from which two parameters are one: the logs show what they do together, and neither alone."""
 
 
-def objections(identification: Identification) -> tuple[str, ...]:
+def objections(identification: Identification, predicted: Predicted) -> tuple[str, ...]:
     """Why the parameters are not identified, as parts of a sentence; nothing if they are."""
     found = [] if identification.converged else ["the fit did not converge"]
     hidden = [name for name in identification.unidentified if name not in identification.extras]
     if hidden:
         found.append(f"the logs do not show {', '.join(hidden)}")
-    return (*found, *(f"{a} and {b} cannot be told apart" for a, b in _pairs(identification)))
+    found += [f"{a} and {b} cannot be told apart" for a, b in _pairs(identification)]
+    return (*found, *(() if predicted.held_out is None else far_worse(predicted.held_out)))
 
 
 def _pairs(identification: Identification) -> list[tuple[str, str]]:

@@ -33,7 +33,9 @@ Parameters = Annotated[
 ]
 Extras = Annotated[
     str,
-    typer.Option(metavar="auto|none|A,B", help="Parameters beside the model's: those that the data show, or these."),
+    typer.Option(
+        metavar="auto|plan|none|A,B", help="Parameters beside the model's: those that the data show, or these."
+    ),
 ]
 PoseNoise = Annotated[
     str | None,
@@ -68,7 +70,7 @@ def sysid(
     terminal: Terminal = context.obj
     options = Options(tuple(freeze or ()), extras, graph, pose_noise, tuple(param or ()))
     request = Request(tuple(logs), model, holdout, out, plot, mapping, options)
-    done = carry_out(request, terminal.say, terminal.problem)
+    done = carry_out(request, terminal.say, terminal.problem, terminal.detail)
     _tell(terminal, done)
     if json:
         terminal.json(SCHEMA, json_content(done))
