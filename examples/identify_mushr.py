@@ -7,6 +7,9 @@ It does what these commands do, for each of the models:
 
     kraft record --runs 40 --out identified/logs
     kraft sysid identified/logs --model mushr --extras none --out identified/mushr.yaml --plot identified/mushr.png
+
+The bundled model also decides where in the hall a run begins, so that new numbers may move a run, and that a number's
+last digits: write once more, until nothing changes.
 """
 
 from __future__ import annotations
