@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from kraft.atomic_file import check_all, check_writable
 from kraft.details import Stages, no_detail, vehicle_details
 from kraft.errors import Diagnostic, InputError
 from kraft.kernel_cache import ensure_compiled
+from kraft.parameter_items import parse_parameters
 from kraft.plan_file import NAME, Origin, check_target, planned_scenario, read_plan, write_plan
 from kraft.planners import PLANNERS
 from kraft.planning import PlanResult, budget_of, plan_task
@@ -104,36 +105,6 @@ def _check_places(target: Path | None, plot: Path | None) -> None:
 
         checks += [partial(picture_format, plot), partial(check_writable, plot)]
     check_all(*checks)
-
-
-def parse_parameters(items: Iterable[str]) -> dict[str, float]:
-    """Read ``name=value`` items.
-
-    Raises:
-        InputError: with every item that is not a name and a finite number, and every name that comes twice.
-    """
-    values: dict[str, float] = {}
-    problems = []
-    for item in items:
-        name, equals, text = item.partition("=")
-        number = _number(text)
-        if not equals or not name.strip() or number is None:
-            problems.append(Diagnostic("--param", f"is {item!r}", "expected name=number"))
-        elif name.strip() in values:
-            problems.append(Diagnostic("--param", f"{name.strip()} is given twice", "expected it once"))
-        else:
-            values[name.strip()] = number
-    if problems:
-        raise InputError(problems)
-    return values
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
 
 
 def _task(request: Request) -> Task:

@@ -22,13 +22,13 @@ def plan_reference(plan: Plan, start: float, rest: Floats) -> Reference:
     return Reference(Kind.PLAN, start + plan.times, plan.trajectory, controls, rest)
 
 
-def stop_reference(vehicle: Vehicle, contingency: Contingency, start: float = 0.0) -> Reference:
-    """A contingency whose own times count from `start` s of the trial; when it is over the control is zero."""
+def stop_reference(vehicle: Vehicle, contingency: Contingency) -> Reference:
+    """A contingency whose times are those of the trial (s); when it is over the control is zero."""
     number = vehicle.manoeuvres.index(contingency.manoeuvre)
     controls = np.array([stop_control(vehicle, state, number) for state in contingency.states[:-1]])
     controls = controls.reshape(-1, len(vehicle.controls))
     rest = np.zeros(len(vehicle.controls))  # brakes that went on would push a car that stands
-    return Reference(Kind.CONTINGENCY, start + contingency.times, contingency.states, controls, rest)
+    return Reference(Kind.CONTINGENCY, contingency.times, contingency.states, controls, rest)
 
 
 def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:

@@ -19,7 +19,7 @@ from kraft.proposer import Planners
 from kraft.replanner import Replanner
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.ticks import Ticks
+from kraft.simulation.ticks import Ticks, steps_of
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
 from kraft.workspace import start_state, workspace_of
@@ -99,7 +99,7 @@ class _Trial:
         self._sent: list[tuple[float, Reference]] = []
         self._in_flight: list[Observation] = []
         self._commands: deque[tuple[int, Floats]] = deque()
-        self._command_delay = round(scenario.sensing.command_delay / self.world.dt)
+        self._command_delay = steps_of(scenario.sensing.command_delay, self.world.dt)
         self._ticks = Ticks(method.controller.rate_hz, self.world.dt)
         self._frames = Ticks(scenario.sensing.rate_hz, self.world.dt)
         once = method.planner.mode == "one-shot"

@@ -12,6 +12,7 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
+from kraft.counting import counted
 from kraft.errors import Diagnostic, InputError
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.specialise import is_cached
@@ -72,7 +73,7 @@ def _problems(
     if kinds is None or not all(isinstance(kind, types.Number) for kind in kinds):
         yield f"{label} returns {_named(returned)}", f"expected a tuple of {count} numbers"
     elif len(kinds) != count:
-        yield f"{label} returns {_count(len(kinds))}", f"expected {count}, one for each of {_of(what)}"
+        yield f"{label} returns {counted(len(kinds), 'value')}", f"expected {count}, one for each of {_of(what)}"
     else:
         yield from _not_finite(dispatcher, arguments, label)
 
@@ -112,10 +113,6 @@ def _named(returned: object) -> str:
         return str(returned)
     kinds = [_untyped(types).unliteral(kind) for kind in _untyped(returned)]  # Pythons differ in what is a literal
     return "(" + ", ".join("text" if isinstance(kind, types.UnicodeType) else str(kind) for kind in kinds) + ")"
-
-
-def _count(number: int) -> str:
-    return "1 value" if number == 1 else f"{number} values"
 
 
 def _of(what: str) -> str:

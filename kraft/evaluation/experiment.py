@@ -114,8 +114,9 @@ def experiment_of(
 def _too_little_time(method: Method) -> Iterator[Diagnostic]:
     planner = method.planner
     if planner.clock_budget <= 0.0:
-        problem = f"leaves no time to plan in by the clock: 0.8 x {planner.cycle:g} s - {planner.lead:g} s"
-        yield method.source.diagnostic("planner.lead", problem, f"expected less than {0.8 * planner.cycle:g}")
+        most = planner.clock_budget + planner.lead
+        problem = f"leaves no time to plan in by the clock: {most:g} s - {planner.lead:g} s"
+        yield method.source.diagnostic("planner.lead", problem, f"expected less than {most:g}")
 
 
 def _numbers(trials: int, seed: int) -> list[Diagnostic]:

@@ -8,8 +8,8 @@ from os.path import realpath
 from pathlib import Path
 from typing import Final, Literal
 
+from kraft.counting import counted
 from kraft.errors import Diagnostic
-from kraft.logs.findings import count
 
 BAGS: Final = (".bag", ".mcap", ".db3")
 COMPRESSED: Final = ".zstd"
@@ -59,7 +59,7 @@ def each_once(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnos
     again = list(dict.fromkeys(candidate.place for i, candidate in enumerate(found) if i not in kept))
     said = []
     if again:
-        others = f", as {'is' if len(again) == 2 else 'are'} {count(len(again) - 1, 'other log')}"
+        others = f", as {'is' if len(again) == 2 else 'are'} {counted(len(again) - 1, 'other log')}"
         problem = "is found more than once" + (others if len(again) > 1 else "")
         said = [Diagnostic(str(again[0]), problem, "each log counts once")]
     return [found[i] for i in sorted(kept)], said

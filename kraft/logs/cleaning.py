@@ -7,12 +7,13 @@ from typing import Final
 
 import numpy as np
 
+from kraft.counting import counted
 from kraft.errors import Diagnostic, InputError
 from kraft.logs import reports
 from kraft.logs.choice import Choice
 from kraft.logs.commands import Commands, merge
 from kraft.logs.dead_man import held_intervals, interval_of
-from kraft.logs.findings import Findings, count
+from kraft.logs.findings import Findings
 from kraft.logs.log import Array, Finding, Part
 from kraft.logs.mapping import Limits, Mapping
 from kraft.logs.motion import AVERAGED, extent
@@ -73,7 +74,7 @@ def _read(choice: Choice, findings: Findings) -> tuple[tuple[Samples, ...], Samp
 
 def _check_number(poses: Samples, only: str) -> None:
     if len(poses) < POSES_MIN:
-        raise poses.refuse(f"{only} {count(len(poses), 'pose')}", f"expected {POSES_MIN} or more", 0)
+        raise poses.refuse(f"{only} {counted(len(poses), 'pose')}", f"expected {POSES_MIN} or more", 0)
 
 
 def _check_overlap(commands: Commands, poses: Samples, choice: Choice) -> None:
@@ -119,7 +120,7 @@ def _cut(
     found = stretches(poses, labels, held, commands, gap)
     long = [index for index in found if len(index) >= POSES_MIN]
     short = sum(len(index) for index in found if len(index) < POSES_MIN)
-    findings.add("short", short, f"{count(short, 'pose')} in parts of fewer than {POSES_MIN}; left out")
+    findings.add("short", short, f"{counted(short, 'pose')} in parts of fewer than {POSES_MIN}; left out")
     reports.wraps(poses, xyyaw[:, 2], findings)
     if not long:
         why = "; ".join(finding.text for finding in findings.found)

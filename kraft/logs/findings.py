@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from kraft.logs.log import Finding
@@ -23,9 +22,3 @@ class Findings:
     def as_tuple(self) -> tuple[Finding, ...]:
         """Return all of them."""
         return tuple(self.found)
-
-
-def count(number: int | Sequence[object], one: str, many: str = "") -> str:
-    """Say a number of things: ``1 row``, ``3 rows``."""
-    n = number if isinstance(number, int) else len(number)
-    return f"{n} {one if n == 1 else many or one + 's'}"

@@ -7,9 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from kraft.counting import counted
 from kraft.logs.choice import Choice
 from kraft.logs.commands import Commands, timeout
-from kraft.logs.findings import Findings, count
+from kraft.logs.findings import Findings
 from kraft.logs.log import Array
 from kraft.logs.mapping import Limits
 from kraft.logs.samples import Samples
@@ -24,7 +25,7 @@ def broken_lines(choice: Choice, findings: Findings) -> None:
     """Lines that are no rows."""
     for table in {id(stream.table): stream.table for _, stream in choice.streams()}.values():
         if table.broken:
-            text = f"{count(table.broken, 'line')} of {table.name} with too few or too many fields"
+            text = f"{counted(len(table.broken), 'line')} of {table.name} with too few or too many fields"
             findings.add("broken", len(table.broken), f"{text}, first line {table.broken[0]}; left out")
 
 
@@ -43,7 +44,7 @@ def dropouts(poses: Samples, gap: float, findings: Findings) -> None:
     missing = (steps > DROPOUT_STEPS * usual) & (steps <= gap)
     if missing.any():
         first, lost = int(np.argmax(missing)), int(np.sum(np.round(steps[missing] / usual) - 1))
-        text = f"about {count(lost, 'pose')} missing, first after {poses.where(first)}; nothing is left out"
+        text = f"about {counted(lost, 'pose')} missing, first after {poses.where(first)}; nothing is left out"
         findings.add("dropout", lost, text)
 
 
@@ -63,7 +64,7 @@ def command_gaps(streams: Sequence[Samples], limits: Limits, findings: Findings)
 def _gaps(kind: str, what: str, samples: Samples, long: Flags, steps: Array, findings: Findings) -> None:
     if long.any():
         number, first = int(long.sum()), samples.where(int(np.argmax(long)))
-        fact = f"{count(number, 'gap')} without {what} of up to {steps.max():.3g} s, first after {first}"
+        fact = f"{counted(number, 'gap')} without {what} of up to {steps.max():.3g} s, first after {first}"
         findings.add(kind, number, f"{fact}; the log is cut there")
 
 
@@ -75,7 +76,8 @@ def teleports(poses: Samples, labels: Rows, speed: float, findings: Findings) ->
     jumps = np.flatnonzero(np.diff(labels[settled]) > 0)
     if len(jumps):
         first = poses.where(int(settled[jumps[0] + 1]))
-        findings.add("teleport", len(jumps), f"{count(len(jumps), 'teleport')}, first at {first}; the log is cut there")
+        text = f"{counted(len(jumps), 'teleport')}, first at {first}; the log is cut there"
+        findings.add("teleport", len(jumps), text)
 
 
 def uncommanded(poses: Samples, commands: Commands, findings: Findings) -> None:
@@ -91,5 +93,5 @@ def wraps(poses: Samples, yaw: Array, findings: Findings) -> None:
     jumps = np.abs(np.diff(yaw)) > np.pi
     if jumps.any():
         first = poses.where(int(np.argmax(jumps)) + 1)
-        text = f"yaw wraps {count(int(jumps.sum()), 'time')}, first at {first}; made continuous, nothing is left out"
+        text = f"yaw wraps {counted(int(jumps.sum()), 'time')}, first at {first}; made continuous, nothing is left out"
         findings.add("wrap", int(jumps.sum()), text)

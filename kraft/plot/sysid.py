@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from kraft.logs.findings import count
+from kraft.counting import counted
 from kraft.plot.output import picture_format, write_picture
 from kraft.plot.page import HEAD, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
 from kraft.plot.style import INK, SMALL, look, text_width
@@ -84,7 +84,7 @@ def compose(
     page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
     figure = Figure(figsize=(page.width, page.height))
     warning = f"not identified: {objections[0]}" if objections else None
-    page.heading(figure, f"{vehicle.name}, identified from {count(split.fitted, 'log')}", warning)
+    page.heading(figure, f"{vehicle.name}, identified from {counted(len(split.fitted), 'log')}", warning)
     _draw_data(figure, page, floor, split, result, tops[0])
     _draw_fit(figure, page, tops[1], vehicle, split, result)
     _draw_prediction(figure, page, tops[2], predicted)
@@ -101,7 +101,7 @@ def _notes(split: Split, result: Identification, predicted: Predicted) -> Mappin
         f"noise of the poses, {source}": f"{1000 * noise.position:.2g} mm, {math.degrees(noise.yaw):.2g}°",
         f"open loop, {whose}": f"{100 * forecast.errors.overall_position:.2f} cm",
         "with the initial values": f"{100 * forecast.errors_before.overall_position:.2f} cm",
-        "fit": f"converged after {count(result.iterations, 'iteration')}" if result.converged else "NOT converged",
+        "fit": f"converged after {counted(result.iterations, 'iteration')}" if result.converged else "NOT converged",
         "warning" if len(result.warnings) == 1 else "warnings": str(len(result.warnings)),
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +15,7 @@ from kraft.recording.room import Place, Room, predicted
 from kraft.scenario import Scenario
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.ticks import Ticks
+from kraft.simulation.ticks import Ticks, steps_of
 from kraft.simulation.world import World
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
@@ -104,7 +103,7 @@ class _Run:
         self._world, self._camera, self._room = world, camera, room
         self._manoeuvre, self._place = wanted, place
         self._ticks, self._frames = Ticks(COMMAND_RATE, world.dt), Ticks(scenario.sensing.rate_hz, world.dt)
-        self._delay = scenario.sensing.command_delay
+        self._delay = steps_of(scenario.sensing.command_delay, world.dt)
         self._under_way: deque[tuple[int, float, float]] = deque()
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
@@ -151,7 +150,7 @@ class _Run:
         self._ticks.number += 1
         throttle, steering = self._manoeuvre.control_at(world.time)
         self._commands.append((world.time, throttle, steering))
-        self._under_way.append((world.steps + math.ceil(self._delay / world.dt - 1e-6), throttle, steering))
+        self._under_way.append((world.steps + self._delay, throttle, steering))
 
     def _deliver(self) -> None:
         while self._under_way and self._under_way[0][0] <= self._world.steps:

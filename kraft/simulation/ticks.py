@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 
+def steps_of(duration: float, dt: float) -> int:
+    """Number of physics steps of `dt` s nearest to a duration (s)."""
+    return round(duration / dt)
+
+
 class Ticks:
     """Events at a rate (1/s), each at the physics step of `dt` s nearest to its time; `number` of them are over."""
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.logs.findings import count
+from kraft.counting import counted
 from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.problem import Problem
 from kraft.sysid.residuals import residual_ratio
+from kraft.sysid.result import correlations
 from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
 from ompl_ext.arrays import Floats
@@ -82,7 +83,7 @@ def unidentified(case: Case) -> tuple[str, ...]:
 def _convergence(case: Case) -> Iterator[str]:
     if not case.optimum.converged:
         yield (
-            f"the optimiser had not converged after {count(case.iterations, 'iteration')}: values and intervals are "
+            f"the optimiser had not converged after {counted(case.iterations, 'iteration')}: values and intervals are "
             "where it stopped; freeze parameters that the logs do not show, or leave out extra ones (extras none)"
         )
 
@@ -125,7 +126,7 @@ def _open(case: Case) -> Iterator[str]:
 
 
 def _correlation(case: Case) -> Iterator[str]:
-    reported, stated = _correlations(case.uncertain.covariance), _correlations(case.uncertain.graph)
+    reported, stated = correlations(case.uncertain.covariance), correlations(case.uncertain.graph)
     names = case.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
         # either says that one makes up for the other; the one that is reported is named first
@@ -137,13 +138,6 @@ def _correlation(case: Case) -> Iterator[str]:
                 f"{' by the stated noise' if by_noise else ''}): drive "
                 f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
             )
-
-
-def _correlations(covariance: Floats) -> Floats:
-    """(free, free)"""
-    std = np.sqrt(np.diag(covariance))
-    correlation: Floats = covariance / np.outer(std, std)
-    return correlation
 
 
 def _residuals(case: Case) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from kraft.errors import InputError
@@ -25,12 +26,12 @@ class Forecast:
     after: tuple[Window, ...]
     before: tuple[Window, ...]
 
-    @property
+    @cached_property
     def errors(self) -> PredictionErrors:
         """Of the identified parameters."""
         return errors_of(self.after)
 
-    @property
+    @cached_property
     def errors_before(self) -> PredictionErrors:
         """Of those before."""
         return errors_of(self.before)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from kraft.counting import counted
 from kraft.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ def split(logs: Sequence[Log], fraction: float | None = None) -> Split:
         raise InputError.of("--holdout", f"is {fraction:g}", "expected a fraction of at least 0 and below 1")
     count = len(logs)
     if fraction is None and count < FEW:
-        return Split(tuple(logs), (), f"{_logs(count)}: none is held out (from {FEW} on a quarter is, or --holdout)")
+        note = f"{counted(count, 'log')}: none is held out (from {FEW} on a quarter is, or --holdout)"
+        return Split(tuple(logs), (), note)
     wanted = FRACTION if fraction is None else fraction
     if wanted == 0.0:
         return Split(tuple(logs), (), "no log is held out")
@@ -51,8 +53,4 @@ def split(logs: Sequence[Log], fraction: float | None = None) -> Split:
     chosen = set(np.random.default_rng(0).permutation(count)[:held].tolist())
     out = tuple(log for k, log in enumerate(logs) if k in chosen)
     fitted = tuple(log for k, log in enumerate(logs) if k not in chosen)
-    return Split(fitted, out, f"{held} of {_logs(count)} held out: {', '.join(log.name for log in out)}")
-
-
-def _logs(count: int) -> str:
-    return f"{count} log{'' if count == 1 else 's'}"
+    return Split(fitted, out, f"{held} of {counted(count, 'log')} held out: {', '.join(log.name for log in out)}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from kraft.errors import Diagnostic, InputError
-from kraft.plan_request import parse_parameters
+from kraft.parameter_items import parse_parameters
 from kraft.suggest import choose
 from kraft.sysid.settings import Extras, Noise, Settings
 

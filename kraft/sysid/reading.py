@@ -41,12 +41,12 @@ def read(
         NegativeResult: if there are logs, and none of them can be used.
     """
     mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
-    candidates, _ = discover(paths, controls, mapping)
     try:
         found = read_logs(paths, controls, mapping)
     except UnfitError:
         raise
     except InputError as error:
+        candidates, _ = discover(paths, controls, mapping)
         if not candidates:
             raise
         explain(error, warn)
@@ -58,7 +58,7 @@ def read(
     for problem in (*found.problems, *long.problems):
         warn(f"left out: {problem}")
     if not long.logs:
-        raise _none_usable(len(candidates))
+        raise _none_usable(len(discover(paths, controls, mapping)[0]))
     return LogSet(long.logs, (*found.problems, *long.problems))
 
 

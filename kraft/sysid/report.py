@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from kraft.logs.findings import count
+from kraft.counting import counted
 from kraft.sysid.request import Identified
 from kraft.sysid.result import Estimated, PredictionErrors
 
@@ -86,7 +86,7 @@ def remarks(done: Identified) -> list[str]:
     state = "converged" if result.converged else "NOT converged"
     why = INTERVALS[result.interval]
     said = [
-        f"{state} after {count(result.iterations, 'iteration')}, {done.seconds:.2f} s; intervals follow {why}",
+        f"{state} after {counted(result.iterations, 'iteration')}, {done.seconds:.2f} s; intervals follow {why}",
         f"noise of the poses {1000 * noise.position:.3g} mm, {math.degrees(noise.yaw):.2g} deg, {origin}",
         *result.notes,
     ]

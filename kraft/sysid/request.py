@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from kraft.atomic_file import check_all, check_writable
+from kraft.details import no_detail
 from kraft.errors import InputError, NegativeResult
 from kraft.logs.log import LogSet
 from kraft.plot.output import picture_format
@@ -28,10 +29,6 @@ from kraft.sysid.vehicle_file import check_target, write_vehicle
 from kraft.sysid.verdict import objections
 
 MODEL: Final = "mushr-lag"
-
-
-def _silent(_: str) -> None:
-    """For those who do not ask for details."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ class Identified:
     seconds: float
 
 
-def carry_out(request: Request, say: Say, warn: Say, detail: Say = _silent) -> Identified:
+def carry_out(request: Request, say: Say, warn: Say, detail: Say = no_detail) -> Identified:
     """Load, check, read, identify, predict, write, draw.
 
     A vehicle file is written only if there are no objections.  The page is drawn in any case; where nothing could be

@@ -117,9 +117,14 @@ class Identification:
     @property
     def correlation(self) -> Floats:
         """(names, names) correlation of what was estimated."""
-        std = self.covariance.diagonal() ** 0.5
-        result: Floats = self.covariance / (std[:, None] * std[None, :])
-        return result
+        return correlations(self.covariance)
+
+
+def correlations(covariance: Floats) -> Floats:
+    """(n, n) correlations of what has this covariance (n, n)."""
+    std = covariance.diagonal() ** 0.5
+    found: Floats = covariance / (std[:, None] * std[None, :])
+    return found
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.atomic_file import check_writable, write_whole
+from kraft.counting import counted
 from kraft.errors import InputError
 from kraft.sysid.result import Estimated
 from kraft.sysid.subject import Subject
@@ -54,7 +55,7 @@ def write_vehicle(
     """
     name = path.stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", path.stem) else subject.name
     fitted = sum(not log.held_out for log in record.logs)
-    description = f"{subject.name} identified from {fitted} log{'' if fitted == 1 else 's'}"
+    description = f"{subject.name} identified from {counted(fitted, 'log')}"
     write_whole(path, vehicle_text(path.parent, name, description, HEADER, subject, estimated, record).encode())
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from kraft.sysid.comparison import far_worse
 from kraft.sysid.forecast import Predicted
-from kraft.sysid.result import Identification
+from kraft.sysid.result import Identification, correlations
 
 SAME: Final = 0.99
 """Correlation from which two parameters are one: the logs show what they do together, and neither alone."""
@@ -26,8 +26,6 @@ def objections(identification: Identification, predicted: Predicted) -> tuple[st
 
 def _pairs(identification: Identification) -> list[tuple[str, str]]:
     """Pairs of parameters that are one by the stated noise; how far the logs differ says nothing about that."""
-    covariance, names = identification.graph_covariance, identification.names
-    std = np.sqrt(np.diag(covariance))
-    correlation = np.abs(covariance / np.outer(std, std))
-    rows, columns = np.nonzero(np.triu(correlation > SAME, 1))
+    names, alike = identification.names, np.abs(correlations(identification.graph_covariance)) > SAME
+    rows, columns = np.nonzero(np.triu(alike, 1))
     return [(names[i], names[j]) for i, j in zip(rows, columns, strict=True)]

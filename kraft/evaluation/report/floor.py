@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from kraft.counting import counted
 from kraft.evaluation.report.elements import Content, element, number, svg
 from kraft.scenario import Box, Circle, Goal, Obstacle, OccupancyMap, Polygon, Scenario, Start, Truth
 from kraft.scenario.truth import Tilt
@@ -57,7 +58,7 @@ def _truth(truth: Truth) -> Iterator[Element]:
 
 
 def _obstacle(obstacle: Obstacle, hits: int, most: int) -> Element:
-    title = f"{obstacle.name or 'obstacle'}: {hits} collision{'' if hits == 1 else 's'}"
+    title = f"{obstacle.name or 'obstacle'}: {counted(hits, 'collision')}"
     if isinstance(obstacle, OccupancyMap):
         found = _cells(obstacle, title)
     elif isinstance(obstacle, Circle):

@@ -39,7 +39,7 @@ def _head(results: Results) -> Iterator[Content]:
     if failed:
         text = f"{counted(failed, 'trial')} failed, which is a defect in kraft: none counts as a success."
         yield element("p", text, class_="alarm")
-    yield element("dl", *(part for name, value in _facts(results) for part in _fact(name, value)), class_="facts")
+    yield element("dl", *(_fact(name, value) for name, value in _facts(results)), class_="facts")
 
 
 def _facts(results: Results) -> Iterator[tuple[str, str]]:
@@ -54,8 +54,8 @@ def _facts(results: Results) -> Iterator[tuple[str, str]]:
     yield "versions", ", ".join(f"{name} {manifest.versions[name]}" for name in ("kraft", "mujoco", "python"))
 
 
-def _fact(name: str, value: str) -> Iterator[Element]:
-    yield element("div", element("dt", name), element("dd", value))
+def _fact(name: str, value: str) -> Element:
+    return element("div", element("dt", name), element("dd", value))
 
 
 def _overview(results: Results) -> Element | None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from kraft.counting import grouped
 from kraft.errors import InputError
 from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
@@ -102,7 +103,7 @@ class Results:
     def title(self) -> str:
         """What was run, in a line."""
         counts = [(len(self.rows), "trial"), (len(self.scenarios), "scenario"), (len(self.methods), "method")]
-        return ", ".join(f"{count:,} {noun}{'' if count == 1 else 's'}" for count, noun in counts)
+        return ", ".join(grouped(count, noun) for count, noun in counts)
 
     def of_cell(self, scenario: str, method: str | None = None) -> Sequence[TrialRow]:
         """Trials of a scenario, by method and seed."""
