@@ -57,6 +57,8 @@ class MovableBox(FileModel):
     """mass, kg"""
     yaw_deg: Angle = 0.0
     """rotation, degrees"""
+    friction: Friction = 0.4
+    """sliding friction coefficient on the floor and against what it touches; cardboard's by default"""
 
     @property
     def yaw(self) -> float:

@@ -2,7 +2,8 @@
 
 Two geoms can touch if the type of one shares a bit with the affinity of the other. The friction of a contact is that
 of the geom with the higher priority, and the larger of both at equal priority. So wheels, which have the lowest
-priority, take the friction of what they stand on, and a patch on the floor takes precedence over the floor.
+priority, take the friction of what they stand on; a box slides by its own friction, not by that of tyres on the floor;
+and a patch on the floor takes precedence over both.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ RIDGE: Final = 4
 LOOSE: Final = 8
 
 FLOOR_PRIORITY: Final = 1
-PATCH_PRIORITY: Final = 2
+BOX_PRIORITY: Final = 2
+PATCH_PRIORITY: Final = 3
 
 CONTACT_TIME: Final = 0.01
 """Time constant of contacts, s: half of MuJoCo's own, so that wheels sink in by 0.1 mm, far less than a patch rises."""
 
 CAR_FRICTION: Final = 0.3
-"""Of the body and of cardboard; contacts with static obstacles end a trial, so theirs does not matter."""
+"""Of the body; contacts with static obstacles end a trial, so theirs does not matter."""
 
 WHEEL: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": 0}
 CHASSIS: Final = {"contype": SOLID | RIDGE | LOOSE, "conaffinity": 0}
@@ -29,7 +31,7 @@ FLOOR: Final = {"contype": 0, "conaffinity": GROUND, "priority": FLOOR_PRIORITY}
 PATCH: Final = {"contype": 0, "conaffinity": GROUND, "priority": PATCH_PRIORITY}
 BUMP: Final = {"contype": 0, "conaffinity": RIDGE, "priority": FLOOR_PRIORITY}
 OBSTACLE: Final = {"contype": 0, "conaffinity": SOLID}
-MOVABLE: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": LOOSE}
+MOVABLE: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": LOOSE, "priority": BOX_PRIORITY}
 LOOKS: Final = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
 
 

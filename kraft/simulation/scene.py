@@ -48,7 +48,7 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> Any:
     for i, obstacle in enumerate(scenario.obstacles):
         _add_obstacle(spec, ground, i, obstacle)
     for i, box in enumerate(truth.movable_boxes):
-        _add_movable(spec, i, box, frame)
+        _add_movable(spec, i, box, min(box.friction, truth.floor_friction), frame)
     return ground
 
 
@@ -134,7 +134,7 @@ def _prism(spec: Any, name: str, corners: Matrix, height: float) -> dict[str, An
     return {"type": MESH, "meshname": name}
 
 
-def _add_movable(spec: Any, i: int, box: MovableBox, frame: FloorFrame) -> None:
+def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: FloorFrame) -> None:
     length, width, height = box.size
     c, s = math.cos(box.yaw), math.sin(box.yaw)
     upright = frame.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -148,7 +148,7 @@ def _add_movable(spec: Any, i: int, box: MovableBox, frame: FloorFrame) -> None:
         size=[length / 2, width / 2, height / 2],
         mass=box.mass,
         material="cardboard",
-        friction=contacts.friction(contacts.CAR_FRICTION),
+        friction=contacts.friction(sliding),
         **contacts.settings(**contacts.MOVABLE),
     )
     tape = [length / 2 + 0.0006, 0.025, height / 2 + 0.0006]
