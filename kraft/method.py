@@ -128,6 +128,8 @@ class Latest(FileModel):
 
     kind: Literal["latest"]
     """which estimator"""
+    replanning_window: NonNegative = 0.3
+    """time before the newest pose: replanning takes the mean of the poses in it, each predicted to now, s"""
 
 
 class Filter(FileModel):

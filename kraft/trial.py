@@ -148,7 +148,7 @@ class _Trial:
         now = self.world.time
         if now < self._replanner.next_step - 1e-9:
             return
-        cycle = self._replanner.step(self._estimator.estimate(now), self._reference)
+        cycle = self._replanner.step(self._estimator.replanning_estimate(now), self._reference)
         self._sent.append((cycle.time, cycle.reference))
         self.receive()  # without lead and delay it begins at once
         log.cycles.append(cycle)

@@ -207,6 +207,41 @@ def test_latest_ignores_a_pose_older_than_the_newest() -> None:
     assert estimator.estimate(1.1).state[:2] == pytest.approx([2.0, 2.0], abs=1e-9)
 
 
+def test_for_replanning_latest_takes_the_mean_of_the_poses_in_the_window() -> None:
+    estimator = make_estimator(LATEST, car(), START)
+    for time, y in ((0.0, 9.0), (1.0, 0.0), (1.2, 0.06), (1.3, 0.0)):  # the first is too old to count
+        estimator.observe(Observation(time, time, 0.0, y, 0.0))
+    estimate = estimator.replanning_estimate(1.5)
+    assert estimate.state[1] == pytest.approx(0.02, abs=1e-9)
+    assert estimate.age == pytest.approx(0.2)
+
+
+def test_without_a_window_replanning_has_the_newest_pose() -> None:
+    estimator = make_estimator(Latest(kind="latest", replanning_window=0.0), car(), START)
+    for k in range(5):
+        estimator.observe(Observation(k / RATE, k / RATE, 0.1 * k, 0.0, 0.0))
+    assert np.array_equal(estimator.replanning_estimate(0.5).state, estimator.estimate(0.5).state)
+
+
+@BOTH
+@pytest.mark.parametrize(("noise", "most"), [(0.0, 1e-3), (0.08, 0.04)])
+def test_for_replanning_poses_are_predicted_to_the_truth(choice: Latest | Filter, noise: float, most: float) -> None:
+    ride, errors = Ride.of(car(), 15.0), []
+    estimator = make_estimator(choice, car(), START)
+    for k, pose in enumerate(noisy(ride, 1, noise, noise, latency=0.0), 1):
+        estimator.commanded((k - 1) / RATE, ride.commands[k - 1])
+        estimator.observe(pose)
+        errors.append((estimator.replanning_estimate(k / RATE).state - ride.states[k])[:2])
+    assert rms(np.array(errors)).max() < most
+
+
+def test_a_car_out_of_sight_for_longer_than_the_window_is_believed_where_it_is_seen_again() -> None:
+    estimator = make_estimator(LATEST, car(), START)
+    for time, x in ((1.0, 0.0), (1.1, 0.0), (5.0, 3.0)):
+        estimator.observe(Observation(time, time, x, 0.0, 0.0))
+    assert estimator.replanning_estimate(5.0).state[0] == pytest.approx(3.0)
+
+
 # Filter
 
 

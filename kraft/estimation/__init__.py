@@ -16,4 +16,4 @@ def make_estimator(settings: Latest | Filter, model: Model, start_state: Floats)
     """The estimator that a method names; the vehicle is known to be in `start_state` (nx,) at time 0."""
     if isinstance(settings, Filter):
         return PoseFilter(settings, model, start_state)
-    return LatestPose(model, start_state)
+    return LatestPose(settings, model, start_state)

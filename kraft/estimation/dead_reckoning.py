@@ -71,7 +71,11 @@ class DeadReckoning:
         if time < self._head[0]:
             self._head = self.time, self._state
         began, state = self._head
-        for control, duration in self.commands.between(began, time):
+        self._head = max(began, time), self.along(state, began, time)
+        return self._head[1].copy()
+
+    def along(self, state: Floats, begin: float, end: float) -> Floats:
+        """State (nx,) that another `state` at `begin` leads to at `end` (s), as far back as commands are kept."""
+        for control, duration in self.commands.between(begin, end):
             state = self._advance(state, control, duration)
-        self._head = max(began, time), state
-        return state.copy()
+        return state

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+
+import numpy as np
 
 from kraft.driving import Estimate, Observation
 from kraft.estimation.dead_reckoning import DeadReckoning
+from kraft.method import Latest
 from kraft.model import Model
 from ompl_ext.arrays import Floats
 
@@ -14,13 +18,16 @@ class LatestPose:
     """Takes the newest pose at its word.
 
     What a pose does not tell, the speed above all, is what the commands lead to by the model (Sec. V: "the robot's
-    current velocity is the commanded desired velocity from the previous timestep").
+    current velocity is the commanded desired velocity from the previous timestep").  A plan is committed for a whole
+    cycle, and one bad pose must not let a bad one pass: replanning takes the mean of the newest poses.
     """
 
-    def __init__(self, model: Model, start_state: Floats) -> None:
+    def __init__(self, settings: Latest, model: Model, start_state: Floats) -> None:
         self._model = model
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
         self._seen = -math.inf
+        self._window = settings.replanning_window
+        self._newest: deque[tuple[float, Floats]] = deque()
 
     def observe(self, observation: Observation) -> None:
         """Predict from this pose on, unless a newer one is known."""
@@ -30,7 +37,10 @@ class LatestPose:
         state, model = self._reckoning.at(observation.time), self._model
         state[model.x], state[model.y] = observation.x, observation.y
         state[model.theta] += math.remainder(observation.theta - state[model.theta], math.tau)  # no jump of a turn
-        self._reckoning.anchor(observation.time, state)
+        self._newest.append((observation.time, state))
+        while self._newest[0][0] < observation.time - self._window - 1e-9:
+            self._newest.popleft()
+        self._reckoning.anchor(observation.time, state, self._newest[0][0])
 
     def commanded(self, time: float, control: Floats) -> None:
         """Note that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
@@ -39,3 +49,10 @@ class LatestPose:
     def estimate(self, time: float) -> Estimate:
         """State at `time` (s)."""
         return Estimate(time, self._reckoning.at(time), time - self._seen)
+
+    def replanning_estimate(self, time: float) -> Estimate:
+        """State at `time` (s): mean of what each of the newest poses alone leads to with the commands since."""
+        if len(self._newest) < 2:
+            return self.estimate(time)
+        states = [self._reckoning.along(state, seen, time) for seen, state in self._newest]
+        return Estimate(time, np.mean(states, axis=0), time - self._seen)

@@ -88,6 +88,10 @@ class PoseFilter:
         seen = self.belief.time if self.belief.observation is not None else -math.inf
         return Estimate(time, state[:-1], time - seen)
 
+    def replanning_estimate(self, time: float) -> Estimate:
+        """The same: it rests on all observations anyway."""
+        return self.estimate(time)
+
     def _predicted(self, belief: Belief, time: float) -> tuple[Floats, Matrix]:
         mean, covariance = belief.mean, belief.covariance
         for control, duration in self._reckoning.commands.between(belief.time, time):

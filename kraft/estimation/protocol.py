@@ -23,3 +23,6 @@ class Estimator(Protocol):
 
     def estimate(self, time: float) -> Estimate:
         """State at `time` (s), predicted from the newest observation with the commands since."""
+
+    def replanning_estimate(self, time: float) -> Estimate:
+        """State at `time` (s) for a decision that holds for a whole cycle: it need not rest on one observation."""
