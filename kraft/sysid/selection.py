@@ -40,7 +40,7 @@ def shown(parameters: Parameters, rho: Floats, uncertain: Uncertainty, asked: fr
             i
             for i, name in enumerate(names[k] for k in left)
             if name in parameters.extras and name not in asked
-            and (_alike(graph, i) or _alike(covariance, i) or not _certain(name, value[i], variance[i], prior[name]))
+            and (_alike(graph, i) or not _certain(name, value[i], variance[i], prior[name]))
         ]  # fmt: skip
         if not doubtful:
             break
