@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.synthetic_logs import Commands, random_commands, synthetic_logs
+from benchmarks.synthetic_logs import Commands, synthetic_logs
 from benchmarks.sysid import NOISE, PLAIN, REAL, STATED, TRUTH, real_logs, ten_times_smaller
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, prediction_errors, windows
-from kraft.sysid.parameters import vehicle_of
 from kraft.sysid.uncertainty import Uncertainty, uncertainty
 from kraft.vehicle import load_vehicle
 from kraft.vehicle_config import VehicleConfig, load_vehicle_config
@@ -92,66 +91,6 @@ def test_extras_are_found_where_there_are_some_and_only_there() -> None:
     assert result.rear_axle == pytest.approx(0.15 + TRUTH["L"] / 2, abs=0.01)
     assert fitted().extras == ()
     assert "left out: delay" in fitted().notes[0]
-
-
-def coasting(count: int, seconds: float = 15.0) -> list[Commands]:
-    """Commands that jump about every second, every third without throttle."""
-    given = [random_commands(vehicle_of(lag()), seconds, np.random.default_rng(1000 + k)) for k in range(count)]
-    return [(times, np.where(np.arange(len(times))[:, None] % 3 == 2, [0.0, 1.0], 1.0) * u) for times, u in given]
-
-
-def shown_by(name: str, truth: dict[str, float], model: str = "mushr-lag") -> Identification:
-    """What eight drives of a car that coasts now and then show of it; `model` made them."""
-    made = synthetic_logs(load_vehicle_config(model), truth, range(8), seconds=15.0, commands=coasting(8))
-    result = identify(load_vehicle_config(name), made)
-    assert result.converged
-    return result
-
-
-@pytest.mark.parametrize(
-    "extras",
-    [
-        {},
-        {"delay": 0.06, "lag_steering": 0.1},
-        {"lag_throttle": 0.2, "lag_steering": 0.2},
-        {"dead_band_throttle": 0.12},
-    ],
-    ids=lambda extras: "+".join(extras) or "none",
-)
-def test_a_lag_is_told_from_a_delay_and_a_dead_band_from_friction(extras: dict[str, float]) -> None:
-    result = shown_by("mushr-lag", {**TRUTH, **extras})
-    assert set(result.extras) == set(extras)
-    for name, value in {**TRUTH, **extras}.items():
-        assert result.values[name] == pytest.approx(value, rel=0.02, abs=0.004)
-
-
-def test_friction_brakes_a_coasting_car_which_a_dead_band_does_not() -> None:
-    """The friction that made the logs is sharper about standstill, hence the tolerance."""
-    truth = {**TRUTH, "friction": 0.12}
-    result = shown_by("mushr-lag", truth)
-    assert result.extras == ("friction",)
-    for name, value in truth.items():
-        assert result.values[name] == pytest.approx(value, rel=0.05, abs=0.016)
-    unseen = synthetic_logs(lag(), truth, range(50, 54), seconds=15.0, commands=coasting(4))
-    dead = identify(
-        lag(),
-        synthetic_logs(lag(), truth, range(8), seconds=15.0, commands=coasting(8)),
-        Settings(extras=("dead_band_throttle",)),
-    )
-    after, without = (prediction_errors(lag(), unseen, found.values).position[3.0] for found in (result, dead))
-    assert after < 0.7 * without
-
-
-def test_friction_is_left_out_where_the_model_has_it() -> None:
-    result = shown_by("mushr-drive", {**TRUTH, "u_0": 0.12}, "mushr-drive")
-    assert result.extras == ()
-    assert result.values["u_0"] == pytest.approx(0.12, abs=0.005)
-
-
-def test_a_lag_of_the_throttle_is_what_a_prompt_model_lacks() -> None:
-    result = shown_by("mushr", TRUTH)
-    assert "lag_throttle" in result.extras
-    assert result.values["lag_throttle"] == pytest.approx(TRUTH["tau"] - 0.1, abs=0.05)
 
 
 def test_an_extra_that_is_asked_for_stays() -> None:

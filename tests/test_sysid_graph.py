@@ -14,9 +14,7 @@ from kraft.errors import Defect
 from kraft.logs.log import Log, Part
 from kraft.sysid.assembly import assemble, starting_point
 from kraft.sysid.chains import between, whole
-from kraft.sysid.dynamics import Dynamics
 from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.held_signal import hat_means
 from kraft.sysid.motion import Motion
 from kraft.sysid.noise_model import noise_model, threshold
 from kraft.sysid.paper_graph import PaperGraph
@@ -234,59 +232,6 @@ def test_commands_act_for_as_long_as_they_are_held(extras: tuple[str, ...]) -> N
         assert means[3:-2, k].mean() == pytest.approx(signal.mean(), abs=0.02)
     expected = differences(lambda r: commands.mean(r)[0].ravel(), rho, 1e-7)
     assert slopes.reshape(-1, len(rho)) == pytest.approx(expected, abs=1e-4 * max(1.0, np.abs(expected).max()))
-
-
-@pytest.mark.parametrize("lag", [0.0, 0.001, 0.08, 2.0])
-def test_means_of_a_lagging_signal_are_those_of_its_equation(lag: float) -> None:
-    """A hat over the solution of T y' = w - y, integrated finely; and the derivatives by time and by lag."""
-    rng = np.random.default_rng(0)
-    times, values, h = np.cumsum(rng.uniform(0.01, 0.3, 12)), rng.normal(size=13), 0.05
-    at = 0.123 + h * np.arange(31)
-    found = hat_means(times, values, at, h, lag)
-    fine, n = h / 1000, round((at[-1] + h) / (h / 1000))
-    held = values[np.searchsorted(times, fine * (np.arange(n) + 0.5), side="right")]
-    y = np.empty(n)
-    y[0], stays = held[0], np.exp(-fine / lag) if lag else 0.0
-    for i in range(1, n):
-        y[i] = held[i] + (y[i - 1] - held[i]) * stays
-    middles = fine * (np.arange(n) + 0.5)
-    hats = np.maximum(0.0, 1.0 - np.abs(middles - (at[:-1, None] + h / 2)) / h)
-    assert found.values == pytest.approx(hats @ y / hats.sum(axis=1), abs=2e-3)
-    by_lag = differences(lambda t: hat_means(times, values, at, h, t[0]).values, np.array([lag + 1e-5]), 1e-6)[:, 0]
-    assert hat_means(times, values, at, h, lag + 1e-5).by_lag == pytest.approx(by_lag, abs=1e-4 * np.abs(by_lag).max())
-    by_time = differences(lambda d: hat_means(times, values, at + d[0], h, lag).values, np.zeros(1), 1e-6)[:, 0]
-    assert found.by_time == pytest.approx(by_time, abs=1e-4 * np.abs(by_time).max())
-
-
-def test_a_lag_of_nothing_starts_like_a_delay() -> None:
-    """Its derivative is there already, so that the optimiser leaves the bound where the data show a lag."""
-    times, values, at = np.array([0.1, 0.4, 0.9]), np.array([0.0, 1.0, -1.0, 0.5]), 0.05 * np.arange(25)
-    found = hat_means(times, values, at, 0.05, 0.0)
-    assert found.by_lag == pytest.approx(-found.by_time)
-
-
-def test_a_coasting_vehicle_with_friction_comes_to_rest_and_stays_there() -> None:
-    vehicle = load_vehicle_config("mushr-lag")
-    speeds = []
-    for extras in ((), ("friction",)):
-        parameters = parameters_of(vehicle, Settings(values=dict.fromkeys(extras, 0.15), extras=extras), extras)
-        start = np.array([[0.0, 0.0, 0.0, 0.4], [0.0, 0.0, 0.0, 0.0]])
-        controls = np.zeros((80, 2, 2))
-        states = Dynamics(parameters).simulate(start, controls, parameters.nominal, np.full(2, 0.05))
-        speeds.append(states[:, 0, 3])
-        assert (states[:, 1] == 0.0).all()
-    rolling, braked = speeds
-    assert braked[-1] == pytest.approx(0.0, abs=1e-3)
-    assert braked.min() >= -1e-3
-    assert braked[30] < 0.25 * rolling[30]
-
-
-def test_friction_leaves_the_speed_at_full_throttle_as_it_is() -> None:
-    vehicle = load_vehicle_config("mushr-lag")
-    parameters = parameters_of(vehicle, Settings(values={"friction": 0.2}, extras=("friction",)), ("friction",))
-    full = np.tile([1.0, 0.0], (400, 1, 1))
-    states = Dynamics(parameters).simulate(np.zeros((1, 4)), full, parameters.nominal, np.array([0.05]))
-    assert states[-1, 0, 3] == pytest.approx(vehicle.parameters["v_delta"].value, rel=0.01)
 
 
 def test_a_step_stops_at_bounds_and_the_others_follow() -> None:

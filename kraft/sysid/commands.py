@@ -28,12 +28,12 @@ class Commands:
         bounds = parameters.vehicle.control_bounds
         self._rest = np.clip(0.0, bounds[:, 0], bounds[:, 1])
         self._delays = [
-            [k for name in ("delay", f"delay_{control}") if (k := parameters.index(name)) >= 0]
+            [k for name in ("delay", f"delay_{control}") if (k := parameters.extra(name)) >= 0]
             for control in self._controls
         ]
         self._last: tuple[bytes, Matrix, Floats] | None = None
-        self._lags = [parameters.index(f"lag_{control}") for control in self._controls]
-        self._dead_bands = [parameters.index(f"dead_band_{control}") for control in self._controls]
+        self._lags = [parameters.extra(f"lag_{control}") for control in self._controls]
+        self._dead_bands = [parameters.extra(f"dead_band_{control}") for control in self._controls]
 
     def mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho.

@@ -26,7 +26,7 @@ class Dynamics:
         vehicle = parameters.vehicle
         self._parameters, self.motion = parameters, Motion(vehicle)
         self.nx, self.nu = self.motion.nx, self.motion.nu
-        self._friction = parameters.index("friction")
+        self._friction = parameters.extra("friction")
         if self._friction >= 0:
             self._speed, self._breakaway = speed_index(vehicle), BREAKAWAY * vehicle.top_speed
             self._throttle = list(vehicle.controls).index("throttle")

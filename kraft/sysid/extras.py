@@ -49,7 +49,7 @@ class Extra:
 
 
 def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
-    """The extras that make sense for a vehicle, by name."""
+    """The extras that make sense for a vehicle, by name; none that has the name of a parameter of its model."""
     found = [Extra("delay", "s", 0.0, 0.5, 0.3, "time until a command takes effect")]
     found += [
         Extra(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"time that {name} takes effect later still")
@@ -59,8 +59,9 @@ def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
         Extra(f"lag_{name}", "s", 0.0, 2.0, 0.5, f"time constant with which {name} follows its command")
         for name in vehicle.controls
     ]
-    if "throttle" in vehicle.controls and speed_index(vehicle) >= 0:
-        most = FRICTION * vehicle.controls["throttle"][1]
+    full = vehicle.controls["throttle"][1] if "throttle" in vehicle.controls else 0.0
+    if full > 0.0 and speed_index(vehicle) >= 0:
+        most = FRICTION * full
         found.append(Extra("friction", "1", 0.0, most, most, "throttle that friction uses up"))
     for name, share in DEAD_BANDS.items():
         if name in vehicle.controls:
@@ -73,4 +74,4 @@ def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
             Extra("side", "m", -0.5, 0.5, 0.2, "tracked point left of the model's point"),
             Extra("yaw_offset", "rad", -0.5, 0.5, 0.2, "observed yaw less the model's"),
         ]
-    return {extra.name: extra for extra in found}
+    return {extra.name: extra for extra in found if extra.name not in vehicle.parameters}

@@ -14,6 +14,9 @@ from scipy.linalg import solve_banded
 
 from ompl_ext.arrays import Floats, Ints, Matrix
 
+MOMENT = 1e-6
+"""A shorter lag is none, s."""
+
 
 @dataclass(frozen=True, eq=False)
 class Means:
@@ -67,7 +70,7 @@ def _integrals(times: Floats, values: Floats, at: Floats, lag: float) -> _Integr
 
 def _behind(spans: Floats, values: Floats, i: Ints, d: Floats, lag: float) -> Matrix:
     """(n, 2) how far the lagged signal is from the held one `d` s after knot `i`, and its change with the lag."""
-    if lag <= 0.0:
+    if lag < MOMENT:
         return np.zeros((len(d), 2))
     left = np.exp(-spans / lag)
     # after each jump the lagged signal is as far behind as it still was, less the jump: a chain, solved at once
