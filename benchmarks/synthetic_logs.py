@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.signal import lfilter
 
 from kraft.logs.log import Log, Part
 from kraft.sysid.motion import Motion
@@ -16,6 +17,8 @@ from ompl_ext.vehicle import Vehicle
 FINE = 0.005
 """Integration step, s: ten times finer than what identification uses."""
 CONTROL_HOLD = 10  # fine steps for which the noise of a control stays the same
+BREAKAWAY = 0.01
+"""Speed over which friction rises from nothing, m/s: a fifth of what identification takes."""
 FIRST_POSE = 0.0123
 """Time of the first pose, s: the clocks of commands and poses have nothing to do with each other."""
 OUTLIER = 0.5  # m
@@ -71,7 +74,7 @@ def synthetic_logs(
 
 
 def _acting(model: Vehicle, truth: Mapping[str, float], commands: Commands, seconds: float) -> Matrix:
-    """Controls (steps, nu) as they act: delayed, and less the dead band."""
+    """Controls (steps, nu) as they act: delayed, less the dead band, and lagging."""
     times, values = commands
     middles = FINE * (np.arange(round(seconds / FINE)) + 0.5)
     acting = np.empty((len(middles), len(model.controls)))
@@ -79,8 +82,18 @@ def _acting(model: Vehicle, truth: Mapping[str, float], commands: Commands, seco
         delay = truth.get("delay", 0.0) + truth.get(f"delay_{name}", 0.0)
         column = np.concatenate([[float(np.clip(0.0, *bounds))], values[:, k]])
         u = column[np.searchsorted(times, middles - delay, side="right")]
-        acting[:, k] = np.sign(u) * np.maximum(np.abs(u) - truth.get(f"dead_band_{name}", 0.0), 0.0)
+        held = np.sign(u) * np.maximum(np.abs(u) - truth.get(f"dead_band_{name}", 0.0), 0.0)
+        acting[:, k] = _lagging(held, truth.get(f"lag_{name}", 0.0))
     return acting
+
+
+def _lagging(held: Floats, lag: float) -> Floats:
+    """What follows a signal (steps,) with a time constant, s, in the middle of each step."""
+    if lag == 0.0:
+        return held
+    stays = float(np.exp(-FINE / lag))
+    after: Floats = lfilter([1.0 - stays], [1.0, -stays], held, zi=[stays * held[0]])[0]
+    return 0.5 * (after + np.concatenate([held[:1], after[:-1]]))
 
 
 def _held(generators: Sequence[np.random.Generator], shape: tuple[int, ...], sigma: Floats) -> Floats:
@@ -101,15 +114,32 @@ def _driven(
     p = np.array([truth.get(name, value) for name, value in model.parameters.items()] or [0.0])
     h = np.full(count, FINE)
     start = np.zeros((count, len(model.state)))
-    if not len(process):
+    friction = truth.get("friction", 0.0)
+    if not len(process) and not friction:
         return motion.simulate(start, acting, np.tile(p, (count, 1)), h)
-    pushes = np.stack([rng.normal(size=(len(acting), len(process))) for rng in generators], axis=1)
-    pushes *= process * np.sqrt(FINE)
     states = np.empty((len(acting) + 1, *start.shape))
     states[0] = start
+    pushes = _pushes(generators, len(acting), process) if len(process) else np.zeros((len(acting), *start.shape))
     for i, push in enumerate(pushes):
-        states[i + 1] = motion.after(states[i], acting[i], p, h) + push
+        states[i + 1] = motion.after(states[i], _rubbed(model, acting[i], states[i], friction), p, h) + push
     return states
+
+
+def _pushes(generators: Sequence[np.random.Generator], steps: int, process: Floats) -> Floats:
+    """What disturbs the states in each step (steps, logs, nx)."""
+    pushes = np.stack([rng.normal(size=(steps, len(process))) for rng in generators], axis=1)
+    return pushes * process * np.sqrt(FINE)
+
+
+def _rubbed(model: Vehicle, controls: Matrix, states: Matrix, friction: float) -> Matrix:
+    """Controls (logs, nu) less the throttle that friction takes; what is left of the full one counts as full."""
+    if friction == 0.0:
+        return controls
+    k, full = list(model.controls).index("throttle"), model.controls["throttle"][1]
+    sense = np.clip(states[:, model.index("v")] / BREAKAWAY, -1.0, 1.0)
+    rubbed = controls.copy()
+    rubbed[:, k] = (controls[:, k] - friction * sense) / (1.0 - friction / full)
+    return rubbed
 
 
 def _seen(

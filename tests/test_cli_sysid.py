@@ -13,6 +13,7 @@ import pytest
 
 from kraft.sysid import compilation, pace
 from kraft.sysid import request as module
+from kraft.sysid.extras import moves
 from kraft.vehicle_config import load_vehicle_config
 from kraft_cli.main import main
 
@@ -208,14 +209,16 @@ def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFix
     assert main(arguments) == 0  # over the file that it wrote
 
 
-def test_a_file_is_for_planning_which_knows_no_dead_band(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["sysid", "logs", "--json"]) == 0
     alone = json.loads(capsys.readouterr().out)["params"]
     assert main(["sysid", "logs", "--out", "my.yaml", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     written = load_vehicle_config("my.yaml")
-    assert "dead_band_throttle" in alone
-    assert not [name for name in content["params"] if name.startswith(("delay", "dead_band"))]
+    assert "friction" in alone
+    assert not [name for name in content["params"] if moves(name)]
     assert written.values == {
         name: pytest.approx(content["params"][name]["value"], rel=1e-5) for name in written.values
     }
@@ -224,8 +227,9 @@ def test_a_file_is_for_planning_which_knows_no_dead_band(folder: Path, capsys: p
     )
     assert written.top_speed == "v_delta"
     assert written.values["v_delta"] < 1.02 * fastest
-    assert alone["v_delta"]["value"] > 1.05 * fastest
-    assert any(note.startswith("for a file to plan with, no delay or dead band") for note in content["notes"])
+    assert any(
+        note.startswith("for a file to plan with, no delay, lag, dead band or friction") for note in content["notes"]
+    )
 
 
 def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,9 +11,12 @@ from log_fixtures import Bag, drive, nanoseconds, wide_columns, write_table, wri
 
 from kraft.checking import check_file
 from kraft.errors import InputError
+from kraft.logs.guess_commands import guess_commands
 from kraft.logs.log import Log
 from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import read_logs
+from kraft.logs.reader import CONTROLS, read_logs
+from kraft.logs.table import Table
+from kraft.logs.unfit import heading, unfit
 
 MADE = drive()
 TIMES = np.arange(0.025, 5.9, 0.025)
@@ -211,6 +214,9 @@ def test_what_does_not_fit_the_log_is_said_in_the_mapping_file(tmp_path: Path, t
         ("poses: {x: {colum: a}}\n", "1:13: poses.x.colum: unknown key; did you mean 'column'?"),
         ("poses: {x: 3}\n", "1:12: poses.x: is the number 3; expected a mapping (position forward or east)"),
         ("poses: {x: {column: a, scale: 0}}\n", "1:31: poses.x.scale: is 0; expected what the numbers are multiplied with"),
+        ("poses: {x: {column: a, table: b.csv}}\n", "1:31: poses.x.table: is that of one column, which comes from the same table as those beside it; expected the table of all of them, one level up"),
+        ("commands: {time: {column: a, table: b.csv}}\n", "1:37: commands.time.table: is that of one column, which comes from the same table as those beside it; expected the table of all of them, one level up"),
+        ("dead_man: {column: a, time: {column: b, table: b.csv}}\n", "1:48: dead_man.time.table: is that of one column, which comes from the same table as those beside it; expected the table of all of them, one level up"),
         ("poses: {yaw: a, quaternion: [a, b, c, d]}\n", "1:29: poses.quaternion: is given besides yaw; expected one of the two"),
         ("limits: {pose_gap: -1}\n", "1:20: limits.pose_gap: is the number -1; expected a number greater than 0 (time without poses that ends a part of the log, s)"),
     ],
@@ -221,6 +227,17 @@ def test_what_is_wrong_in_a_mapping_file_is_said_at_its_place(tmp_path: Path, te
     assert str(error.value).replace(f"{tmp_path / 'm.yaml'}:", "") == expected
     checked = check_file(tmp_path / "m.yaml")
     assert (checked.kind, checked.problems) == ("mapping", error.value.diagnostics)
+
+
+def test_an_unknown_control_is_said_alike_of_one_log_and_of_all(tmp_path: Path) -> None:
+    said = mapping_of(tmp_path, "commands: {controls: {throtle: a, steering: steering, brake: b}}\n")
+    table = Table("a.csv", "", WIDE, np.zeros(len(TIMES), np.int64))
+    with pytest.raises(InputError) as error:
+        guess_commands([table], CONTROLS, said)
+    assert [problem.path for problem in error.value.diagnostics] == [
+        f"commands.controls.{n}" for n in ("throtle", "brake")
+    ]
+    assert unfit("logs", [heading(table)], CONTROLS, said)[:2] == error.value.diagnostics
 
 
 def test_validate_knows_a_mapping_file(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_one_warning_is_counted_as_one() -> None:
 
 
 def test_long_names_and_remarks_leave_the_table_beside_the_matrix() -> None:
-    names = ("L", "phi_diff", "v_delta", "delay", "dead_band_throttle", "dead_band_steering", "yaw_offset")
+    names = ("L", "phi_diff", "v_delta", "lag_steering", "dead_band_throttle", "dead_band_steering", "yaw_offset")
     parameters = {name: estimated(-0.0331, 0.00001, unit="rad", min=-0.0331, at_bound=True) for name in names}
     covariance = np.eye(len(names))
     result = replace(

@@ -121,10 +121,10 @@ def test_the_same_logs_give_the_same_bits() -> None:
     assert (again.covariance == fitted().covariance).all()
 
 
-def test_both_graphs_agree() -> None:
-    truth = {**TRUTH, "delay": 0.1, "lever": 0.1}
-    data = synthetic_logs(lag(), truth, range(5), seconds=5.0, outliers=0.03)
-    settings = Settings(extras=("delay", "lever"))
+@pytest.mark.parametrize("extras", [{"delay": 0.1, "lever": 0.1}, {"lag_steering": 0.15, "friction": 0.1}])
+def test_both_graphs_agree(extras: dict[str, float]) -> None:
+    data = synthetic_logs(lag(), {**TRUTH, **extras}, range(5), seconds=5.0, outliers=0.03)
+    settings = Settings(extras=tuple(extras))
     fast = identify(lag(), data, settings)
     paper = identify(lag(), data, replace(settings, graph="paper"))
     assert paper.converged

@@ -33,9 +33,10 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.specialise import kernels
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
-EXTRAS = ("delay", "delay_steering", "dead_band_throttle", "dead_band_steering", "lever", "side", "yaw_offset")
-VALUES = {**TRUTH, "delay": 0.07, "delay_steering": 0.03, "dead_band_throttle": 0.1, "dead_band_steering": 0.02,
-          "lever": 0.1, "side": -0.05, "yaw_offset": 0.03}  # fmt: skip
+EXTRAS = ("delay", "delay_steering", "lag_throttle", "lag_steering", "friction", "dead_band_throttle",
+          "dead_band_steering", "lever", "side", "yaw_offset")  # fmt: skip
+VALUES = {**TRUTH, "delay": 0.07, "delay_steering": 0.03, "lag_throttle": 0.04, "lag_steering": 0.12, "friction": 0.08,
+          "dead_band_throttle": 0.1, "dead_band_steering": 0.02, "lever": 0.1, "side": -0.05, "yaw_offset": 0.03}  # fmt: skip
 
 
 def small_problem(robust: float | None = None, frozen: tuple[str, ...] = ()) -> tuple[Problem, Point]:
@@ -303,7 +304,7 @@ def test_the_search_does_not_look_at_the_yaw_of_a_vehicle_that_has_none(yaw: flo
     stretches = [whole(log.parts[0], i, settings.step) for i, log in enumerate(logs)]
     problem = assemble(stretches, len(logs), parameters, noise_model(POINT, settings, NOISE))
     mean = problem.commands.mean(parameters.nominal)[0]
-    found = Search(parameters, problem.motion, problem.chains, smooth(problem.chains), mean).best()
+    found = Search(parameters, problem.dynamics.motion, problem.chains, smooth(problem.chains), mean).best()
     assert found == pytest.approx([0.9, 0.3], rel=0.1)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kraft.errors import InputError
+from kraft.errors import Diagnostic, InputError
 from kraft.logs.attempts import Attempt, best, named
 from kraft.logs.choice import Channel, Stream
 from kraft.logs.columns import COMMAND, control_score
-from kraft.logs.mapping import Column, Mapping
+from kraft.logs.mapping import Mapping
 from kraft.logs.names import parse
 from kraft.logs.pick import Picked, Picker
 from kraft.logs.table import Table
@@ -23,9 +23,9 @@ def guess_commands(
     Raises:
         InputError: if nothing or too much fits, or the mapping file names what is not there.
     """
-    wishes = mapping.commands.controls
-    _refuse_unknown(wishes, controls, mapping)
-    apart = {name: wish.table for name, wish in wishes.items() if wish.table is not None}
+    if unknown := unknown_controls(controls, mapping):
+        raise InputError(unknown)
+    apart = {name: wish.table for name, wish in mapping.commands.controls.items() if wish.table is not None}
     streams = []
     for name, at in apart.items():
         found = named(tables, at, mapping, "commands", "controls", name, "table")
@@ -46,16 +46,15 @@ def command_attempt(table: Table, controls: Sequence[str], mapping: Mapping) -> 
     return Attempt(table, time, tuple(_control(picker, name) for name in controls))
 
 
-def _refuse_unknown(wishes: dict[str, Column], controls: Sequence[str], mapping: Mapping) -> None:
-    problems = [
+def unknown_controls(controls: Sequence[str], mapping: Mapping) -> list[Diagnostic]:
+    """Controls that the mapping file has columns for, and the vehicle has not."""
+    return [
         mapping.source.diagnostic(
             ("commands", "controls", name), "is no control of the vehicle", suggest(name, controls), at_key=True
         )
-        for name in wishes
+        for name in mapping.commands.controls
         if name not in controls
     ]
-    if problems:
-        raise InputError(problems)
 
 
 def _control(picker: Picker, name: str) -> Picked:

@@ -24,14 +24,12 @@ def _or_name(schema: dict[str, Any]) -> None:
 
 
 class Column(FileModel):
-    """A column of a table, or a field of a message; a text is its name alone."""
+    """A column of the table of its family, or a field of a message; a text is its name alone."""
 
     model_config = ConfigDict(json_schema_extra=_or_name)
 
     column: str
     """name of the column, or of the field of the message (`drive.steering_angle`)"""
-    table: str | None = None
-    """file name or topic, if it is not that of the others"""
     unit: Unit | None = None
     """unit of its numbers"""
     zero: Scale = 0.0
@@ -42,6 +40,9 @@ class Column(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _name_alone(cls, value: object) -> object:
+        if isinstance(value, dict) and "table" in value and "table" not in cls.model_fields:
+            problem = "is that of one column, which comes from the same table as those beside it"
+            raise refuse(problem, "expected the table of all of them, one level up", ("table",))
         return {"column": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
@@ -49,6 +50,13 @@ class Column(FileModel):
         if self.scale == 0:
             raise refuse("is 0", "expected what the numbers are multiplied with", ("scale",))
         return self
+
+
+class Control(Column):
+    """The column of a control, which may be in a table of its own."""
+
+    table: str | None = None
+    """file name or topic, if it is not that of the others"""
 
 
 def _in(column: Column | None, quantity: Quantity, at: KeyPath = ()) -> Column | None:
@@ -64,7 +72,7 @@ class Commands(FileModel):
     """file name or topic"""
     time: Column | None = None
     """when a command was given"""
-    controls: dict[str, Column] = Field(default_factory=dict)
+    controls: dict[str, Control] = Field(default_factory=dict)
     """the column of each control of the vehicle, by the control's name"""
 
     @field_validator("time")
@@ -74,7 +82,7 @@ class Commands(FileModel):
 
     @field_validator("controls")
     @classmethod
-    def _controls(cls, value: dict[str, Column]) -> dict[str, Column]:
+    def _controls(cls, value: dict[str, Control]) -> dict[str, Control]:
         for name, column in value.items():
             _in(column, "control", (name,))
         return value

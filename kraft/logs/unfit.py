@@ -9,7 +9,8 @@ import numpy as np
 
 from kraft.errors import Diagnostic, InputError
 from kraft.logs.columns import SYNONYMS, control_score
-from kraft.logs.mapping import Column, Mapping
+from kraft.logs.guess_commands import unknown_controls
+from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.pick import written_at
 from kraft.logs.table import Table
 from kraft.source import KeyPath
@@ -38,19 +39,9 @@ def unfit(where: str, tables: Sequence[Table], controls: Sequence[str], mapping:
         controls: of the vehicle.
         mapping: what the mapping file says.
     """
-    unknown = _unknown_controls(controls, mapping)
+    unknown = unknown_controls(controls, mapping)
     wrong = [*unknown, *(problem for wish in _wishes(mapping) for problem in _missing(*wish, tables, mapping))]
     return tuple(wrong or _foreign(where, controls, mapping, tables))
-
-
-def _unknown_controls(controls: Sequence[str], mapping: Mapping) -> list[Diagnostic]:
-    return [
-        mapping.source.diagnostic(
-            ("commands", "controls", name), "is no control of the vehicle", choose(name, controls), at_key=True
-        )
-        for name in mapping.commands.controls
-        if name not in controls
-    ]
 
 
 def _wishes(mapping: Mapping) -> Iterator[tuple[KeyPath, Column | None, KeyPath, str | None]]:
@@ -77,7 +68,7 @@ def _missing(
     mapping: Mapping,
 ) -> Iterator[Diagnostic]:
     """That no log has the table, or that no such table has the column."""
-    if column is not None and column.table is not None:
+    if isinstance(column, Control) and column.table is not None:
         family, table = (*path, "table"), column.table
     among = [each for each in tables if table is None or table in (each.name, each.file)]
     if not among:

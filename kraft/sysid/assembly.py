@@ -8,7 +8,7 @@ import numpy as np
 
 from kraft.sysid.chains import Chains, Stretch, chains_of
 from kraft.sysid.commands import Commands
-from kraft.sysid.motion import Motion
+from kraft.sysid.dynamics import Dynamics
 from kraft.sysid.noise_model import NoiseModel
 from kraft.sysid.observation import Observation
 from kraft.sysid.parameters import Parameters
@@ -23,7 +23,7 @@ def assemble(stretches: Sequence[Stretch], logs: int, parameters: Parameters, no
         parameters,
         chains_of(stretches, logs),
         Commands(stretches, parameters),
-        Motion(parameters.vehicle),
+        Dynamics(parameters),
         Observation(parameters),
         noise,
     )
@@ -47,9 +47,8 @@ def simulated(problem: Problem, start: Matrix, controls: Matrix, rho: Floats) ->
     for c, count in enumerate(steps):
         begin = int(chains.first[c]) - c  # of its steps
         padded[:count, c] = controls[begin : begin + count]
-    own = np.tile(problem.parameters.model_values(rho), (len(steps), 1))
     h = np.array([s.h for s in chains.stretches])
-    states = problem.motion.simulate(start, padded, own, h)
+    states = problem.dynamics.simulate(start, padded, rho, h)
     return _stacked(states, chains)
 
 

@@ -1,9 +1,9 @@
 """The control that acts in each step: the mean over the step of the commands as they arrive.
 
-Commands are held until the next one, so their running integral is piecewise linear and a mean over a step is a
-difference of two interpolations.  Where commands are delayed by an unknown time, the mean is taken with a hat twice as
-wide as the step instead of a box: its derivative with respect to the delay is then continuous, and the optimiser does
-not get caught where a jump crosses from one step into the next.  Both have the same area and centre.
+Commands are held until the next one, lose their dead band, and act after a delay through a first-order lag; the mean
+of that over a step is a difference of integrals.  Where the delay or the lag is unknown, the mean is taken with a hat
+twice as wide as the step instead of a box: its derivative with respect to them is then continuous, and the optimiser
+does not get caught where a jump crosses from one step into the next.  Both have the same area and centre.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kraft.sysid.chains import Stretch
+from kraft.sysid.held_signal import Means, box_means, hat_means
 from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Matrix
 
@@ -27,13 +28,24 @@ class Commands:
         bounds = parameters.vehicle.control_bounds
         self._rest = np.clip(0.0, bounds[:, 0], bounds[:, 1])
         self._delays = [
-            [k for name in ("delay", f"delay_{control}") if (k := parameters.index(name)) >= 0]
+            [k for name in ("delay", f"delay_{control}") if (k := parameters.extra(name)) >= 0]
             for control in self._controls
         ]
-        self._dead_bands = [parameters.index(f"dead_band_{control}") for control in self._controls]
+        self._last: tuple[bytes, Matrix, Floats] | None = None
+        self._lags = [parameters.extra(f"lag_{control}") for control in self._controls]
+        self._dead_bands = [parameters.extra(f"dead_band_{control}") for control in self._controls]
 
     def mean(self, rho: Floats) -> tuple[Matrix, Floats]:
-        """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho."""
+        """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho.
+
+        Those of the last rho are kept: a point's cost, its factors and the step from it all ask for them.
+        """
+        key = rho.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, *self._mean(rho))
+        return self._last[1], self._last[2]
+
+    def _mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         total = sum(s.steps for s in self._stretches)
         means, slopes = np.empty((total, len(self._controls))), np.zeros((total, len(self._controls), self._size))
         at = 0
@@ -49,38 +61,20 @@ class Commands:
         times, values = stretch.part.command_times, stretch.part.commands[:, k]
         before = self._rest[k] if stretch.resting else values[0]
         values = np.concatenate([[before], values])
-        delays = self._delays[k]
+        if (j := self._dead_bands[k]) >= 0:
+            signs = np.where(np.abs(values) > rho[j], np.sign(values), 0.0)
+            slopes[:, j] = -self._means(stretch, times, signs, k, rho).values
+            values = signs * (np.abs(values) - rho[j])
+        means = self._means(stretch, times, values, k, rho)
+        slopes[:, self._delays[k]] = -means.by_time[:, None]
+        if (j := self._lags[k]) >= 0:
+            slopes[:, j] = means.by_lag
+        return means.values
+
+    def _means(self, stretch: Stretch, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
+        """Means over a stretch's steps of what control k makes of held values."""
+        delays, lag = self._delays[k], self._lags[k]
         at = stretch.times - sum(float(rho[j]) for j in delays)
-        mean = _hat_mean if delays else _box_mean
-        if self._dead_bands[k] >= 0:
-            band = rho[self._dead_bands[k]]
-            signs = np.where(np.abs(values) > band, np.sign(values), 0.0)
-            slopes[:, self._dead_bands[k]] = -mean(times, signs, at, stretch.h)[0]
-            values = signs * (np.abs(values) - band)
-        means, slope = mean(times, values, at, stretch.h)
-        slopes[:, delays] = -slope[:, None]
-        return means
-
-
-def _box_mean(times: Floats, values: Floats, at: Floats, h: float) -> tuple[Floats, Floats]:
-    """Means of a signal between neighbouring times `at`, and their change with `at`."""
-    once, _, now = _integrals(times, values, at)
-    return np.diff(once) / h, np.diff(now) / h
-
-
-def _hat_mean(times: Floats, values: Floats, at: Floats, h: float) -> tuple[Floats, Floats]:
-    """The same weighted with a hat that is highest in the middle and reaches half a step beyond."""
-    middle = at[0] + h * (np.arange(len(at) + 1) - 0.5)
-    once, twice, _ = _integrals(times, values, middle)
-    return np.diff(twice, 2) / h**2, np.diff(once, 2) / h**2
-
-
-def _integrals(times: Floats, values: Floats, at: Floats) -> tuple[Floats, Floats, Floats]:
-    """First and second integral, and value, at some times, of a signal that is values[i] before times[i]."""
-    knots = np.concatenate([[min(times[0], at.min()) - 1.0], times])
-    spans = np.diff(knots)
-    once = np.concatenate([[0.0], np.cumsum(spans * values[:-1])])
-    twice = np.concatenate([[0.0], np.cumsum(spans * (once[:-1] + 0.5 * spans * values[:-1]))])
-    i = np.searchsorted(knots, at, side="right") - 1
-    d, now = at - knots[i], values[i]
-    return once[i] + d * now, twice[i] + d * (once[i] + 0.5 * d * now), now
+        if not delays and lag < 0:
+            return box_means(times, values, at, stretch.h)
+        return hat_means(times, values, at, stretch.h, float(rho[lag]) if lag >= 0 else 0.0)

@@ -33,7 +33,7 @@ class Graph(NamedTuple):
     seen: Ints  # (N + 1,) where steps' poses begin
     share: Floats  # (n,)
     dynamics: Matrix  # (N, nx) residual x' - f(x, u, p)
-    jacobian: Floats  # (N, nx, nx + nu + own) of f
+    jacobian: Floats  # (N, nx, nx + nu + np) of f
     control: Matrix  # (N, nu) residual u - mean command
     command: Floats  # (N, nu, np) derivative of the mean command
     pose: Matrix  # (n, 3) residual predicted - observed

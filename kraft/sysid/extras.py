@@ -1,7 +1,9 @@
 """Parameters beside the model's own that a real log needs: what lies between commands, model and observed poses.
 
 delay, delay_<control>   commands take effect later: all of them, or one of them later still
-dead_band_<control>      command that does nothing, and is taken off every larger one: friction, play of a linkage
+lag_<control>            what acts approaches the command with a time constant: a servo, a motor
+dead_band_<control>      command that does nothing, and is taken off every larger one: dead zone, play of a linkage
+friction                 throttle that is lost as long as the vehicle moves, also while it coasts
 lever, side              where the tracked point is in the model's frame
 yaw_offset               observed yaw less the model's
 """
@@ -12,6 +14,10 @@ from dataclasses import dataclass
 
 from ompl_ext.vehicle import Vehicle
 
+YAW_RATES = ("omega", "yaw_rate", "r", "w")
+"""Names of a state component that is the derivative of theta."""
+FRICTION = 0.5
+"""Share of the full throttle that friction may take."""
 DEAD_BANDS = {"throttle": 0.5, "steering": 0.25}
 """Controls that a dead band makes sense for, and the share of their range that it may take."""
 
@@ -21,7 +27,12 @@ def moves(name: str) -> bool:
 
     The others belong to how the vehicle is seen, which planning need not know.
     """
-    return name.startswith(("delay", "dead_band_"))
+    return name.startswith(("delay", "lag_", "dead_band_", "friction"))
+
+
+def speed_index(vehicle: Vehicle) -> int:
+    """Which state component is the speed, -1 if none is: the first of those that are nothing at rest."""
+    return vehicle.rest_indices[0] if vehicle.rest and vehicle.rest[0] not in YAW_RATES else -1
 
 
 @dataclass(frozen=True)
@@ -38,12 +49,20 @@ class Extra:
 
 
 def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
-    """The extras that make sense for a vehicle, by name."""
+    """The extras that make sense for a vehicle, by name; none that has the name of a parameter of its model."""
     found = [Extra("delay", "s", 0.0, 0.5, 0.3, "time until a command takes effect")]
     found += [
         Extra(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"time that {name} takes effect later still")
         for name in vehicle.controls
     ]
+    found += [
+        Extra(f"lag_{name}", "s", 0.0, 2.0, 0.5, f"time constant with which {name} follows its command")
+        for name in vehicle.controls
+    ]
+    full = vehicle.controls["throttle"][1] if "throttle" in vehicle.controls else 0.0
+    if full > 0.0 and speed_index(vehicle) >= 0:
+        most = FRICTION * full
+        found.append(Extra("friction", "1", 0.0, most, most, "throttle that friction uses up"))
     for name, share in DEAD_BANDS.items():
         if name in vehicle.controls:
             most = share * max(map(abs, vehicle.controls[name]))
@@ -55,4 +74,4 @@ def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
             Extra("side", "m", -0.5, 0.5, 0.2, "tracked point left of the model's point"),
             Extra("yaw_offset", "rad", -0.5, 0.5, 0.2, "observed yaw less the model's"),
         ]
-    return {extra.name: extra for extra in found}
+    return {extra.name: extra for extra in found if extra.name not in vehicle.parameters}

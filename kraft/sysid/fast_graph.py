@@ -16,7 +16,7 @@ class FastGraph:
     def __init__(self, problem: Problem) -> None:
         """Allocate what the elimination needs."""
         self.problem = problem
-        self._out: Eliminated = allocate(problem.chains, problem.motion.nx, len(problem.parameters.names))
+        self._out: Eliminated = allocate(problem.chains, problem.dynamics.nx, len(problem.parameters.names))
 
     def cost(self, point: Point) -> float:
         """What a point costs."""
@@ -26,7 +26,7 @@ class FastGraph:
         """Make the factors at a point."""
         p, chains, noise = self.problem, self.problem.chains, self.problem.noise
         x = point.states[chains.state]
-        led, jacobian = p.motion.linearise(x, point.controls, p.parameters.model_values(point.rho), chains.h)
+        led, jacobian = p.dynamics.linearise(x, point.controls, point.rho, chains.h)
         mean, slopes = p.commands.mean(point.rho)
         seen = p.between(point.states)
         by_state, by_rho = p.observation.linearise(seen, point.rho)
@@ -39,7 +39,7 @@ class FastGraph:
             seen=chains.seen,
             share=chains.share,
             dynamics=point.states[chains.state + 1] - led,
-            jacobian=jacobian[:, :, : p.motion.nx + p.motion.nu + p.parameters.own],
+            jacobian=jacobian,
             control=point.controls - mean,
             command=slopes,
             pose=residuals,

@@ -147,7 +147,7 @@ class _Task:
         self.data: Smooth = smooth(problem.chains)
         nominal = problem.parameters.nominal
         search = Search(
-            problem.parameters, problem.motion, problem.chains, self.data, problem.commands.mean(nominal)[0]
+            problem.parameters, problem.dynamics.motion, problem.chains, self.data, problem.commands.mean(nominal)[0]
         )
         return _Start(problem, starting_point(problem, self.data, search.best()))
 

@@ -17,6 +17,7 @@ _KNOWN: Final = {
     "tau": _STEPS,
     "u_0": _LEVELS,
     "delay": _CHANGES,
+    "friction": _STEPS,
     "dead_band_throttle": _LEVELS,
     "dead_band_steering": _TURNS,
     "lever": _TURNS,
@@ -34,4 +35,4 @@ def lacking(parameters: Parameters, *names: str) -> str:
 
 
 def _of(name: str, general: str) -> str:
-    return _CHANGES if name.startswith("delay_") else _KNOWN.get(name, general)
+    return _CHANGES if name.startswith(("delay_", "lag_")) else _KNOWN.get(name, general)

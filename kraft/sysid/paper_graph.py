@@ -29,7 +29,6 @@ class PaperGraph:
     def __init__(self, problem: Problem) -> None:
         """Make all factors."""
         self.problem = problem
-        self._mean: tuple[bytes, Matrix, Floats] | None = None
         chains = problem.chains
         self._graphs = [gtsam.NonlinearFactorGraph() for _ in range(chains.logs)]
         self._orderings = [gtsam.Ordering() for _ in range(chains.logs)]
@@ -80,8 +79,9 @@ class PaperGraph:
                 if s < chains.first[c + 1] - 1:
                     controls[s - c] += solutions[log].at(_u(s - c))
         rho = self.problem.parameters.within_bounds(self._point.rho + change)
-        before, slopes = self._commands(self._point.rho)
-        bend = self._commands(rho)[0] - before - slopes @ change  # a delay moves commands by more than is linear
+        mean = self.problem.commands.mean
+        before, slopes = mean(self._point.rho)
+        bend = mean(rho)[0] - before - slopes @ change  # a delay moves commands by more than is linear
         return Point(states, controls + bend, rho)
 
     def _add_step(self, graph: gtsam.NonlinearFactorGraph, i: int, s: int) -> None:
@@ -101,21 +101,19 @@ class PaperGraph:
     def _control(self, i: int) -> Evaluate:
         def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
             control, rho = given
-            means, slopes = self._commands(rho)
+            means, slopes = self.problem.commands.mean(rho)
             return control - means[i], [np.eye(len(control)), -slopes[i]]
 
         return evaluate
 
     def _dynamics(self, i: int) -> Evaluate:
-        motion, p, h = self.problem.motion, self.problem.parameters, self.problem.chains.h[i : i + 1]
+        dynamics, h = self.problem.dynamics, self.problem.chains.h[i : i + 1]
 
         def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
             x, u, after, rho = given
-            led, jacobian = motion.linearise(x[None].copy(), u[None].copy(), p.model_values(rho), h)
-            by_x, by_u = jacobian[0, :, : motion.nx], jacobian[0, :, motion.nx : motion.nx + motion.nu]
-            by_rho = np.zeros((motion.nx, len(rho)))
-            by_rho[:, : p.own] = jacobian[0, :, motion.nx + motion.nu :][:, : p.own]
-            return after - led[0], [-by_x, -by_u, np.eye(motion.nx), -by_rho]
+            led, jacobian = dynamics.linearise(x[None].copy(), u[None].copy(), rho, h)
+            by_x, by_u, by_rho = np.split(jacobian[0], [dynamics.nx, dynamics.nx + dynamics.nu], axis=1)
+            return after - led[0], [-by_x, -by_u, np.eye(dynamics.nx), -by_rho]
 
         return evaluate
 
@@ -131,13 +129,6 @@ class PaperGraph:
             return residual, [(1.0 - share) * by_state[0], share * by_state[0], by_rho[0]]
 
         return evaluate
-
-    def _commands(self, rho: Floats) -> tuple[Matrix, Floats]:
-        """Mean commands of all steps and their derivatives; those of the last rho are kept."""
-        key = rho.tobytes()
-        if self._mean is None or self._mean[0] != key:
-            self._mean = (key, *self.problem.commands.mean(rho))
-        return self._mean[1], self._mean[2]
 
     def _values(self, point: Point) -> gtsam.Values:
         values = gtsam.Values()

@@ -63,6 +63,10 @@ class Parameters:
         """Place of a parameter in rho, -1 if it is not there."""
         return self.names.index(name) if name in self.names else -1
 
+    def extra(self, name: str) -> int:
+        """Place of an extra in rho, -1 if it is not there; a parameter of the model that is called so is none."""
+        return self.own + self.extras.index(name) if name in self.extras else -1
+
     @cached_property
     def nominal(self) -> Floats:
         """(np,) values before the identification."""

@@ -190,9 +190,11 @@ def _starts(
 
 def _at_rest(model: Vehicle, parameters: Parameters, pose: Floats) -> Floats:
     """State at rest that shows an observed pose."""
-    value = dict(zip(parameters.names, parameters.nominal, strict=True))
-    lever, side = value.get("lever", 0.0), value.get("side", 0.0)
-    yaw = pose[2] - value.get("yaw_offset", 0.0)
+    lever, side, offset = (
+        float(parameters.nominal[k]) if (k := parameters.extra(name)) >= 0 else 0.0
+        for name in ("lever", "side", "yaw_offset")
+    )
+    yaw = pose[2] - offset
     c, s = np.cos(yaw), np.sin(yaw)
     state = np.zeros(len(model.state))
     found = {"x": pose[0] - lever * c + side * s, "y": pose[1] - lever * s - side * c, "theta": yaw}

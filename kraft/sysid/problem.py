@@ -8,7 +8,7 @@ import numpy as np
 
 from kraft.sysid.chains import Chains
 from kraft.sysid.commands import Commands
-from kraft.sysid.motion import Motion
+from kraft.sysid.dynamics import Dynamics
 from kraft.sysid.noise_model import NoiseModel
 from kraft.sysid.observation import Observation
 from kraft.sysid.parameters import Parameters
@@ -34,7 +34,7 @@ class Problem:
     parameters: Parameters
     chains: Chains
     commands: Commands
-    motion: Motion
+    dynamics: Dynamics
     observation: Observation
     noise: NoiseModel
 
@@ -52,7 +52,7 @@ class Problem:
     def dynamics_residuals(self, point: Point) -> Matrix:
         """(N, nx) next state less where the model leads."""
         x = point.states[self.chains.state]
-        led = self.motion.after(x, point.controls, self.parameters.model_values(point.rho), self.chains.h)
+        led = self.dynamics.after(x, point.controls, point.rho, self.chains.h)
         difference: Matrix = point.states[self.chains.state + 1] - led
         return difference
 

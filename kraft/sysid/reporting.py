@@ -14,8 +14,8 @@ def identification(case: Case, warnings: tuple[str, ...], notes: tuple[str, ...]
     """The result."""
     p, noise = case.problem.parameters, case.problem.noise
     vehicle, rho = p.vehicle, case.optimum.point.rho
-    axle = ahead_of_axle(p, case.problem.motion, rho)
-    lever = float(rho[p.index("lever")]) if p.index("lever") >= 0 else 0.0
+    axle = ahead_of_axle(p, case.problem.dynamics.motion, rho)
+    lever = float(rho[k]) if (k := p.extra("lever")) >= 0 else 0.0
     return Identification(
         model=vehicle.name,
         parameters=_estimated(case),

@@ -131,10 +131,10 @@ def _check_picture(path: Path) -> None:
 
 
 def _for_planning(settings: Settings) -> tuple[str, ...]:
-    """That delays and dead bands were not looked for."""
+    """That extras of the motion were not looked for."""
     if settings.extras != "plan":
         return ()
-    return ("for a file to plan with, no delay or dead band is identified: planning does not know them",)
+    return ("for a file to plan with, no delay, lag, dead band or friction is sought: planning does not know them",)
 
 
 def _unknown_to_planning(request: Request, result: Identification) -> tuple[str, ...]:

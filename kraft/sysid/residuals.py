@@ -15,5 +15,5 @@ def residual_ratio(problem: Problem, point: Point) -> float:
     """
     squares = problem.noise.distance(problem.pose_residuals(point)) ** 2
     shown = 3.0 if problem.observation.turns else 2.0
-    taken = problem.motion.nx * len(problem.chains.log) / (shown * len(squares))
+    taken = problem.dynamics.nx * len(problem.chains.log) / (shown * len(squares))
     return float(np.median(squares) / (chi2.median(shown) * max(1.0 - taken, 0.1)))

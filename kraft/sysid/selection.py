@@ -1,7 +1,8 @@
 """Which extras the data show: those far from nothing, that matter, and that can be told from the rest.
 
-Starting from all of them, the one that is least certain goes first, as the linearised graph sees it; then the rest is
-fitted anew.
+Starting from all of them, those that are not go one after the other, as the linearised graph sees it: first the one
+without which the others explain the data best.  Then the rest is fitted anew.  An extra is as uncertain as the noise
+lets expect or the logs disagree about it, whichever is more: few logs may agree by chance about what they hardly show.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from typing import Final
 import numpy as np
 
 from kraft.sysid.parameters import Parameters
-from kraft.sysid.uncertainty import Uncertainty
+from kraft.sysid.uncertainty import Uncertainty, inverse
 from ompl_ext.arrays import Floats, Matrix
 
-AUTOMATIC: Final = {"delay": 0.01, "dead_band_throttle": 0.01, "dead_band_steering": 0.005, "lever": 0.01,
-                    "yaw_offset": 0.005}  # fmt: skip
-"""Extras that are tried, and the value below which one does not matter (s, 1, rad, m, rad)."""
+AUTOMATIC: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
+                    "dead_band_steering": 0.005, "friction": 0.01, "lever": 0.01, "yaw_offset": 0.005}  # fmt: skip
+"""Extras that are tried, and the value below which one does not matter (s, s, s, 1, rad, 1, m, rad)."""
 SIGNIFICANT = 3.0
 """Standard deviations from nothing."""
 TIGHTER = 0.5
@@ -30,39 +31,42 @@ ALIKE = 0.985
 def shown(parameters: Parameters, rho: Floats, uncertain: Uncertainty, asked: frozenset[str]) -> tuple[str, ...]:
     """Extras to keep; those `asked` for stay whatever the data say, and so do frozen ones."""
     names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
-    value, covariance, graph = rho[parameters.free].copy(), uncertain.covariance.copy(), uncertain.graph.copy()
-    prior = parameters.std[parameters.free]
-    removable = {k for k, name in enumerate(names) if name in parameters.extras and name not in asked}
-    dropped: set[str] = set()
-    while removable:
-        ratio = {
-            k: 0.0 if _alike(graph, k) else _certainty(names[k], value[k], covariance[k, k], prior[k])
-            for k in removable
-        }
-        worst = min(removable, key=lambda k: ratio[k])
-        if ratio[worst] >= SIGNIFICANT:
+    prior = dict(zip(parameters.names, parameters.std, strict=True))
+    left = list(range(len(names)))
+    while True:
+        value, graph, covariance = _refitted(rho[parameters.free], uncertain, left)
+        variance = np.maximum(np.diag(covariance), np.diag(graph))
+        doubtful = [
+            i
+            for i, name in enumerate(names[k] for k in left)
+            if name in parameters.extras and name not in asked
+            and (_alike(graph, i) or not _certain(name, value[i], variance[i], prior[name]))
+        ]  # fmt: skip
+        if not doubtful:
             break
-        gain = covariance[:, worst] / max(covariance[worst, worst], 1e-300)  # the rest, if this one is nothing
-        value -= gain * value[worst]
-        covariance -= np.outer(gain, covariance[worst])
-        graph -= np.outer(graph[:, worst], graph[worst]) / max(graph[worst, worst], 1e-300)
-        removable.remove(worst)
-        dropped.add(names[worst])
+        del left[min(doubtful, key=lambda i: value[i] ** 2 / graph[i, i])]
+    dropped = set(names) - {names[k] for k in left}
     return tuple(name for name in parameters.extras if name not in dropped)
 
 
+def _refitted(rho: Floats, uncertain: Uncertainty, left: list[int]) -> tuple[Floats, Matrix, Matrix]:
+    """Values (left,) of those that are left if the others were nothing; covariances by the graph and as reported."""
+    information = inverse(uncertain.graph)
+    graph = inverse(information[np.ix_(left, left)])
+    follow = graph @ information[left]  # how they follow what is taken away
+    follow[:, left] = np.eye(len(left))
+    moving = uncertain.covariance * np.outer(~uncertain.held, ~uncertain.held)
+    return follow @ rho, graph, follow @ moving @ follow.T if uncertain.kind == "sandwich" else graph
+
+
 def _alike(covariance: Matrix, k: int) -> bool:
-    """Whether a parameter cannot be told from another one that is still there."""
-    variance = np.diag(covariance)
-    there = variance > 0.0
-    there[k] = False
-    correlation = covariance[k, there] / np.sqrt(variance[k] * variance[there])
-    return bool((np.abs(correlation) > ALIKE).any())
+    """Whether a parameter cannot be told from another one."""
+    std = np.sqrt(np.diag(covariance))
+    along = np.abs(covariance[k]) > ALIKE * std[k] * std
+    return bool(along.sum() > along[k])
 
 
-def _certainty(name: str, value: float, variance: float, prior: float) -> float:
-    """Distance from nothing in standard deviations; 0 if the extra does not matter or is hardly known."""
-    std = float(np.sqrt(max(variance, 0.0)))
-    if abs(value) < AUTOMATIC[name] or std > TIGHTER * prior:
-        return 0.0
-    return abs(value) / max(std, 1e-300)
+def _certain(name: str, value: float, variance: float, prior: float) -> bool:
+    """Whether an extra is far from nothing, matters, and is known better than before."""
+    std = float(np.sqrt(variance))
+    return abs(value) >= max(AUTOMATIC[name], SIGNIFICANT * std) and std <= TIGHTER * prior

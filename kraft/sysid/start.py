@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from kraft.sysid.chains import Chains
+from kraft.sysid.extras import YAW_RATES, speed_index
 from kraft.sysid.motion import Motion
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.smoothing import smoothed
@@ -29,8 +30,6 @@ MOST_CHAINS, MOST_STEPS = 12, 400
 """Data that the search looks at: enough to come close."""
 WIDE_RANGE = 5.0
 """Bounds further apart than this factor are searched in logarithms."""
-YAW_RATES = ("omega", "yaw_rate", "r", "w")
-"""Names of a state component that is the derivative of theta."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +61,8 @@ def first_states(vehicle: Vehicle, chains: Chains, data: Smooth) -> Matrix:
     for k, name in enumerate(vehicle.state):
         if name in YAW_RATES:
             states[:, k] = rates[:, 2]
-    if vehicle.rest and vehicle.rest[0] not in YAW_RATES:
-        states[:, vehicle.rest_indices[0]] = speed
+    if (k := speed_index(vehicle)) >= 0:
+        states[:, k] = speed
     return states
 
 

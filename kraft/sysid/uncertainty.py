@@ -37,6 +37,8 @@ class Uncertainty:
     """half width of a 95 % interval in standard deviations"""
     moves: Matrix
     """(logs, free) how rho would move without each log"""
+    held: Bools
+    """(free,) which of them their bounds hold: the others move as if these did not"""
 
     @property
     def std(self) -> Floats:
@@ -55,10 +57,10 @@ def uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncertainty:
     """
     chosen = np.ix_(free, free)
     total = factors.total_information[chosen]
-    graph = _inverse(total)
+    graph = inverse(total)
     logs = len(factors.information)
     if logs < 2:
-        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), np.zeros((logs, len(total))))
+        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), np.zeros((logs, len(total))), held[free])
     moves = np.array(
         [
             _move(total - information[chosen], gradient[free], held[free])
@@ -66,10 +68,10 @@ def uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncertainty:
         ]
     )
     if logs < LEAST_LOGS:
-        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), moves)
+        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), moves, held[free])
     centred = moves - moves.mean(axis=0)
     sandwich = (logs - 1) / logs * centred.T @ centred
-    return Uncertainty("sandwich", graph, sandwich, float(t.ppf(0.975, logs - 1)), moves)
+    return Uncertainty("sandwich", graph, sandwich, float(t.ppf(0.975, logs - 1)), moves, held[free])
 
 
 def _move(rest: Matrix, gradient: Floats, held: Bools) -> Floats:
@@ -80,7 +82,7 @@ def _move(rest: Matrix, gradient: Floats, held: Bools) -> Floats:
     return move
 
 
-def _inverse(information: Matrix) -> Matrix:
+def inverse(information: Matrix) -> Matrix:
     """Inverse of a positive definite matrix whose components may differ by many orders of magnitude."""
     scale = 1.0 / np.sqrt(np.diag(information))
     inverse: Matrix = scale[:, None] * np.linalg.inv(scale[:, None] * information * scale[None, :]) * scale[None, :]

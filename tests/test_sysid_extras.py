@@ -1,0 +1,166 @@
+"""Extras between commands and motion: what a lag and friction do, and which of them the data show."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_logs import Commands, random_commands, synthetic_logs
+from benchmarks.sysid import TRUTH
+from kraft.sysid import Identification, Settings, identify, prediction_errors
+from kraft.sysid.dynamics import Dynamics
+from kraft.sysid.extras import extras_of
+from kraft.sysid.held_signal import hat_means
+from kraft.sysid.motion import Motion
+from kraft.sysid.observation import Observation
+from kraft.sysid.parameters import parameters_of, vehicle_of
+from kraft.vehicle_config import VehicleConfig, load_vehicle_config
+from ompl_ext.trigonometry import cos, sin
+from ompl_ext.vehicle import Footprint, Vehicle, derivative
+
+
+@cache
+def lag() -> VehicleConfig:
+    return load_vehicle_config("mushr-lag")
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.001, 0.08, 2.0])
+def test_means_of_a_lagging_signal_are_those_of_its_equation(lag: float) -> None:
+    """A hat over the solution of T y' = w - y, integrated finely; and the derivatives by time and by lag."""
+    rng = np.random.default_rng(0)
+    times, values, h = np.cumsum(rng.uniform(0.01, 0.3, 12)), rng.normal(size=13), 0.05
+    at = 0.123 + h * np.arange(31)
+    found = hat_means(times, values, at, h, lag)
+    fine, n = h / 1000, round((at[-1] + h) / (h / 1000))
+    held = values[np.searchsorted(times, fine * (np.arange(n) + 0.5), side="right")]
+    y = np.empty(n)
+    y[0], stays = held[0], np.exp(-fine / lag) if lag else 0.0
+    for i in range(1, n):
+        y[i] = held[i] + (y[i - 1] - held[i]) * stays
+    middles = fine * (np.arange(n) + 0.5)
+    hats = np.maximum(0.0, 1.0 - np.abs(middles - (at[:-1, None] + h / 2)) / h)
+    assert found.values == pytest.approx(hats @ y / hats.sum(axis=1), abs=2e-3)
+    lags = (hat_means(times, values, at, h, lag + change).values for change in (9e-6, 11e-6))
+    by_lag = np.diff(list(lags), axis=0)[0] / 2e-6
+    assert hat_means(times, values, at, h, lag + 1e-5).by_lag == pytest.approx(by_lag, abs=1e-4 * np.abs(by_lag).max())
+    shifted = (hat_means(times, values, at + change, h, lag).values for change in (-1e-6, 1e-6))
+    by_time = np.diff(list(shifted), axis=0)[0] / 2e-6
+    assert found.by_time == pytest.approx(by_time, abs=1e-4 * np.abs(by_time).max())
+
+
+def test_a_lag_of_nothing_starts_like_a_delay() -> None:
+    """Its derivative is there already, so that the optimiser leaves the bound where the data show a lag."""
+    times, values, at = np.array([0.1, 0.4, 0.9]), np.array([0.0, 1.0, -1.0, 0.5]), 0.05 * np.arange(25)
+    found = hat_means(times, values, at, 0.05, 0.0)
+    assert found.by_lag == pytest.approx(-found.by_time)
+
+
+def test_a_coasting_vehicle_with_friction_comes_to_rest_and_stays_there() -> None:
+    vehicle = load_vehicle_config("mushr-lag")
+    speeds = []
+    for extras in ((), ("friction",)):
+        parameters = parameters_of(vehicle, Settings(values=dict.fromkeys(extras, 0.15), extras=extras), extras)
+        start = np.array([[0.0, 0.0, 0.0, 0.4], [0.0, 0.0, 0.0, 0.0]])
+        controls = np.zeros((80, 2, 2))
+        states = Dynamics(parameters).simulate(start, controls, parameters.nominal, np.full(2, 0.05))
+        speeds.append(states[:, 0, 3])
+        assert (states[:, 1] == 0.0).all()
+    rolling, braked = speeds
+    assert braked[-1] == pytest.approx(0.0, abs=1e-3)
+    assert braked.min() >= -1e-3
+    assert braked[30] < 0.25 * rolling[30]
+
+
+def test_friction_leaves_the_speed_at_full_throttle_as_it_is() -> None:
+    vehicle = load_vehicle_config("mushr-lag")
+    parameters = parameters_of(vehicle, Settings(values={"friction": 0.2}, extras=("friction",)), ("friction",))
+    full = np.tile([1.0, 0.0], (400, 1, 1))
+    states = Dynamics(parameters).simulate(np.zeros((1, 4)), full, parameters.nominal, np.array([0.05]))
+    assert states[-1, 0, 3] == pytest.approx(vehicle.parameters["v_delta"].value, rel=0.01)
+
+
+@derivative
+def rubbing(x, u, p):  # type: ignore[no-untyped-def]
+    """A cart whose friction, a force over mass, and whose lever are its own."""
+    return x[3] * cos(x[2]), x[3] * sin(x[2]), x[3] * u[1] / p[1], u[0] - p[0] * x[3]
+
+
+def test_a_parameter_of_the_model_is_no_extra_whatever_it_is_called() -> None:
+    cart = Vehicle(
+        name="cart",
+        derivative=rubbing,
+        state=("x", "y", "theta", "v"),
+        controls={"throttle": (0.0, 1.0), "steering": (-0.4, 0.4)},
+        parameters={"friction": 0.5, "lever": 0.3},
+        footprint=Footprint(0.3, 0.3),
+        top_speed=1.0,
+    )
+    assert not {"friction", "lever"} & set(extras_of(cart))
+    parameters = parameters_of(cart, Settings(extras=("delay",)), ("delay",))
+    assert [parameters.extra(name) for name in ("friction", "lever", "delay")] == [-1, -1, 2]
+    x, u = np.array([[0.0, 0.0, 0.1, 0.5]]), np.array([[0.7, 0.1]])
+    assert Observation(parameters).predict(x, parameters.nominal) == pytest.approx(x[:, :3])
+    plain = Motion(cart).after(x, u, cart.parameter_array, np.array([0.05]))
+    assert Dynamics(parameters).after(x, u, parameters.nominal, np.array([0.05])) == pytest.approx(plain)
+
+
+def coasting(count: int, seconds: float = 15.0) -> list[Commands]:
+    """Commands that jump about every second, every third without throttle."""
+    given = [random_commands(vehicle_of(lag()), seconds, np.random.default_rng(1000 + k)) for k in range(count)]
+    return [(times, np.where(np.arange(len(times))[:, None] % 3 == 2, [0.0, 1.0], 1.0) * u) for times, u in given]
+
+
+def shown_by(name: str, truth: dict[str, float], model: str = "mushr-lag") -> Identification:
+    """What eight drives of a car that coasts now and then show of it; `model` made them."""
+    made = synthetic_logs(load_vehicle_config(model), truth, range(8), seconds=15.0, commands=coasting(8))
+    result = identify(load_vehicle_config(name), made)
+    assert result.converged
+    return result
+
+
+@pytest.mark.parametrize(
+    "extras",
+    [
+        {},
+        {"delay": 0.06, "lag_steering": 0.1},
+        {"lag_throttle": 0.2, "lag_steering": 0.2},
+        {"dead_band_throttle": 0.12},
+    ],
+    ids=lambda extras: "+".join(extras) or "none",
+)
+def test_a_lag_is_told_from_a_delay_and_a_dead_band_from_friction(extras: dict[str, float]) -> None:
+    result = shown_by("mushr-lag", {**TRUTH, **extras})
+    assert set(result.extras) == set(extras)
+    for name, value in {**TRUTH, **extras}.items():
+        assert result.values[name] == pytest.approx(value, rel=0.02, abs=0.004)
+
+
+def test_friction_brakes_a_coasting_car_which_a_dead_band_does_not() -> None:
+    """The friction that made the logs is sharper about standstill, hence the tolerance."""
+    truth = {**TRUTH, "friction": 0.12}
+    result = shown_by("mushr-lag", truth)
+    assert result.extras == ("friction",)
+    for name, value in truth.items():
+        assert result.values[name] == pytest.approx(value, rel=0.05, abs=0.016)
+    unseen = synthetic_logs(lag(), truth, range(50, 54), seconds=15.0, commands=coasting(4))
+    dead = identify(
+        lag(),
+        synthetic_logs(lag(), truth, range(8), seconds=15.0, commands=coasting(8)),
+        Settings(extras=("dead_band_throttle",)),
+    )
+    after, without = (prediction_errors(lag(), unseen, found.values).position[3.0] for found in (result, dead))
+    assert after < 0.7 * without
+
+
+def test_friction_is_left_out_where_the_model_has_it() -> None:
+    result = shown_by("mushr-drive", {**TRUTH, "u_0": 0.12}, "mushr-drive")
+    assert result.extras == ()
+    assert result.values["u_0"] == pytest.approx(0.12, abs=0.005)
+
+
+def test_a_lag_of_the_throttle_is_what_a_prompt_model_lacks() -> None:
+    result = shown_by("mushr", TRUTH)
+    assert "lag_throttle" in result.extras
+    assert result.values["lag_throttle"] == pytest.approx(TRUTH["tau"] - 0.1, abs=0.05)
