@@ -4,79 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from replanner_fixtures import FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
 from kraft.control import make_controller
-from kraft.driving import Estimate, Kind, Reference
-from kraft.errors import Defect
-from kraft.method import Clearance, Geometric, Kinodynamic, OpenLoop, Planner
+from kraft.driving import Estimate, Kind
+from kraft.method import Clearance, Geometric, Planner
 from kraft.model import Model
-from kraft.proposer import LEEWAY, SMALLEST_GOAL, Planners
+from kraft.proposer import Planners
 from kraft.replanner import Replanner
-from kraft.scenario import Task, load_scenario
-from kraft.stopping import emergency, plan_reference, stop_control
+from kraft.stopping import emergency
 from kraft.trial_result import Cycle
-from kraft.vehicle import load_vehicle
-from kraft.workspace import start_state
 from ompl_ext.arrays import Floats
-from ompl_ext.plan import Plan
-from ompl_ext.solver import Dirt, Progress
-from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Verification
-
-MARGIN = Clearance(delta=0.05, delta_per_speed=0.25)
-FARSIGHTED = Clearance(delta=0.02, delta_per_speed=0.05, foresight=3.0)
-BESIDE_THE_WALL = np.array([1.96, 0.0, math.pi / 2, 0.0])  # 0.1 m from the right wall
-
-
-@cache
-def turns() -> Task:
-    return load_scenario("turns").task()
-
-
-@cache
-def mushr() -> Vehicle:
-    return load_vehicle("mushr")
-
-
-def replanner(
-    seed: int = 0,
-    task: Task | None = None,
-    tracking: bool = False,
-    model: str = "mushr",
-    delay: float = 0.0,
-    **settings: object,
-) -> Replanner:
-    planner = Planner(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
-    kind = Kinodynamic(kind="kinodynamic") if tracking else OpenLoop(kind="open_loop")
-    vehicle = load_vehicle(model)
-    controller = make_controller(kind, Model(vehicle))
-    return Replanner(
-        Planners.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay
-    )
-
-
-def start() -> Floats:
-    return start_state(turns(), mushr())
-
-
-def drive(subject: Replanner, cycles: int, error: Floats | None = None, begin: Floats | None = None) -> list[Cycle]:
-    """Cycles of a vehicle that is, up to `error`, where it is predicted to be."""
-    state, time = start() if begin is None else begin, 0.0
-    current = subject.begin(state)
-    found: list[Cycle] = []
-    for _ in range(cycles):
-        believed = state if error is None or not found else state + error
-        found.append(subject.step(Estimate(time, believed, 0.0), current))
-        current, time = found[-1].reference, subject.next_step
-        predicted = found[-1].predicted
-        state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
-    return found
 
 
 def test_the_first_cycle_executes_the_plan_made_before_the_clock_ran() -> None:
@@ -284,104 +225,6 @@ def test_the_contingency_in_hand_counts_how_far_a_turn_moves_the_farthest_point(
     assert (second.reference is first.contingency) == kept
 
 
-def planners(**settings: object) -> Planners:
-    return Planners.of(turns(), mushr(), Planner(**{"mode": "replanning", **settings}))  # type: ignore[arg-type]
-
-
-def test_without_margin_and_foresight_what_plans_is_what_checks() -> None:
-    for same in (planners(), planners(safety=MARGIN), planners(safety=Clearance(foresight=1.0))):
-        assert same.planning is same.checking
-
-
-def test_planning_keeps_margin_and_foresight_and_checking_does_not() -> None:
-    ours = planners(safety=FARSIGHTED, margin=0.03, goal_margin=0.1)
-    shape, wide = mushr().footprint, ours.planning.vehicle.footprint
-    assert ours.checking.vehicle.footprint == shape
-    assert (wide.length, wide.width) == (pytest.approx(shape.length + 0.06), pytest.approx(shape.width + 0.06))
-    assert wide.offset == shape.offset
-    assert (ours.planning.safety.cycle, ours.checking.safety.cycle) == (3.0, 1.0)
-    for dirt in (ours.planning, ours.checking):
-        assert (dirt.safety.enabled, dirt.safety.delta, dirt.safety.delta_per_speed) == (True, 0.02, 0.05)
-        assert dirt.goal is not None
-        assert dirt.goal.radius == pytest.approx(0.15)  # the scene's is 0.25 m
-
-
-def test_a_goal_is_not_shrunk_to_nothing() -> None:
-    goal = planners(goal_margin=0.4).checking.goal
-    assert goal is not None
-    assert goal.radius == SMALLEST_GOAL
-
-
-def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresight_reaches() -> None:
-    subject = replanner(safety=FARSIGHTED, margin=0.03)
-    subject.begin(start())
-    plan = subject._proposal.plan
-    assert plan is not None
-    away = subject.dirt.exact.distances(plan.trajectory[:, :3])
-    assert away.min() >= 0.03
-    soon = plan.times <= 3.0
-    assert np.all(away[soon] >= 0.03 + 0.02 + 0.05 * plan.trajectory[soon, 3] - 1e-9)
-
-
-def test_a_start_without_room_for_the_margin_is_planned_from_without_it() -> None:
-    begin = BESIDE_THE_WALL + np.array([0.08, 0.0, 0.0, 0.0])
-    cycles = drive(replanner(margin=0.03), 2, begin=begin)
-    assert cycles[0].kind is Kind.PLAN
-    assert 0.0 < cycles[0].clearance < 0.03
-
-
-def test_a_vehicle_that_rests_nearer_than_the_clearance_stays_there() -> None:
-    cycles = drive(replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0)), 3, begin=BESIDE_THE_WALL)
-    assert [cycle.kind for cycle in cycles] == [Kind.CONTINGENCY] * 3
-    assert "lacks clearance" in cycles[0].reason
-    np.testing.assert_allclose(cycles[-1].predicted.end, BESIDE_THE_WALL, atol=1e-6)
-
-
-def test_with_recover_it_leaves_with_the_clearance_that_it_has_and_then_keeps_what_is_asked_for() -> None:
-    subject = replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0), recover=True)
-    cycles = drive(subject, 8, begin=BESIDE_THE_WALL)
-    assert cycles[0].kind is Kind.PLAN
-    assert min(cycle.clearance for cycle in cycles) >= 0.1 - LEEWAY - 1e-3
-    assert cycles[-1].clearance >= 0.15
-    assert subject.dirt.safety.delta == 0.15
-
-
-def test_a_vehicle_that_has_recovered_keeps_what_is_asked_for_also_while_it_drives() -> None:
-    subject = replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0), recover=True)
-    drive(subject, 8, begin=BESIDE_THE_WALL)
-    moving = BESIDE_THE_WALL + np.array([0.0, 0.0, 0.0, 0.4])
-    assert subject._proposer.propose(9, moving, None).plan is None
-    assert subject.dirt.safety.delta == 0.15
-
-
-def test_recover_is_for_a_vehicle_at_rest_and_not_in_collision() -> None:
-    settings = {"safety": Clearance(delta=0.15, delta_per_speed=0.0), "recover": True}
-    for change in ([0.0, 0.0, 0.0, 0.4], [0.12, 0.0, 0.0, 0.0]):
-        subject = replanner(**settings)  # type: ignore[arg-type]
-        subject.begin(BESIDE_THE_WALL + np.array(change))
-        assert subject._proposal.plan is None
-        assert subject.dirt.safety.delta == 0.15
-
-
-@pytest.mark.parametrize(("away", "radius"), [(0.2, 0.1), (0.1, 0.05), (0.004, SMALLEST_GOAL)])
-def test_the_goal_region_shrinks_before_a_vehicle_that_has_not_arrived(away: float, radius: float) -> None:
-    """By its own estimate it has: a plan from within the scene's region, 0.25 m, would else be to stay there."""
-    subject = replanner()
-    subject.begin(np.array([1.0, 5.0 - away, math.pi / 2, 0.0]))
-    plan = subject._proposal.plan
-    assert plan is not None
-    assert math.dist(plan.states[-1][:2], (1.0, 5.0)) <= radius
-    assert (len(plan.durations) > 0) == (away > SMALLEST_GOAL)
-
-
-def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away() -> None:
-    subject = replanner()
-    subject.begin(np.array([1.0, 4.9, math.pi / 2, 0.0]))
-    subject._proposer.propose(1, start(), None)
-    assert subject.dirt.goal is not None
-    assert subject.dirt.goal.radius == 0.25
-
-
 def test_a_contingency_goes_on_when_no_other_is_safe() -> None:
     subject = replanner(safety=MARGIN)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
@@ -389,54 +232,6 @@ def test_a_contingency_goes_on_when_no_other_is_safe() -> None:
     second = subject.step(Estimate(1.0, doomed, 0.0), first.reference)
     third = subject.step(Estimate(1.9, doomed, 0.0), second.reference)
     assert third.reference is second.reference
-
-
-def along(subject: Replanner, state: Floats, number: int) -> tuple[float, float]:
-    """Smallest distance (m) of a manoeuvre to an obstacle, and its speed (m/s) where it hits one."""
-    dirt, distance = subject.dirt, math.inf
-    for _ in range(round(dirt.safety.horizon / 0.1)):
-        samples, _ = dirt.edge(state, stop_control(dirt.vehicle, state, number), 0.1)
-        distance = min(distance, float(dirt.exact.distances(samples[:, :3]).min()))
-        if distance <= 0.0:
-            return 0.0, abs(float(state[3]))
-        state = samples[-1]
-        if abs(state[3]) <= dirt.safety.rest_speed:
-            break
-    return distance, 0.0
-
-
-@pytest.mark.slow
-def test_an_emergency_takes_the_manoeuvre_that_keeps_the_most_distance_or_hits_slowest() -> None:
-    subject = replanner(model="mushr-lag")  # which coasts for 0.6 m
-    subject.begin(start())
-    dirt, rng, found, hits = subject.dirt, np.random.default_rng(0), 0, 0
-    while found < 20:
-        state = np.array(
-            [rng.uniform(0.3, 1.9), rng.uniform(-0.5, 4.5), rng.uniform(-3.1, 3.1), rng.uniform(0.4, 0.65)]
-        )
-        if dirt.exact.distance(*state[:3]) <= 0.01 or dirt.contingency(state) is not None:
-            continue
-        found += 1
-        reference = emergency(dirt, state, 3.0)
-        assert (reference.kind, reference.start) == (Kind.CONTINGENCY, 3.0)
-        assert abs(reference.states[-1][3]) <= 0.01
-        each = [along(subject, state, number) for number in range(len(dirt.vehicle.manoeuvres))]
-        best = max(each, key=lambda pair: (pair[0], -pair[1]))
-        ours = [along(subject, state, number) for number in range(len(each))
-                if np.array_equal(reference.controls[0], stop_control(dirt.vehicle, state, number))]  # fmt: skip
-        assert ours == [best]
-        hits += best[0] == 0.0
-    assert 0 < hits < found  # some can still be avoided, some cannot
-
-
-def test_a_contingency_that_is_over_asks_for_nothing() -> None:
-    """Brakes that went on would push a car that stands."""
-    subject = replanner(model="mushr-drive", safety=FARSIGHTED)
-    cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
-    assert cycle.contingency is not None
-    assert cycle.contingency.controls[0][0] < 0.0  # it brakes
-    np.testing.assert_array_equal(cycle.contingency.rest, np.zeros(2))
-    np.testing.assert_array_equal(emergency(subject.dirt, start(), 0.0).rest, np.zeros(2))
 
 
 def test_looking_ahead_leaves_the_controller_as_it_is() -> None:
@@ -452,68 +247,6 @@ def test_looking_ahead_leaves_the_controller_as_it_is() -> None:
         np.testing.assert_array_equal(controller.command(estimate, reference), untouched.command(estimate, reference))
 
 
-def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:
-    heads = list[Plan]()
-
-    def judge(_: Dirt, head: Plan) -> Verification:
-        heads.append(head)
-        return Verification(0.0, None, ())
-
-    monkeypatch.setattr("kraft.proposer.verify", judge)
-    for mode, until in (("replanning", 1.0), ("one-shot", math.inf)):
-        subject = replanner(mode=mode)
-        subject.begin(start())
-        plan, head = subject._proposal.plan, heads[-1]
-        assert plan is not None
-        assert len(plan.durations) > 2
-        assert head.times[-1] == pytest.approx(head.durations.sum())
-        assert head.times[-1] >= min(until, plan.cost) - 1e-9
-        assert len(head.times) == len(head.trajectory)
-        assert len(head.states) == len(head.durations) + 1
-        np.testing.assert_array_equal(head.trajectory, plan.trajectory[: len(head.times)])
-    assert {round(head.durations.sum(), 6) for head in heads} != {round(heads[0].durations.sum(), 6)}
-
-
-def test_a_plan_that_fails_its_verification_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kraft.proposer.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
-    with pytest.raises(Defect, match=r"cycle 0 fails verification: plan: collides"):
-        replanner().begin(start())
-
-
-def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    subject = replanner(cycle=0.2, lead=0.0)
-    subject._proposer._realtime = True
-    subject.begin(start())
-    late = itertools.chain([0.0], itertools.repeat(5.0))
-    monkeypatch.setattr("kraft.proposer.clock.perf_counter", lambda: next(late))
-    monkeypatch.setattr(subject.dirt, "grow", lambda **_: subject.dirt.progress)
-    proposal = subject._proposer.propose(1, start(), None)
-    assert proposal.missed
-    assert proposal.plan is None
-    assert "longer than there was time" in proposal.reason
-
-
-def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search with the margin finds nothing: half of the time is its, the rest that of the one without."""
-    subject = replanner(margin=0.03, cycle=0.5, lead=0.05)
-    subject._proposer._realtime = True
-    now, granted, both = [0.0], list[float](), subject._proposer._planners
-    monkeypatch.setattr("kraft.proposer.clock.perf_counter", lambda: now[0])
-    for dirt in (both.planning, both.checking):
-
-        def grow(seconds: float, dirt: Dirt = dirt, grow: Callable[..., Progress] = dirt.grow) -> Progress:
-            granted.append(seconds)
-            now[0] += seconds
-            return grow(iterations=300)
-
-        monkeypatch.setattr(dirt, "grow", grow)
-    monkeypatch.setattr(both.planning, "plan", lambda: None)
-    proposal = subject._proposer.propose(0, start(), None)
-    assert granted == pytest.approx([0.175, 0.175, 0.0])  # of 0.8 x 0.5 s - 0.05 s; with a plan it goes on
-    assert proposal.plan is not None
-    assert not proposal.missed
-
-
 def test_the_same_seed_drives_the_same_way() -> None:
     once, again = drive(replanner(seed=5), 5), drive(replanner(seed=5), 5)
     for first, second in zip(once, again, strict=True):
@@ -524,29 +257,3 @@ def test_the_same_seed_drives_the_same_way() -> None:
         or not np.array_equal(first.reference.states, second.reference.states)
         for first, second in zip(once, other, strict=True)
     )
-
-
-def test_a_reference_interpolates_states_and_holds_controls() -> None:
-    reference = Reference(
-        Kind.PLAN, np.array([1.0, 2.0, 4.0]), np.array([[0.0], [1.0], [5.0]]), np.array([[0.1], [0.2]]), np.zeros(1)
-    )
-    assert [float(reference.state_at(t)[0]) for t in (0.0, 1.0, 1.5, 3.0, 4.0, 9.0)] == [0.0, 0.0, 0.5, 3.0, 5.0, 5.0]
-    assert [float(reference.control_at(t)[0]) for t in (0.0, 1.0, 2.0, 3.9, 4.0)] == [0.1, 0.1, 0.2, 0.2, 0.0]
-
-
-def test_a_plan_becomes_a_reference_with_the_control_of_each_step() -> None:
-    subject = replanner()
-    subject.begin(start())
-    plan = subject.dirt.plan()
-    assert plan is not None
-    reference = plan_reference(plan, 2.0, np.zeros(2))
-    ends = np.cumsum(plan.durations)
-    for k, end in enumerate(ends):
-        np.testing.assert_array_equal(reference.control_at(2.0 + end - 1e-6), plan.controls[k])
-    np.testing.assert_array_equal(reference.control_at(2.0 + plan.cost + 1e-6), np.zeros(2))
-
-
-def test_a_vehicle_without_a_stop_function_stops_with_zero_control() -> None:
-    coasting = replace(mushr(), stop=None, manoeuvres=("coast",))
-    np.testing.assert_array_equal(stop_control(coasting, start(), 0), np.zeros(2))
-    np.testing.assert_array_equal(stop_control(mushr(), start(), 3), [0.0, 0.38])

@@ -1,0 +1,70 @@
+"""What the tests of replanning share: a replanner in Turns, and a vehicle that is where it is predicted to be."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+
+from kraft.control import make_controller
+from kraft.driving import Estimate
+from kraft.method import Clearance, Kinodynamic, OpenLoop, Planner
+from kraft.model import Model
+from kraft.proposer import Planners
+from kraft.replanner import Replanner
+from kraft.scenario import Task, load_scenario
+from kraft.trial_result import Cycle
+from kraft.vehicle import load_vehicle
+from kraft.workspace import start_state
+from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
+
+MARGIN = Clearance(delta=0.05, delta_per_speed=0.25)
+FARSIGHTED = Clearance(delta=0.02, delta_per_speed=0.05, foresight=3.0)
+BESIDE_THE_WALL = np.array([1.96, 0.0, math.pi / 2, 0.0])  # 0.1 m from the right wall
+
+
+@cache
+def turns() -> Task:
+    return load_scenario("turns").task()
+
+
+@cache
+def mushr() -> Vehicle:
+    return load_vehicle("mushr")
+
+
+def replanner(
+    seed: int = 0,
+    task: Task | None = None,
+    tracking: bool = False,
+    model: str = "mushr",
+    delay: float = 0.0,
+    **settings: object,
+) -> Replanner:
+    planner = Planner(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
+    kind = Kinodynamic(kind="kinodynamic") if tracking else OpenLoop(kind="open_loop")
+    vehicle = load_vehicle(model)
+    controller = make_controller(kind, Model(vehicle))
+    return Replanner(
+        Planners.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay
+    )
+
+
+def start() -> Floats:
+    return start_state(turns(), mushr())
+
+
+def drive(subject: Replanner, cycles: int, error: Floats | None = None, begin: Floats | None = None) -> list[Cycle]:
+    """Cycles of a vehicle that is, up to `error`, where it is predicted to be."""
+    state, time = start() if begin is None else begin, 0.0
+    current = subject.begin(state)
+    found: list[Cycle] = []
+    for _ in range(cycles):
+        believed = state if error is None or not found else state + error
+        found.append(subject.step(Estimate(time, believed, 0.0), current))
+        current, time = found[-1].reference, subject.next_step
+        predicted = found[-1].predicted
+        state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
+    return found
