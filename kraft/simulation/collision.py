@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,7 +31,8 @@ class Collisions:
     """Contacts of a compiled world, told apart.
 
     Attributes:
-        solid: whether a geom is part of a static obstacle, bool (number of geoms,).
+        harmless: who touched whom, as the bytes of `data.contact.geom`, at every moment that was looked at and was no
+            collision. Nothing else decides, so a moment among these need not be looked at again.
     """
 
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
@@ -39,15 +40,17 @@ class Collisions:
         self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
         self._obstacle = np.array([_obstacle_index(model.geom(geom).name) for geom in range(model.ngeom)])
         self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
-        self.solid = self._obstacle >= 0
+        self._solid = self._obstacle >= 0
+        self.harmless: Final[set[bytes]] = set()
 
     def first(self, time: float) -> Collision | None:
         """The first contact between car and obstacle at present, if there is one."""
         pairs = self._data.contact.geom
-        car, solid = self._of_car[pairs], self.solid[pairs]
+        car, solid = self._of_car[pairs], self._solid[pairs]
         # both sides: a box pushed against a wall touches something solid, too
         hits = np.flatnonzero((car[:, 0] & solid[:, 1]) | (car[:, 1] & solid[:, 0]))
         if not hits.size:
+            self.harmless.add(pairs.tobytes())
             return None
         obstacle = int(self._obstacle[pairs[hits[0]]].max())
         x, y, z = self._frame.to_floor(self._data.contact.pos[hits[0]]).tolist()

@@ -83,13 +83,13 @@ class World:
         """
         if self._collision is not None:
             return
-        model, data, solid = self.model, self.data, self._contacts.solid
+        model, data, harmless = self.model, self.data, self._contacts.harmless
         for _ in range(steps):
             # in this order positions and contacts are those of the new time
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
             self._steps += 1
-            if np.count_nonzero(solid[data.contact.geom]):
+            if data.contact.geom.tobytes() not in harmless:
                 self._collision = self._contacts.first(self.time)
                 if self._collision is not None:
                     break
