@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from kraft.scenario import Scenario
 from kraft.simulation.car import CAR
+from kraft.simulation.contacts import ROWS
 from kraft.simulation.floor_frame import FloorFrame
 
 
@@ -28,12 +29,7 @@ class Collision:
 
 
 class Collisions:
-    """Contacts of a compiled world, told apart.
-
-    Attributes:
-        harmless: who touched whom, as the bytes of `data.contact.geom`, at every moment that was looked at and was no
-            collision. Nothing else decides, so a moment among these need not be looked at again.
-    """
+    """Contacts of a compiled world, told apart."""
 
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
         self._data, self._frame = data, frame
@@ -41,7 +37,12 @@ class Collisions:
         self._obstacle = np.array([_obstacle_index(model.geom(geom).name) for geom in range(model.ngeom)])
         self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
         self._solid = self._obstacle >= 0
-        self.harmless: Final[set[bytes]] = set()
+
+    @property
+    def suspected(self) -> bool:
+        """Whether a contact may be one between car and obstacle, by the number of rows: never wrongly False."""
+        data = self._data
+        return bool(data.nefc - data.nf - data.nl != ROWS * data.ncon)
 
     def first(self, time: float) -> Collision | None:
         """The first contact between car and obstacle at present, if there is one."""
@@ -50,7 +51,6 @@ class Collisions:
         # both sides: a box pushed against a wall touches something solid, too
         hits = np.flatnonzero((car[:, 0] & solid[:, 1]) | (car[:, 1] & solid[:, 0]))
         if not hits.size:
-            self.harmless.add(pairs.tobytes())
             return None
         obstacle = int(self._obstacle[pairs[hits[0]]].max())
         x, y, z = self._frame.to_floor(self._data.contact.pos[hits[0]]).tolist()

@@ -84,14 +84,14 @@ class World:
         """
         if self._collision is not None:
             return
-        model, data, harmless = self.model, self.data, self._contacts.harmless
+        model, data, contacts = self.model, self.data, self._contacts
         for _ in range(steps):
             # in this order positions and contacts are those of the new time
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
             self._steps += 1
-            if data.contact.geom.tobytes() not in harmless:
-                self._collision = self._contacts.first(self.time)
+            if contacts.suspected:
+                self._collision = contacts.first(self.time)
                 if self._collision is not None:
                     break
         if not np.isfinite(data.qvel).all():
