@@ -104,8 +104,9 @@ class PoseNoise:
         `distance` to the camera in m, `sight` the direction of the line of sight on the floor, rad.
         """
         missed, tail = self._generator.random(2).tolist()
-        fresh = self._normal(3)
-        self._vary(time, self._normal(3))
+        normal = self._normal(6)
+        fresh = normal[:3]
+        self._vary(time, normal[3:])
         if missed < self.misses:
             return None
         size = self.scale * self.noise.core * (self.noise.tail_factor if tail < self.noise.tails else 1.0)
