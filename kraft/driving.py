@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-import numpy as np
-
 from ompl_ext.arrays import Floats, Matrix
 
 
@@ -87,7 +85,7 @@ class Reference:
             return 0, 0.0
         if time >= self.times[-1]:
             return len(self.times) - 1, 0.0
-        k = int(np.searchsorted(self.times, time, side="right")) - 1
+        k = int(self.times.searchsorted(time, side="right")) - 1
         return k, float((time - self.times[k]) / (self.times[k + 1] - self.times[k]))
 
 

@@ -50,6 +50,7 @@ class Model:
         self._pose = [self.x, self.y, self.theta]
         self.throttle, self.steering = (names.index(name) for name in CONTROLS)
         self.low, self.high = vehicle.control_bounds[:, 0].copy(), vehicle.control_bounds[:, 1].copy()
+        self._bounds: list[tuple[float, float]] = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
         self.rest = self.clamped(np.zeros(len(names)))
         self._tabulate()
 
@@ -76,8 +77,9 @@ class Model:
     def command(self, throttle: float, steering: float) -> Floats:
         """The control (nu,) of a throttle and a steering, clamped to their bounds."""
         control = self.rest.copy()
-        control[self.throttle] = min(max(throttle, self.low[self.throttle]), self.high[self.throttle])
-        control[self.steering] = min(max(steering, self.low[self.steering]), self.high[self.steering])
+        for k, value in ((self.throttle, throttle), (self.steering, steering)):
+            low, high = self._bounds[k]
+            control[k] = min(max(value, low), high)
         return control
 
     def steady_speed(self, throttle: float) -> float:

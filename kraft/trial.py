@@ -62,7 +62,7 @@ def run_trial(
         outcome=outcome,
         time=world.time,
         obstacle=world.collision.obstacle if world.collision else None,
-        min_clearance=trial.approach.least,
+        min_clearance=trial.approach.least(),
         cycles=tuple(log.cycles),
         steps=tuple(log.steps),
         observations=tuple(log.observations),

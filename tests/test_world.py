@@ -93,6 +93,33 @@ def test_a_box_that_is_pushed_against_a_wall_is_no_collision() -> None:
     assert world.collision is None
 
 
+def touches(world: World) -> bool:
+    """Whether the car touches an obstacle, by the names of all geoms in contact."""
+    car = world.model.body("car").id
+    pairs = [[world.model.geom(k) for k in pair] for pair in world.data.contact.geom]
+    return any(
+        world.model.body_rootid[a.bodyid[0]] == car and b.name.startswith("obstacle")
+        for pair in pairs
+        for a, b in (pair, pair[::-1])
+    )
+
+
+def test_no_contact_with_an_obstacle_goes_unnoticed_while_boxes_are_pushed_about() -> None:
+    world, ends = World(load_scenario("movable")), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        world.reset(Start(1.25, 0.0, math.pi / 2 + rng.uniform(-0.4, 0.1)))
+        stood = world.movable_poses
+        for step in range(3000):
+            if step % 150 == 0:
+                world.apply(1.0, rng.uniform(-0.2, 0.2))
+            world.step(1)
+            assert touches(world) == (world.collision is not None)
+        assert np.any(world.movable_poses != stood)
+        ends.append(world.collision is not None)
+    assert set(ends) == {False, True}
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_loads_and_its_car_starts_and_drives(name: str) -> None:
     scene = load_scenario(name)

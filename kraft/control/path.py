@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -62,7 +64,18 @@ class Path:
 
     def distance_at(self, time: float) -> float:
         """Length of path that is planned to lie behind the car at `time` (s), m."""
-        return self.spacing * float(np.interp(time, self.time, np.arange(len(self.time))))
+        times = self._times
+        k = bisect_right(times, time) - 1
+        if k < 0:
+            return 0.0
+        if k == len(times) - 1:
+            return self.spacing * k
+        return self.spacing * (1.0 / (times[k + 1] - times[k]) * (time - times[k]) + k)
+
+    @cached_property
+    def _times(self) -> list[float]:
+        times: list[float] = self.time.tolist()
+        return times
 
     def sample(self, distance: float) -> int:
         """Index of the sample at a length of path (m), the nearest there is."""
@@ -76,7 +89,7 @@ class Path:
         while True:
             low, high = max(near - window, 0), min(near + window + 1, len(self.x))
             dx, dy = self.x[low:high] - x, self.y[low:high] - y
-            found = low + int(np.argmin(dx * dx + dy * dy))
+            found = low + int((dx * dx + dy * dy).argmin())
             if abs(found - near) < window or found in (0, len(self.x) - 1, near):
                 return found
             near = found

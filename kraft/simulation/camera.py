@@ -44,6 +44,7 @@ class MarkerCamera:
         misses = preset.misses if sensing.dropout is None else sensing.dropout
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0xCA3E7A])))
         self.camera = np.array(sensing.camera)
+        self._eye = tuple(float(value) for value in sensing.camera)
         self.latency = sensing.latency
         self.marker_height = marker_height
         self._noise = PoseNoise(preset, misses, sensing.noise_scale, generator)
@@ -54,12 +55,14 @@ class MarkerCamera:
         `position` (3,) m and `rotation` (3, 3) of the marker are true, in the world's frame with z vertical; the
         marker's x axis points forward.
         """
-        towards = self._on_plane(position)
-        error = self._noise.draw(time, float(np.linalg.norm(position - self.camera)), self._sight(position))
+        x, y, z = position.tolist()
+        dx, dy, dz = (HALF_MARKER * part for part in rotation[:, 0].tolist())
+        offset = position - self.camera
+        towards = self._on_plane(x, y, z)
+        error = self._noise.draw(time, math.sqrt(offset.dot(offset)), self._sight(x, y))
         if towards is None or error is None:
             return None
-        front = self._on_plane(position + HALF_MARKER * rotation[:, 0])
-        rear = self._on_plane(position - HALF_MARKER * rotation[:, 0])
+        front, rear = self._on_plane(x + dx, y + dy, z + dz), self._on_plane(x - dx, y - dy, z - dz)
         if front is None or rear is None:
             return None
         heading = math.atan2(front[1] - rear[1], front[0] - rear[0]) + error[2]
@@ -71,15 +74,15 @@ class MarkerCamera:
             theta=math.remainder(heading, math.tau),
         )
 
-    def _on_plane(self, point: Floats) -> tuple[float, float] | None:
+    def _on_plane(self, px: float, py: float, pz: float) -> tuple[float, float] | None:
         """Where the line of sight to a point meets the assumed plane, m; None if the camera is not above the point."""
-        x, y, z = (float(value) for value in self.camera)
-        below = z - float(point[2])
+        x, y, z = self._eye
+        below = z - pz
         if below <= 0.0:
             return None
         share = (z - self.marker_height) / below
-        return x + share * (float(point[0]) - x), y + share * (float(point[1]) - y)
+        return x + share * (px - x), y + share * (py - y)
 
-    def _sight(self, point: Floats) -> float:
+    def _sight(self, px: float, py: float) -> float:
         """Direction of the line of sight on the floor, rad."""
-        return math.atan2(float(point[1] - self.camera[1]), float(point[0] - self.camera[0]))
+        return math.atan2(py - self._eye[1], px - self._eye[0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from kraft.scenario import Scenario
 from kraft.simulation.car import CAR
+from kraft.simulation.contacts import ROWS
 from kraft.simulation.floor_frame import FloorFrame
 
 
@@ -28,23 +29,25 @@ class Collision:
 
 
 class Collisions:
-    """Contacts of a compiled world, told apart.
-
-    Attributes:
-        solid: whether a geom is part of a static obstacle, bool (number of geoms,).
-    """
+    """Contacts of a compiled world, told apart."""
 
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
         self._data, self._frame = data, frame
         self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
         self._obstacle = np.array([_obstacle_index(model.geom(geom).name) for geom in range(model.ngeom)])
         self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
-        self.solid = self._obstacle >= 0
+        self._solid = self._obstacle >= 0
+
+    @property
+    def suspected(self) -> bool:
+        """Whether a contact may be one between car and obstacle, by the number of rows: never wrongly False."""
+        data = self._data
+        return bool(data.nefc - data.nf - data.nl != ROWS * data.ncon)
 
     def first(self, time: float) -> Collision | None:
         """The first contact between car and obstacle at present, if there is one."""
         pairs = self._data.contact.geom
-        car, solid = self._of_car[pairs], self.solid[pairs]
+        car, solid = self._of_car[pairs], self._solid[pairs]
         # both sides: a box pushed against a wall touches something solid, too
         hits = np.flatnonzero((car[:, 0] & solid[:, 1]) | (car[:, 1] & solid[:, 0]))
         if not hits.size:

@@ -4,6 +4,9 @@ Two geoms can touch if the type of one shares a bit with the affinity of the oth
 of the geom with the higher priority, and the larger of both at equal priority. So wheels, which have the lowest
 priority, take the friction of what they stand on; a box slides by its own friction, not by that of tyres on the floor;
 and a patch on the floor takes precedence over both.
+
+A contact has as many dimensions as the geom with the higher priority asks for, and the larger number at equal priority.
+So the car against an obstacle is the only contact without friction: it ends a trial, and that is how it is noticed.
 """
 
 from __future__ import annotations
@@ -25,21 +28,24 @@ CONTACT_TIME: Final = 0.01
 CAR_FRICTION: Final = 0.3
 """Of the body; contacts with static obstacles end a trial, so theirs does not matter."""
 
-WHEEL: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": 0}
-CHASSIS: Final = {"contype": SOLID | RIDGE | LOOSE, "conaffinity": 0}
+ROWS: Final = 3
+"""Of a contact with friction in the solver's matrix; one without has a single row."""
+
+WHEEL: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": 0, "condim": 1}
+CHASSIS: Final = {"contype": SOLID | RIDGE | LOOSE, "conaffinity": 0, "condim": 1}
 FLOOR: Final = {"contype": 0, "conaffinity": GROUND, "priority": FLOOR_PRIORITY}
 PATCH: Final = {"contype": 0, "conaffinity": GROUND, "priority": PATCH_PRIORITY}
 BUMP: Final = {"contype": 0, "conaffinity": RIDGE, "priority": FLOOR_PRIORITY}
-OBSTACLE: Final = {"contype": 0, "conaffinity": SOLID}
+OBSTACLE: Final = {"contype": 0, "conaffinity": SOLID, "condim": 1}
 MOVABLE: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": LOOSE, "priority": BOX_PRIORITY}
 LOOKS: Final = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
 
 
 def friction(sliding: float) -> list[float]:
-    """MuJoCo's three coefficients; contacts here have three dimensions, so that only sliding counts."""
+    """MuJoCo's three coefficients; contacts here have three dimensions at most, so that only sliding counts."""
     return [sliding, 0.005, 0.0001]
 
 
 def settings(**given: Any) -> dict[str, Any]:
     """What every geom that touches has in common, and what is given."""
-    return {"condim": 3, "solref": [CONTACT_TIME, 1.0], **given}
+    return {"condim": ROWS, "solref": [CONTACT_TIME, 1.0], **given}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,6 +26,11 @@ class FloorFrame:
             return cls(np.eye(3), np.zeros(3))
         return cls(_lean(tilt.slope, tilt.uphill), np.zeros(3))
 
+    @cached_property
+    def _rows(self) -> list[list[float]]:
+        rows: list[list[float]] = self.rotation.tolist()
+        return rows
+
     @property
     def normal(self) -> Floats:
         """The floor's normal in the world's frame, (3,)."""
@@ -40,6 +46,16 @@ class FloorFrame:
         """A point (3,) of the world's frame in the floor's, m."""
         seen: Floats = self.rotation.T @ (point - self.origin)
         return seen
+
+    def along_floor(self, vector: Floats) -> tuple[float, float]:
+        """Parts along the floor's x and y axis of a vector (3,) of the world's frame.
+
+        In plain numbers: it is asked for at every tick, when the physics has emptied the processor's caches of all
+        that a product of matrices would need.
+        """
+        (xx, xy, _), (yx, yy, _), (zx, zy, _) = self._rows
+        x, y, z = vector.tolist()
+        return xx * x + yx * y + zx * z, xy * x + yy * y + zy * z
 
 
 def _lean(angle: float, uphill: float) -> Matrix:

@@ -9,8 +9,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from ompl_ext.arrays import Floats
-
 
 @dataclass(frozen=True)
 class Growth:
@@ -96,8 +94,8 @@ class PoseNoise:
         self.noise, self.misses, self.scale = noise, misses, scale
         self._generator = generator
         self._spread = _pose(noise.wander)
-        self._offset = _pose(noise.offset) * generator.standard_normal(3)
-        self._wander = self._spread * generator.standard_normal(3)
+        self._offset = [size * draw for size, draw in zip(_pose(noise.offset), self._normal(3), strict=True)]
+        self._wander = [size * draw for size, draw in zip(self._spread, self._normal(3), strict=True)]
         self._time: float | None = None
 
     def draw(self, time: float, distance: float, sight: float) -> tuple[float, float, float] | None:
@@ -105,9 +103,10 @@ class PoseNoise:
 
         `distance` to the camera in m, `sight` the direction of the line of sight on the floor, rad.
         """
-        missed, tail = self._generator.random(2)
-        fresh, wander = self._generator.standard_normal(3), self._generator.standard_normal(3)
-        self._vary(time, wander)
+        missed, tail = self._generator.random(2).tolist()
+        normal = self._normal(6)
+        fresh = normal[:3]
+        self._vary(time, normal[3:])
         if missed < self.misses:
             return None
         size = self.scale * self.noise.core * (self.noise.tail_factor if tail < self.noise.tails else 1.0)
@@ -115,20 +114,23 @@ class PoseNoise:
         across = size * self.noise.across.at(distance) * fresh[1]
         heading = size * self.noise.heading.at(distance) * fresh[2]
         c, s = math.cos(sight), math.sin(sight)
-        constant = self.scale * (self._offset + self._wander)
-        return (
-            float(constant[0] + c * along - s * across),
-            float(constant[1] + s * along + c * across),
-            float(constant[2] + heading),
-        )
+        x, y, theta = (self.scale * (fixed + now) for fixed, now in zip(self._offset, self._wander, strict=True))
+        return x + c * along - s * across, y + s * along + c * across, theta + heading
 
-    def _vary(self, time: float, fresh: Floats) -> None:
+    def _normal(self, count: int) -> list[float]:
+        drawn: list[float] = self._generator.standard_normal(count).tolist()
+        return drawn
+
+    def _vary(self, time: float, fresh: list[float]) -> None:
         """Move the wandering part on to `time`: an Ornstein-Uhlenbeck process of constant variance."""
         kept = math.exp(-max(time - self._time, 0.0) / self.noise.wander_time) if self._time is not None else 1.0
-        self._wander = kept * self._wander + math.sqrt(1.0 - kept**2) * self._spread * fresh
+        new = math.sqrt(1.0 - kept**2)
+        self._wander = [
+            kept * old + new * size * draw for old, size, draw in zip(self._wander, self._spread, fresh, strict=True)
+        ]
         self._time = time
 
 
-def _pose(sizes: tuple[float, float]) -> Floats:
-    """Standard deviations of x, y and theta from those of position and heading, (3,)."""
-    return np.array([sizes[0], sizes[0], sizes[1]])
+def _pose(sizes: tuple[float, float]) -> tuple[float, float, float]:
+    """Standard deviations of x, y and theta from those of position and heading."""
+    return sizes[0], sizes[0], sizes[1]

@@ -48,6 +48,7 @@ class World:
         self._contacts = Collisions(self.model, self.data, scenario, self.frame)
         self._body, self._marker = self.data.body(CAR), self.data.site(MARKER)
         self._joint = self.data.joint(CAR)
+        self._velocity = self._joint.qvel[:3]  # a view, as all that MuJoCo's objects hand out
         self._movable = [self.data.body(f"movable {i}") for i in range(len(truth.movable_boxes))]
         inputs = self.model.actuator_ctrladr
         self._motor = inputs[self.model.actuator(DRIVE).id]
@@ -83,17 +84,17 @@ class World:
         """
         if self._collision is not None:
             return
-        model, data, solid = self.model, self.data, self._contacts.solid
+        model, data, contacts = self.model, self.data, self._contacts
         for _ in range(steps):
             # in this order positions and contacts are those of the new time
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
             self._steps += 1
-            if np.count_nonzero(solid[data.contact.geom]):
-                self._collision = self._contacts.first(self.time)
+            if contacts.suspected:
+                self._collision = contacts.first(self.time)
                 if self._collision is not None:
                     break
-        if not np.isfinite(data.qvel).all():
+        if not math.isfinite(sum(data.qvel.tolist())):
             raise Defect(f"the simulated world diverged before t = {self.time:.3f} s")
 
     @property
@@ -109,14 +110,14 @@ class World:
     @property
     def pose(self) -> Floats:
         """Position (m) midway between the axles and heading (rad) in the floor's frame, (3,)."""
-        return self._planar(self._body)
+        return np.array(self._planar(self._body))
 
     @property
     def speed(self) -> float:
         """Speed of that point along the car's heading in the floor's frame, m/s."""
-        forward = self.frame.rotation.T @ self._body.xmat[0::3]
-        velocity = self.frame.rotation.T @ self._joint.qvel[:3]
-        return float((forward[0] * velocity[0] + forward[1] * velocity[1]) / math.hypot(forward[0], forward[1]))
+        forward = self.frame.along_floor(self._body.xmat[0::3])
+        velocity = self.frame.along_floor(self._velocity)
+        return (forward[0] * velocity[0] + forward[1] * velocity[1]) / math.hypot(*forward)
 
     @property
     def marker(self) -> tuple[Floats, Matrix]:
@@ -136,7 +137,7 @@ class World:
     @property
     def in_goal(self) -> bool:
         """Whether the car truly is within the goal region, with the heading if the goal has one."""
-        (x, y, theta), goal = self.pose, self._goal
+        (x, y, theta), goal = self._planar(self._body), self._goal
         if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
             return False
         if goal.heading is None or goal.heading_tolerance is None:
@@ -168,7 +169,7 @@ class World:
             self.data.joint(f"{name} suspension").qpos[:] = sunk
             self.data.joint(f"{name} spin").qvel[:] = start.speed / drivetrain.WHEEL_RADIUS
 
-    def _planar(self, body: Any) -> Floats:
-        x, y, _ = self.frame.to_floor(body.xpos)
-        forward = self.frame.rotation.T @ body.xmat[0::3]
-        return np.array([x, y, math.atan2(forward[1], forward[0])])
+    def _planar(self, body: Any) -> tuple[float, float, float]:
+        x, y = self.frame.along_floor(body.xpos - self.frame.origin)
+        ahead, left = self.frame.along_floor(body.xmat[0::3])
+        return x, y, math.atan2(left, ahead)
