@@ -93,7 +93,7 @@ class Geometric(FileModel):
     """which controller"""
     rate_hz: Rate = 30.0
     """commands per second"""
-    lookahead: Positive = 0.4
+    lookahead: Positive = 0.6
     """length of path between the nearest point and the point aimed at, m"""
     window: Annotated[int, Field(ge=1, le=100_000)] = 50
     """samples of the path around the last nearest point among which the next one is searched"""
