@@ -135,7 +135,7 @@ def _rubbed(model: Vehicle, controls: Matrix, states: Matrix, friction: float) -
     """Controls (logs, nu) less the throttle that friction takes; what is left of the full one counts as full."""
     if friction == 0.0:
         return controls
-    k, full = list(model.controls).index("throttle"), model.controls["throttle"][1]
+    k, full = list(model.controls).index("throttle"), max(map(abs, model.controls["throttle"]))
     sense = np.clip(states[:, model.index("v")] / BREAKAWAY, -1.0, 1.0)
     rubbed = controls.copy()
     rubbed[:, k] = (controls[:, k] - friction * sense) / (1.0 - friction / full)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -57,11 +58,13 @@ def test_a_lag_of_nothing_starts_like_a_delay() -> None:
     assert found.by_lag == pytest.approx(-found.by_time)
 
 
-def test_a_coasting_vehicle_with_friction_comes_to_rest_and_stays_there() -> None:
-    vehicle = load_vehicle_config("mushr-lag")
+@pytest.mark.parametrize("model", ["mushr", "mushr-lag"])
+@pytest.mark.parametrize("friction", [0.15, 0.5])
+def test_a_coasting_vehicle_with_friction_comes_to_rest_and_stays_there(model: str, friction: float) -> None:
+    vehicle = load_vehicle_config(model)
     speeds = []
     for extras in ((), ("friction",)):
-        parameters = parameters_of(vehicle, Settings(values=dict.fromkeys(extras, 0.15), extras=extras), extras)
+        parameters = parameters_of(vehicle, Settings(values=dict.fromkeys(extras, friction), extras=extras), extras)
         start = np.array([[0.0, 0.0, 0.0, 0.4], [0.0, 0.0, 0.0, 0.0]])
         controls = np.zeros((80, 2, 2))
         states = Dynamics(parameters).simulate(start, controls, parameters.nominal, np.full(2, 0.05))
@@ -69,8 +72,35 @@ def test_a_coasting_vehicle_with_friction_comes_to_rest_and_stays_there() -> Non
         assert (states[:, 1] == 0.0).all()
     rolling, braked = speeds
     assert braked[-1] == pytest.approx(0.0, abs=1e-3)
-    assert braked.min() >= -1e-3
+    assert (np.diff(braked) <= 0.0).all()
+    assert braked.min() >= 0.0
     assert braked[30] < 0.25 * rolling[30]
+
+
+@pytest.mark.parametrize("model", ["mushr", "mushr-drive"])
+def test_derivatives_with_friction_are_those_of_the_steps_also_about_standstill(model: str) -> None:
+    vehicle, extras = load_vehicle_config(model), ("delay", "friction")
+    parameters = parameters_of(vehicle, Settings(values={"friction": 0.3}, extras=extras), extras)
+    dynamics, rng, h = Dynamics(parameters), np.random.default_rng(0), np.full(30, 0.05)
+    x = np.column_stack([*rng.uniform(-1.0, 1.0, (3, 30)), rng.uniform(-0.1, 0.3, 30)])
+    u, rho = np.column_stack([rng.uniform(-0.5, 1.0, 30), rng.uniform(-0.3, 0.3, 30)]), parameters.nominal
+    _, found = dynamics.linearise(x, u, rho, h)
+    for k in range(found.shape[2]):
+        change = 1e-5 * np.eye(found.shape[2])[k]
+        dx, du, drho = change[:4], change[4:6], change[6:]
+        ahead, behind = (dynamics.after(x + s * dx, u + s * du, rho + s * drho, h) for s in (1, -1))
+        assert found[:, :, k] == pytest.approx((ahead - behind) / 2e-5, abs=2e-4), k
+
+
+def test_friction_takes_no_more_from_reverse_than_from_forward() -> None:
+    cart = replace(vehicle_of(lag()), controls={"throttle": (-1.0, 0.3), "steering": (-0.4, 0.4)})
+    speeds = []
+    for values in ({}, {"friction": 0.15}):
+        parameters = parameters_of(cart, Settings(values=values, extras=tuple(values)), tuple(values))
+        back = np.tile([-1.0, 0.0], (400, 1, 1))
+        states = Dynamics(parameters).simulate(np.zeros((1, 4)), back, parameters.nominal, np.array([0.05]))
+        speeds.append(states[-1, 0, 3])
+    assert speeds[1] == pytest.approx(speeds[0], rel=0.01)
 
 
 def test_friction_leaves_the_speed_at_full_throttle_as_it_is() -> None:

@@ -3,6 +3,9 @@
 While the vehicle moves, friction takes its share of the throttle away, whatever is commanded: also of none, so that a
 coasting vehicle comes to rest sooner than a lag alone would bring it there.  A dead band cannot do that.  What is left
 of the full throttle counts as full: the model's speed at full throttle stays what it says.
+
+Friction follows the speed at the end of a step, not at its beginning (implicit Euler's rule): however much it is, it
+brings a vehicle to rest and never throws it back.
 """
 
 from __future__ import annotations
@@ -15,7 +18,11 @@ from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Matrix
 
 BREAKAWAY = 0.05
-"""Share of the top speed over which friction rises from nothing: smooth, so that a step may go over standstill."""
+"""Share of the top speed over which friction rises from nothing: smooth, so that it has derivatives at standstill."""
+EXACT = 1e-10
+"""Of the sense of motion, between -1 and 1."""
+ATTEMPTS = 20
+"""At finding it; two where the model's speed is linear in the throttle."""
 
 
 class Dynamics:
@@ -30,26 +37,29 @@ class Dynamics:
         if self._friction >= 0:
             self._speed, self._breakaway = speed_index(vehicle), BREAKAWAY * vehicle.top_speed
             self._throttle = list(vehicle.controls).index("throttle")
-            self._full = vehicle.controls["throttle"][1]
+            self._full = max(map(abs, vehicle.controls["throttle"]))
 
     def after(self, x: Matrix, u: Matrix, rho: Floats, h: Floats) -> Matrix:
         """States (n, nx) after steps of `h` (n,) s from `x` (n, nx) with controls `u` (n, nu) held."""
-        return self.motion.after(x, self._left(x, u, rho), self._parameters.model_values(rho), h)
+        return self.motion.after(x, self._left(x, u, rho, h)[0], self._parameters.model_values(rho), h)
 
     def linearise(self, x: Matrix, u: Matrix, rho: Floats, h: Floats) -> tuple[Matrix, Floats]:
         """The same, and derivatives (n, nx, nx + nu + np) with respect to state, control and rho."""
         own, count = self._parameters.own, self.nx + self.nu
-        after, jacobian = self.motion.linearise(x, self._left(x, u, rho), self._parameters.model_values(rho), h)
+        left, sense = self._left(x, u, rho, h)
+        after, jacobian = self.motion.linearise(x, left, self._parameters.model_values(rho), h)
         full = np.zeros((len(x), self.nx, count + len(rho)))
         full[:, :, : count + own] = jacobian[:, :, : count + own]
         if self._friction >= 0:
             share = self._share(rho)
-            by_throttle = full[:, :, self.nx + self._throttle]
-            by_throttle /= share
-            rising = self._breakaway**2 / (x[:, self._speed] ** 2 + self._breakaway**2) ** 1.5
-            full[:, :, self._speed] -= by_throttle * (rho[self._friction] * rising)[:, None]
-            lost = (self._sense(x) - u[:, self._throttle] / self._full) / share
+            by_throttle = full[:, :, self.nx + self._throttle] / share
+            full[:, :, self.nx + self._throttle] = by_throttle
+            lost = (sense - u[:, self._throttle] / self._full) / share
             full[:, :, count + self._friction] = -by_throttle * lost[:, None]
+            # all of these change the speed, that the sense, and that all components
+            rising = rho[self._friction] * self._slope(after[:, self._speed])
+            follows = rising / (1.0 + rising * by_throttle[:, self._speed])
+            full -= by_throttle[:, :, None] * (follows[:, None] * full[:, self._speed])[:, None, :]
         return after, full
 
     def simulate(self, start: Matrix, u: Floats, rho: Floats, h: Floats) -> Floats:
@@ -63,21 +73,56 @@ class Dynamics:
             states[k + 1] = self.after(states[k], controls, rho, h)
         return states
 
-    def _left(self, x: Matrix, u: Matrix, rho: Floats) -> Matrix:
-        """Controls (n, nu) that friction leaves: all of the full throttle, which drives as the model says."""
+    def _left(self, x: Matrix, u: Matrix, rho: Floats, h: Floats) -> tuple[Matrix, Floats]:
+        """Controls (n, nu) that friction leaves, and which way the vehicle moves (n,): 1 forward, -1 backward.
+
+        The speed falls with the sense, and the sense rises with the speed, so there is one that fits: it is found along
+        the line through the speeds for -1 and 1, then along parallels to it.
+        """
         if self._friction < 0:
-            return u
+            return u, np.zeros(len(x))
+        speeds = [self._speed_after(x, u, rho, h, np.full(len(x), side)) for side in (-1.0, 1.0)]
+        middle, change = 0.5 * (speeds[0] + speeds[1]), 0.5 * (speeds[0] - speeds[1])
+        sense = self._sense(middle, change)
+        for _ in range(ATTEMPTS):
+            found = self._sense(self._speed_after(x, u, rho, h, sense) + change * sense, change)
+            off, sense = np.abs(found - sense).max(initial=0.0), found
+            if off <= EXACT:
+                break
+        return self._with(u, rho, sense), sense
+
+    def _speed_after(self, x: Matrix, u: Matrix, rho: Floats, h: Floats, sense: Floats) -> Floats:
+        """Speeds (n,) after the steps if the vehicle moves in this `sense` (n,)."""
+        own = self._parameters.model_values(rho)
+        speed: Floats = self.motion.after(x, self._with(u, rho, sense), own, h)[:, self._speed]
+        return speed
+
+    def _with(self, u: Matrix, rho: Floats, sense: Floats) -> Matrix:
+        """What friction leaves of controls: all of the full throttle, which drives as the model says."""
         left = u.copy()
-        left[:, self._throttle] -= rho[self._friction] * self._sense(x)
-        left[:, self._throttle] /= self._share(rho)
+        left[:, self._throttle] = (u[:, self._throttle] - rho[self._friction] * sense) / self._share(rho)
         return left
 
     def _share(self, rho: Floats) -> float:
         """What friction leaves of the full throttle."""
         return 1.0 - float(rho[self._friction]) / self._full
 
-    def _sense(self, x: Matrix) -> Floats:
-        """Which way the vehicle moves (n,): 1 forward, -1 backward, between them about standstill."""
-        speed = x[:, self._speed]
-        sense: Floats = speed / np.sqrt(speed**2 + self._breakaway**2)
+    def _sense(self, middle: Floats, change: Floats) -> Floats:
+        """The sense s (n,) of the speed v = middle - change * s, by Newton's method.
+
+        For v > 0 the left side of v + change * s(v) = middle is concave, so steps from below stay below its solution.
+        """
+        size, e = np.abs(middle), self._breakaway
+        v = np.maximum(size - change, 0.0)
+        for _ in range(ATTEMPTS):
+            step = (size - v - change * v / np.hypot(v, e)) / (1.0 + change * self._slope(v))
+            v += step
+            if np.abs(step).max(initial=0.0) <= EXACT * e:
+                break
+        sense: Floats = np.sign(middle) * v / np.hypot(v, e)
         return sense
+
+    def _slope(self, speed: Floats) -> Floats:
+        """Derivative (n,) of the sense with respect to the speed, s/m."""
+        slope: Floats = self._breakaway**2 / (speed**2 + self._breakaway**2) ** 1.5
+        return slope

@@ -59,7 +59,7 @@ def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
         Extra(f"lag_{name}", "s", 0.0, 2.0, 0.5, f"time constant with which {name} follows its command")
         for name in vehicle.controls
     ]
-    full = vehicle.controls["throttle"][1] if "throttle" in vehicle.controls else 0.0
+    full = max(map(abs, vehicle.controls["throttle"])) if "throttle" in vehicle.controls else 0.0
     if full > 0.0 and speed_index(vehicle) >= 0:
         most = FRICTION * full
         found.append(Extra("friction", "1", 0.0, most, most, "throttle that friction uses up"))
