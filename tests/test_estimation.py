@@ -216,6 +216,15 @@ def test_for_replanning_latest_takes_the_mean_of_the_poses_in_the_window() -> No
     assert estimate.age == pytest.approx(0.2)
 
 
+def test_headings_far_off_do_not_turn_the_mean() -> None:
+    """Two outliers more than half a turn apart leave the headings after them a turn away from those before."""
+    estimator = make_estimator(LATEST, car(), np.zeros(4))
+    for k, theta in enumerate((0.0, 0.0, 0.0, 0.0, 0.0, 1.75, -1.75, 0.0, 0.0, 0.0)):
+        estimator.observe(Observation(k / RATE, k / RATE, 0.0, 0.0, theta))
+    theta = float(estimator.replanning_estimate(9 / RATE).state[2])
+    assert math.remainder(theta, math.tau) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_without_a_window_replanning_has_the_newest_pose() -> None:
     estimator = make_estimator(Latest(kind="latest", replanning_window=0.0), car(), START)
     for k in range(5):

@@ -31,6 +31,8 @@ class Commands:
 
     def between(self, begin: float, end: float) -> Iterator[tuple[Floats, float]]:
         """Controls held from `begin` to `end` (s), each with for how long (s)."""
+        if begin < self._times[0]:
+            raise ValueError(f"the commands before {self._times[0]} s are forgotten, {begin} s is asked for")
         k = bisect_right(self._times, begin) - 1
         while begin < end:
             until = min(self._times[k + 1], end) if k + 1 < len(self._times) else end

@@ -54,5 +54,7 @@ class LatestPose:
         """State at `time` (s): mean of what each of the newest poses alone leads to with the commands since."""
         if len(self._newest) < 2:
             return self.estimate(time)
-        states = [self._reckoning.along(state, seen, time) for seen, state in self._newest]
-        return Estimate(time, np.mean(states, axis=0), time - self._seen)
+        states = np.array([self._reckoning.along(state, seen, time) for seen, state in self._newest])
+        turned = states[:, self._model.theta] - states[-1, self._model.theta]
+        states[:, self._model.theta] -= math.tau * np.round(turned / math.tau)  # headings far off may be a turn apart
+        return Estimate(time, states.mean(axis=0), time - self._seen)

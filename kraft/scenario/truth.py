@@ -58,7 +58,7 @@ class MovableBox(FileModel):
     yaw_deg: Angle = 0.0
     """rotation, degrees"""
     friction: Friction = 0.4
-    """sliding friction coefficient on the floor and against what it touches; cardboard's by default"""
+    """sliding friction coefficient, at most the floor's; on a friction patch the patch's counts; cardboard's by default"""
 
     @property
     def yaw(self) -> float:

@@ -81,7 +81,6 @@ def add_car(spec: Any, gap: VehicleGap) -> Any:
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[(FRONT + REAR) / 2, 0.0, (TOP + BOTTOM) / 2],
         size=[(FRONT - REAR) / 2, SIDE, (TOP - BOTTOM) / 2],
-        friction=contacts.friction(contacts.CAR_FRICTION),
         group=3,
         mass=0.0,
         **contacts.settings(**contacts.CHASSIS),

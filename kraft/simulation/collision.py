@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kraft.errors import Defect
 from kraft.scenario import Scenario
 from kraft.simulation.car import CAR
 from kraft.simulation.contacts import ROWS
@@ -37,6 +38,8 @@ class Collisions:
         self._obstacle = np.array([_obstacle_index(model.geom(geom).name) for geom in range(model.ngeom)])
         self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
         self._solid = self._obstacle >= 0
+        if model.neq or (model.geom_condim > ROWS).any():
+            raise Defect("contacts are counted by rows: no equality constraint, and none of more than three dimensions")
 
     @property
     def suspected(self) -> bool:

@@ -7,6 +7,7 @@ and a patch on the floor takes precedence over both.
 
 A contact has as many dimensions as the geom with the higher priority asks for, and the larger number at equal priority.
 So the car against an obstacle is the only contact without friction: it ends a trial, and that is how it is noticed.
+The car's own friction never counts: floor, patches, bumps and boxes have higher priorities.
 """
 
 from __future__ import annotations
@@ -24,9 +25,6 @@ PATCH_PRIORITY: Final = 3
 
 CONTACT_TIME: Final = 0.01
 """Time constant of contacts, s: half of MuJoCo's own, so that wheels sink in by 0.1 mm, far less than a patch rises."""
-
-CAR_FRICTION: Final = 0.3
-"""Of the body; contacts with static obstacles end a trial, so theirs does not matter."""
 
 ROWS: Final = 3
 """Of a contact with friction in the solver's matrix; one without has a single row."""
