@@ -227,9 +227,8 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
     )
     assert written.top_speed == "v_delta"
     assert written.values["v_delta"] < 1.02 * fastest
-    assert any(
-        note.startswith("for a file to plan with, no delay, lag, dead band or friction") for note in content["notes"]
-    )
+    unsought = "delay, lag_throttle, lag_steering, friction, dead_band_throttle, dead_band_steering"
+    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
 
 
 def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
@@ -239,6 +238,21 @@ def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.Cap
     assert any(each.startswith(warning) for each in content["warnings"])
     assert main(["sysid", "logs", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
     assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("options", "unknown"), [(["--param", "friction=0.1"], True), (["--freeze", "friction"], False)]
+)
+def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
+    options: list[str], unknown: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And one that is frozen at nothing is nothing that planning lacks."""
+    assert main(["sysid", "logs", "--out", "my.yaml", "--json", *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert "asked for, and kept: friction; the data show lever; not shown, and left out: yaw_offset" in content["notes"]
+    unsought = "delay, lag_throttle, lag_steering, dead_band_throttle, dead_band_steering"
+    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
+    assert any(each.startswith("planning does not know friction") for each in content["warnings"]) == unknown
 
 
 def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:

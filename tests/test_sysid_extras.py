@@ -16,6 +16,7 @@ from kraft.sysid.held_signal import hat_means
 from kraft.sysid.motion import Motion
 from kraft.sysid.observation import Observation
 from kraft.sysid.parameters import parameters_of, vehicle_of
+from kraft.sysid.selection import choice
 from kraft.vehicle_config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
@@ -152,6 +153,34 @@ def test_friction_brakes_a_coasting_car_which_a_dead_band_does_not() -> None:
     )
     after, without = (prediction_errors(lag(), unseen, found.values).position[3.0] for found in (result, dead))
     assert after < 0.7 * without
+
+
+def test_friction_that_is_asked_for_and_not_there_is_not_shown_by_the_data() -> None:
+    made = synthetic_logs(lag(), TRUTH, range(4), seconds=10.0, commands=coasting(4, 10.0))
+    result = identify(lag(), made, Settings(values={"friction": 0.4}))
+    assert result.extras == ("friction",)
+    assert result.parameters["friction"].nothing == ("friction is 0, the least" in " ".join(result.warnings))
+    (note,) = result.notes
+    assert note.startswith("asked for, and kept: friction; the data show no other extra parameter; not shown, and left")
+
+
+@pytest.mark.parametrize(
+    ("tried", "kept", "asked", "said"),
+    [
+        ((), (), (), "there are no extra parameters for this vehicle"),
+        (("delay", "lever"), ("delay", "lever"), (), "the data show delay, lever"),
+        (("delay", "lever"), ("lever",), (), "the data show lever; not shown, and left out: delay"),
+        (("delay",), (), (), "the data show no extra parameter; not shown, and left out: delay"),
+        (("delay",), ("delay",), ("delay", "L"), "asked for, and kept: delay"),
+        (("delay", "side"), ("delay", "side"), ("side",), "asked for, and kept: side; the data show delay"),
+        (("delay", "side"), ("side",), ("side",),
+         "asked for, and kept: side; the data show no other extra parameter; not shown, and left out: delay"),
+    ],
+)  # fmt: skip
+def test_what_became_of_the_extras_is_told_apart_from_what_was_asked_for(
+    tried: tuple[str, ...], kept: tuple[str, ...], asked: tuple[str, ...], said: str
+) -> None:
+    assert choice(tried, kept, frozenset(asked)) == said
 
 
 def test_friction_is_left_out_where_the_model_has_it() -> None:

@@ -12,7 +12,7 @@ from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.problem import Problem
 from kraft.sysid.residuals import residual_ratio
-from kraft.sysid.result import correlations
+from kraft.sysid.result import AT_BOUND, correlations
 from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
 from ompl_ext.arrays import Floats
@@ -63,7 +63,7 @@ def warnings_of(case: Case) -> tuple[str, ...]:
 def at_bound(case: Case) -> dict[str, str]:
     """Parameters at a bound and which one it is; 0 of an extra that cannot be negative is none."""
     p = case.problem.parameters
-    margin = 1e-6 * (p.high - p.low)
+    margin = AT_BOUND * (p.high - p.low)
     rho = case.optimum.point.rho
     found = {}
     for k, name in enumerate(p.names):

@@ -22,6 +22,7 @@ from kraft.sysid.pace import Pace
 from kraft.sysid.reading import Say, explain, read
 from kraft.sysid.record import record_of
 from kraft.sysid.result import Identification
+from kraft.sysid.selection import not_sought
 from kraft.sysid.setting_checks import check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.subject import Subject, load_subject
@@ -99,7 +100,7 @@ def carry_out(request: Request, say: Say, warn: Say, detail: Say = no_detail) ->
         result = replace(
             result,
             warnings=(*result.warnings, *found.warnings, *_unknown_to_planning(request, result)),
-            notes=(*result.notes, *_for_planning(settings)),
+            notes=(*result.notes, *_for_planning(subject, settings)),
         )
     except InputError as error:  # of the logs: everything else was checked
         _draw_logs(request, subject, parted, error)
@@ -130,16 +131,15 @@ def _check_picture(path: Path) -> None:
     check_writable(path)
 
 
-def _for_planning(settings: Settings) -> tuple[str, ...]:
-    """That extras of the motion were not looked for."""
-    if settings.extras != "plan":
-        return ()
-    return ("for a file to plan with, no delay, lag, dead band or friction is sought: planning does not know them",)
+def _for_planning(subject: Subject, settings: Settings) -> tuple[str, ...]:
+    """That extras of the motion were not looked for; those that were asked for are none of these."""
+    names = not_sought(subject.vehicle, settings)
+    return (f"not sought, for planning does not know them: {', '.join(names)}",) if names else ()
 
 
 def _unknown_to_planning(request: Request, result: Identification) -> tuple[str, ...]:
-    """That a file to plan with lacks what the vehicle was asked to be identified with."""
-    extras = [name for name in result.extras if moves(name)]
+    """That a file to plan with lacks what the vehicle was asked to be identified with, unless that is nothing."""
+    extras = [name for name in result.extras if moves(name) and not result.parameters[name].nothing]
     if request.out is None or not extras:
         return ()
     return (

@@ -11,9 +11,12 @@ from typing import Final
 
 import numpy as np
 
+from kraft.sysid.extras import extras_of, moves
 from kraft.sysid.parameters import Parameters
+from kraft.sysid.settings import Settings
 from kraft.sysid.uncertainty import Uncertainty, inverse
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.vehicle import Vehicle
 
 AUTOMATIC: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
                     "dead_band_steering": 0.005, "friction": 0.01, "lever": 0.01, "yaw_offset": 0.005}  # fmt: skip
@@ -26,6 +29,47 @@ TIGHTER = 0.5
 
 ALIKE = 0.985
 """Correlation with another parameter from which an extra is left out."""
+
+
+def asked_for(settings: Settings) -> frozenset[str]:
+    """Names that are given a value or frozen: extras of these names stay whatever the data say."""
+    return frozenset(settings.values) | frozenset(settings.frozen)
+
+
+def to_try(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
+    """Extras that are in the first fit."""
+    known, wanted = extras_of(vehicle), settings.extras
+    if wanted == "none":
+        return ()
+    if isinstance(wanted, tuple):
+        return tuple(name for name in known if name in wanted)
+    names = {name for name in AUTOMATIC if wanted == "auto" or not moves(name)} | asked_for(settings)
+    return tuple(name for name in known if name in names)
+
+
+def not_sought(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
+    """Extras that would be in the first fit but for planning, which does not know them."""
+    if settings.extras != "plan":
+        return ()
+    tried = to_try(vehicle, settings)
+    return tuple(name for name in extras_of(vehicle) if name in AUTOMATIC and name not in tried)
+
+
+def choice(tried: tuple[str, ...], kept: tuple[str, ...], asked: frozenset[str]) -> str:
+    """What became of the extras that were tried: those that were asked for say nothing about the data."""
+    if not tried:
+        return "there are no extra parameters for this vehicle"
+    given = [name for name in kept if name in asked]
+    seen = [name for name in kept if name not in asked]
+    dropped = [name for name in tried if name not in kept]
+    said = [f"asked for, and kept: {', '.join(given)}"] if given else []
+    if seen:
+        said.append(f"the data show {', '.join(seen)}")
+    elif dropped:
+        said.append(f"the data show no {'other ' if given else ''}extra parameter")
+    if dropped:
+        said.append(f"not shown, and left out: {', '.join(dropped)}")
+    return "; ".join(said)
 
 
 def shown(parameters: Parameters, rho: Floats, uncertain: Uncertainty, asked: frozenset[str]) -> tuple[str, ...]:
