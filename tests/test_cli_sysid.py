@@ -255,6 +255,17 @@ def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
     assert any(each.startswith("planning does not know friction") for each in content["warnings"]) == unknown
 
 
+def test_an_extra_that_is_kept_may_be_hardly_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    """What cannot be told apart goes, or is not identified."""
+    assert main(["sysid", "logs", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["params"]["friction"]["extra"]
+    assert any(
+        each.startswith("v_delta and friction are hardly told apart (correlation 0.9") for each in content["warnings"]
+    )
+    assert not any("cannot be told apart" in each for each in (*content["warnings"], *content["objections"]))
+
+
 def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     runs = [f"logs/run_{k:02d}" for k in (2, 3, 4)]
     assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--json"]) == 0

@@ -17,8 +17,9 @@ from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
 from ompl_ext.arrays import Floats
 
-ALIKE = 0.95
-"""Correlation from which two parameters cannot be told apart."""
+HARDLY_TOLD = 0.95
+"""Correlation from which two parameters are hardly told apart: a warning.  From `selection.UNTOLD` an extra goes, and
+from `verdict.SAME` the parameters are not identified."""
 NOT_TIGHTER = 0.7
 """Share of the prior's standard deviation that the data must stay below."""
 TOO_LARGE, TOO_SMALL = 2.0, 0.4
@@ -130,11 +131,11 @@ def _correlation(case: Case) -> Iterator[str]:
     names = case.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
         # either says that one makes up for the other; the one that is reported is named first
-        by_noise = abs(reported[i, j]) <= ALIKE
+        by_noise = abs(reported[i, j]) <= HARDLY_TOLD
         found = stated[i, j] if by_noise else reported[i, j]
-        if abs(found) > ALIKE:
+        if abs(found) > HARDLY_TOLD:
             yield (
-                f"{names[j]} and {names[i]} cannot be told apart (correlation {found:.2f}"
+                f"{names[j]} and {names[i]} are hardly told apart (correlation {found:.2f}"
                 f"{' by the stated noise' if by_noise else ''}): drive "
                 f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
             )

@@ -25,10 +25,8 @@ SIGNIFICANT = 3.0
 """Standard deviations from nothing."""
 TIGHTER = 0.5
 """Of the prior's standard deviation: data that say less than that do not show an extra."""
-
-
-ALIKE = 0.985
-"""Correlation with another parameter from which an extra is left out."""
+UNTOLD = 0.985
+"""Correlation with another parameter from which an extra is not told from it, and left out."""
 
 
 def asked_for(settings: Settings) -> frozenset[str]:
@@ -84,7 +82,7 @@ def shown(parameters: Parameters, rho: Floats, uncertain: Uncertainty, asked: fr
             i
             for i, name in enumerate(names[k] for k in left)
             if name in parameters.extras and name not in asked
-            and (_alike(graph, i) or not _certain(name, value[i], variance[i], prior[name]))
+            and (_untold(graph, i) or not _certain(name, value[i], variance[i], prior[name]))
         ]  # fmt: skip
         if not doubtful:
             break
@@ -103,10 +101,10 @@ def _refitted(rho: Floats, uncertain: Uncertainty, left: list[int]) -> tuple[Flo
     return follow @ rho, graph, follow @ moving @ follow.T if uncertain.kind == "sandwich" else graph
 
 
-def _alike(covariance: Matrix, k: int) -> bool:
-    """Whether a parameter cannot be told from another one."""
+def _untold(covariance: Matrix, k: int) -> bool:
+    """Whether a parameter is not told from another one."""
     std = np.sqrt(np.diag(covariance))
-    along = np.abs(covariance[k]) > ALIKE * std[k] * std
+    along = np.abs(covariance[k]) > UNTOLD * std[k] * std
     return bool(along.sum() > along[k])
 
 

@@ -11,7 +11,7 @@ from kraft.sysid.forecast import Predicted
 from kraft.sysid.result import Identification, correlations
 
 SAME: Final = 0.99
-"""Correlation from which two parameters are one: the logs show what they do together, and neither alone."""
+"""Correlation from which two parameters cannot be told apart: the logs show what they do together, neither alone."""
 
 
 def objections(identification: Identification, predicted: Predicted) -> tuple[str, ...]:
