@@ -266,6 +266,20 @@ def test_an_extra_that_is_kept_may_be_hardly_told_apart(capsys: pytest.CaptureFi
     assert not any("cannot be told apart" in each for each in (*content["warnings"], *content["objections"]))
 
 
+def test_where_no_extra_is_shown_beside_a_frozen_model_nothing_is_identified(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--freeze", "L,phi_diff,v_delta,tau,lever", "--out", "my.yaml", "--plot", "my.png", "--json"]
+    assert main(["sysid", "logs", *options]) == 1
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["correlation"] == {"names": [], "matrix": []}
+    why = "every parameter that is left is frozen, and the data show no other"
+    assert content["objections"] == [why]
+    assert err.splitlines()[-1] == f"error: not identified: {why}; my.yaml was not written"
+    assert (folder / "my.png").exists()
+
+
 def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     runs = [f"logs/run_{k:02d}" for k in (2, 3, 4)]
     assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
@@ -463,6 +477,10 @@ def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str
          "values: delay is an extra parameter, and --extras none leaves it out; expected --extras delay or --extras auto"),
         (["nowhere", "--freeze", "side", "--extras", "lever,delay"],
          "frozen: side is an extra parameter, and --extras lever,delay leaves it out; expected --extras lever,delay,side"),
+        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau", "--extras", "none"],
+         "frozen: leaves nothing of mushr-lag to identify beside L, phi_diff, v_delta, tau; expected a parameter that is not frozen"),
+        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau,lever,yaw_offset", "--out", "my.yaml"],
+         "frozen: leaves nothing of mushr-lag to identify beside L, phi_diff, v_delta, tau, lever, yaw_offset; expected"),
         (["logs", "--mapping", "none.yaml"], "none.yaml: "),
         (["logs", "--out", "my.txt"], "my.txt: is not the name of a vehicle file"),
         (["logs", "--plot", "my.gif"], "my.gif: the picture's name ends in '.gif'"),

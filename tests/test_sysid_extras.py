@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.synthetic_logs import Commands, random_commands, synthetic_logs
 from benchmarks.sysid import TRUTH
+from kraft.errors import InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
 from kraft.sysid.dynamics import Dynamics
 from kraft.sysid.extras import extras_of
@@ -17,6 +18,7 @@ from kraft.sysid.motion import Motion
 from kraft.sysid.observation import Observation
 from kraft.sysid.parameters import parameters_of, vehicle_of
 from kraft.sysid.selection import choice
+from kraft.sysid.setting_checks import check_free
 from kraft.vehicle_config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
@@ -88,6 +90,12 @@ def rubbing(x, u, p):  # type: ignore[no-untyped-def]
     return x[3] * cos(x[2]), x[3] * sin(x[2]), x[3] * u[1] / p[1], u[0] - p[0] * x[3]
 
 
+@derivative
+def rolling(x, u, p):  # type: ignore[no-untyped-def]
+    """A cart that nobody needs to know anything of."""
+    return x[3] * cos(x[2]), x[3] * sin(x[2]), x[3] * u[1], u[0] - x[3]
+
+
 def test_a_parameter_of_the_model_is_no_extra_whatever_it_is_called() -> None:
     cart = Vehicle(
         name="cart",
@@ -105,6 +113,21 @@ def test_a_parameter_of_the_model_is_no_extra_whatever_it_is_called() -> None:
     assert Observation(parameters).predict(x, parameters.nominal) == pytest.approx(x[:, :3])
     plain = Motion(cart).after(x, u, cart.parameter_array, np.array([0.05]))
     assert Dynamics(parameters).after(x, u, parameters.nominal, np.array([0.05])) == pytest.approx(plain)
+
+
+def test_a_model_without_parameters_has_nothing_but_extras() -> None:
+    prompt = Vehicle(
+        name="prompt",
+        derivative=rolling,
+        state=("x", "y", "theta", "v"),
+        controls={"throttle": (0.0, 1.0), "steering": (-0.4, 0.4)},
+        parameters={},
+        footprint=Footprint(0.3, 0.3),
+        top_speed=1.0,
+    )
+    with pytest.raises(InputError, match="extras: there is nothing to identify of prompt, which has no parameters"):
+        check_free(prompt, Settings(extras="none"))
+    check_free(prompt, Settings())
 
 
 def coasting(count: int, seconds: float = 15.0) -> list[Commands]:

@@ -156,7 +156,7 @@ def _residuals(case: Case) -> Iterator[str]:
 
 
 def _disagreement(case: Case) -> Iterator[str]:
-    if case.uncertain.kind != "sandwich":
+    if case.uncertain.kind != "sandwich" or not case.names:
         return
     graph = np.sqrt(np.diag(case.uncertain.graph))
     ratio = case.uncertain.std / graph

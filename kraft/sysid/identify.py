@@ -23,7 +23,7 @@ from kraft.sysid.residuals import residual_ratio
 from kraft.sysid.result import Identification
 from kraft.sysid.rho_graph import held_at_bounds
 from kraft.sysid.selection import asked_for, choice, shown, to_try
-from kraft.sysid.setting_checks import check_settings
+from kraft.sysid.setting_checks import check_free, check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.start import Search, Smooth, smooth
@@ -57,11 +57,12 @@ def identify(
 
     Raises:
         InputError: if the logs cannot be used (no motion, controls that the vehicle does not have), or a setting names
-            a parameter that does not exist.
+            a parameter that does not exist, or they leave none to identify.
     """
     settings = settings or Settings()
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
+    check_free(vehicle, settings)
     task = _Task(vehicle, model, settings, usable_logs(model, logs), watch)
     extras = to_try(model, settings)
     fit = task.fit(task.start(extras), settings.iterations)

@@ -23,7 +23,7 @@ from kraft.sysid.reading import Say, explain, read
 from kraft.sysid.record import record_of
 from kraft.sysid.result import Identification
 from kraft.sysid.selection import not_sought
-from kraft.sysid.setting_checks import check_settings
+from kraft.sysid.setting_checks import check_free, check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.subject import Subject, load_subject
 from kraft.sysid.vehicle_file import check_target, write_vehicle
@@ -115,14 +115,26 @@ def carry_out(request: Request, say: Say, warn: Say, detail: Say = no_detail) ->
 def _checked(request: Request, subject: Subject) -> Settings:
     """The settings, after everything that can be wrong before the logs are read."""
     check_all(
-        lambda: check_settings(subject.given, settings_of(request.options)),
+        lambda: _check_settings(request, subject),
         lambda: None if request.out is None else check_target(request.out),
         lambda: None if request.plot is None else _check_picture(request.plot),
     )
+    return _settings(request)
+
+
+def _settings(request: Request) -> Settings:
+    """What the options mean; a file is for planning."""
     settings = settings_of(request.options)
     if request.out is not None and settings.extras == "auto":
         return replace(settings, extras="plan")
     return settings
+
+
+def _check_settings(request: Request, subject: Subject) -> None:
+    """Refuse options that cannot be read, do not fit the vehicle, or leave nothing to identify."""
+    settings = _settings(request)
+    check_settings(subject.given, settings)
+    check_free(subject.given, settings)
 
 
 def _check_picture(path: Path) -> None:
