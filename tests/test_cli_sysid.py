@@ -227,9 +227,8 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
     )
     assert written.top_speed == "v_delta"
     assert written.values["v_delta"] < 1.02 * fastest
-    assert any(
-        note.startswith("for a file to plan with, no delay, lag, dead band or friction") for note in content["notes"]
-    )
+    unsought = "delay, lag_throttle, lag_steering, friction, dead_band_throttle, dead_band_steering"
+    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
 
 
 def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
@@ -239,6 +238,46 @@ def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.Cap
     assert any(each.startswith(warning) for each in content["warnings"])
     assert main(["sysid", "logs", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
     assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("options", "unknown"), [(["--param", "friction=0.1"], True), (["--freeze", "friction"], False)]
+)
+def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
+    options: list[str], unknown: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And one that is frozen at nothing is nothing that planning lacks."""
+    assert main(["sysid", "logs", "--out", "my.yaml", "--json", *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert "asked for, and kept: friction; the data show lever; not shown, and left out: yaw_offset" in content["notes"]
+    unsought = "delay, lag_throttle, lag_steering, dead_band_throttle, dead_band_steering"
+    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
+    assert any(each.startswith("planning does not know friction") for each in content["warnings"]) == unknown
+
+
+def test_an_extra_that_is_kept_may_be_hardly_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    """What cannot be told apart goes, or is not identified."""
+    assert main(["sysid", "logs", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["params"]["friction"]["extra"]
+    assert any(
+        each.startswith("v_delta and friction are hardly told apart (correlation 0.9") for each in content["warnings"]
+    )
+    assert not any("cannot be told apart" in each for each in (*content["warnings"], *content["objections"]))
+
+
+def test_where_no_extra_is_shown_beside_a_frozen_model_nothing_is_identified(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--freeze", "L,phi_diff,v_delta,tau,lever", "--out", "my.yaml", "--plot", "my.png", "--json"]
+    assert main(["sysid", "logs", *options]) == 1
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["correlation"] == {"names": [], "matrix": []}
+    why = "every parameter that is left is frozen, and the data show no other"
+    assert content["objections"] == [why]
+    assert err.splitlines()[-1] == f"error: not identified: {why}; my.yaml was not written"
+    assert (folder / "my.png").exists()
 
 
 def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
@@ -438,6 +477,10 @@ def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str
          "values: delay is an extra parameter, and --extras none leaves it out; expected --extras delay or --extras auto"),
         (["nowhere", "--freeze", "side", "--extras", "lever,delay"],
          "frozen: side is an extra parameter, and --extras lever,delay leaves it out; expected --extras lever,delay,side"),
+        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau", "--extras", "none"],
+         "frozen: leaves nothing of mushr-lag to identify beside L, phi_diff, v_delta, tau; expected a parameter that is not frozen"),
+        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau,lever,yaw_offset", "--out", "my.yaml"],
+         "frozen: leaves nothing of mushr-lag to identify beside L, phi_diff, v_delta, tau, lever, yaw_offset; expected"),
         (["logs", "--mapping", "none.yaml"], "none.yaml: "),
         (["logs", "--out", "my.txt"], "my.txt: is not the name of a vehicle file"),
         (["logs", "--plot", "my.gif"], "my.gif: the picture's name ends in '.gif'"),

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.synthetic_logs import Commands, random_commands, synthetic_logs
 from benchmarks.sysid import TRUTH
+from kraft.errors import InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
 from kraft.sysid.dynamics import Dynamics
 from kraft.sysid.extras import extras_of
@@ -17,6 +18,8 @@ from kraft.sysid.held_signal import hat_means
 from kraft.sysid.motion import Motion
 from kraft.sysid.observation import Observation
 from kraft.sysid.parameters import parameters_of, vehicle_of
+from kraft.sysid.selection import choice
+from kraft.sysid.setting_checks import check_free
 from kraft.vehicle_config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
@@ -117,6 +120,12 @@ def rubbing(x, u, p):  # type: ignore[no-untyped-def]
     return x[3] * cos(x[2]), x[3] * sin(x[2]), x[3] * u[1] / p[1], u[0] - p[0] * x[3]
 
 
+@derivative
+def rolling(x, u, p):  # type: ignore[no-untyped-def]
+    """A cart that nobody needs to know anything of."""
+    return x[3] * cos(x[2]), x[3] * sin(x[2]), x[3] * u[1], u[0] - x[3]
+
+
 def test_a_parameter_of_the_model_is_no_extra_whatever_it_is_called() -> None:
     cart = Vehicle(
         name="cart",
@@ -134,6 +143,21 @@ def test_a_parameter_of_the_model_is_no_extra_whatever_it_is_called() -> None:
     assert Observation(parameters).predict(x, parameters.nominal) == pytest.approx(x[:, :3])
     plain = Motion(cart).after(x, u, cart.parameter_array, np.array([0.05]))
     assert Dynamics(parameters).after(x, u, parameters.nominal, np.array([0.05])) == pytest.approx(plain)
+
+
+def test_a_model_without_parameters_has_nothing_but_extras() -> None:
+    prompt = Vehicle(
+        name="prompt",
+        derivative=rolling,
+        state=("x", "y", "theta", "v"),
+        controls={"throttle": (0.0, 1.0), "steering": (-0.4, 0.4)},
+        parameters={},
+        footprint=Footprint(0.3, 0.3),
+        top_speed=1.0,
+    )
+    with pytest.raises(InputError, match="extras: there is nothing to identify of prompt, which has no parameters"):
+        check_free(prompt, Settings(extras="none"))
+    check_free(prompt, Settings())
 
 
 def coasting(count: int, seconds: float = 15.0) -> list[Commands]:
@@ -182,6 +206,35 @@ def test_friction_brakes_a_coasting_car_which_a_dead_band_does_not() -> None:
     )
     after, without = (prediction_errors(lag(), unseen, found.values).position[3.0] for found in (result, dead))
     assert after < 0.7 * without
+
+
+def test_friction_that_is_asked_for_and_not_there_is_not_shown_by_the_data() -> None:
+    made = synthetic_logs(lag(), TRUTH, range(4), seconds=10.0, commands=coasting(4, 10.0))
+    result = identify(lag(), made, Settings(values={"friction": 0.4}))
+    assert result.extras == ("friction",)
+    assert result.parameters["friction"].nothing
+    assert "friction is 0, the least it can be: the data show none" in result.warnings
+    (note,) = result.notes
+    assert note.startswith("asked for, and kept: friction; the data show no other extra parameter; not shown, and left")
+
+
+@pytest.mark.parametrize(
+    ("tried", "kept", "asked", "said"),
+    [
+        ((), (), (), "there are no extra parameters for this vehicle"),
+        (("delay", "lever"), ("delay", "lever"), (), "the data show delay, lever"),
+        (("delay", "lever"), ("lever",), (), "the data show lever; not shown, and left out: delay"),
+        (("delay",), (), (), "the data show no extra parameter; not shown, and left out: delay"),
+        (("delay",), ("delay",), ("delay", "L"), "asked for, and kept: delay"),
+        (("delay", "side"), ("delay", "side"), ("side",), "asked for, and kept: side; the data show delay"),
+        (("delay", "side"), ("side",), ("side",),
+         "asked for, and kept: side; the data show no other extra parameter; not shown, and left out: delay"),
+    ],
+)  # fmt: skip
+def test_what_became_of_the_extras_is_told_apart_from_what_was_asked_for(
+    tried: tuple[str, ...], kept: tuple[str, ...], asked: tuple[str, ...], said: str
+) -> None:
+    assert choice(tried, kept, frozenset(asked)) == said
 
 
 def test_friction_is_left_out_where_the_model_has_it() -> None:

@@ -218,6 +218,8 @@ def test_what_the_logs_do_not_show_is_an_objection() -> None:
     assert objections(replace(RESULT, converged=False), PREDICTED) == ("the fit did not converge",)
     assert objections(replace(RESULT, unidentified=("L", "v_delta")), PREDICTED) == ("the logs do not show L, v_delta",)
     assert objections(replace(RESULT, unidentified=("delay",)), PREDICTED) == ()  # an extra that planning does not use
+    frozen = replace(RESULT, names=(), covariance=np.zeros((0, 0)), graph_covariance=np.zeros((0, 0)))
+    assert objections(frozen, PREDICTED) == ("every parameter that is left is frozen, and the data show no other",)
     one = RESULT.graph_covariance.copy()
     one[0, 1] = one[1, 0] = -0.995 * np.sqrt(one[0, 0] * one[1, 1])
     assert objections(replace(RESULT, graph_covariance=one), PREDICTED) == ("L and phi_diff cannot be told apart",)

@@ -12,13 +12,14 @@ from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.problem import Problem
 from kraft.sysid.residuals import residual_ratio
-from kraft.sysid.result import correlations
+from kraft.sysid.result import AT_BOUND, correlations
 from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
 from ompl_ext.arrays import Floats
 
-ALIKE = 0.95
-"""Correlation from which two parameters cannot be told apart."""
+HARDLY_TOLD = 0.95
+"""Correlation from which two parameters are hardly told apart: a warning.  From `selection.UNTOLD` an extra goes, and
+from `verdict.SAME` the parameters are not identified."""
 NOT_TIGHTER = 0.7
 """Share of the prior's standard deviation that the data must stay below."""
 TOO_LARGE, TOO_SMALL = 2.0, 0.4
@@ -63,7 +64,7 @@ def warnings_of(case: Case) -> tuple[str, ...]:
 def at_bound(case: Case) -> dict[str, str]:
     """Parameters at a bound and which one it is; 0 of an extra that cannot be negative is none."""
     p = case.problem.parameters
-    margin = 1e-6 * (p.high - p.low)
+    margin = AT_BOUND * (p.high - p.low)
     rho = case.optimum.point.rho
     found = {}
     for k, name in enumerate(p.names):
@@ -130,11 +131,11 @@ def _correlation(case: Case) -> Iterator[str]:
     names = case.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
         # either says that one makes up for the other; the one that is reported is named first
-        by_noise = abs(reported[i, j]) <= ALIKE
+        by_noise = abs(reported[i, j]) <= HARDLY_TOLD
         found = stated[i, j] if by_noise else reported[i, j]
-        if abs(found) > ALIKE:
+        if abs(found) > HARDLY_TOLD:
             yield (
-                f"{names[j]} and {names[i]} cannot be told apart (correlation {found:.2f}"
+                f"{names[j]} and {names[i]} are hardly told apart (correlation {found:.2f}"
                 f"{' by the stated noise' if by_noise else ''}): drive "
                 f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
             )
@@ -155,7 +156,7 @@ def _residuals(case: Case) -> Iterator[str]:
 
 
 def _disagreement(case: Case) -> Iterator[str]:
-    if case.uncertain.kind != "sandwich":
+    if case.uncertain.kind != "sandwich" or not case.names:
         return
     graph = np.sqrt(np.diag(case.uncertain.graph))
     ratio = case.uncertain.std / graph

@@ -12,7 +12,6 @@ import numpy as np
 from kraft.sysid.assembly import assemble, starting_point
 from kraft.sysid.chains import whole
 from kraft.sysid.checks import Case, warnings_of
-from kraft.sysid.extras import extras_of, moves
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.input import screened, usable_logs
 from kraft.sysid.noise_model import NoiseModel, noise_model
@@ -23,8 +22,8 @@ from kraft.sysid.reporting import identification
 from kraft.sysid.residuals import residual_ratio
 from kraft.sysid.result import Identification
 from kraft.sysid.rho_graph import held_at_bounds
-from kraft.sysid.selection import AUTOMATIC, shown
-from kraft.sysid.setting_checks import check_settings
+from kraft.sysid.selection import asked_for, choice, shown, to_try
+from kraft.sysid.setting_checks import check_free, check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.start import Search, Smooth, smooth
@@ -58,13 +57,14 @@ def identify(
 
     Raises:
         InputError: if the logs cannot be used (no motion, controls that the vehicle does not have), or a setting names
-            a parameter that does not exist.
+            a parameter that does not exist, or they leave none to identify.
     """
     settings = settings or Settings()
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
+    check_free(vehicle, settings)
     task = _Task(vehicle, model, settings, usable_logs(model, logs), watch)
-    extras = task.extras_to_try()
+    extras = to_try(model, settings)
     fit = task.fit(task.start(extras), settings.iterations)
     if task.rescale(fit):
         fit = task.fit(task.without(fit, extras), settings.iterations)
@@ -76,7 +76,7 @@ def identify(
             if kept == fit.problem.parameters.extras:
                 break
             fit = task.fit(task.without(fit, kept), settings.iterations)
-        notes.append(_choice(extras, fit.problem.parameters.extras))
+        notes.append(choice(extras, fit.problem.parameters.extras, task.asked))
     names = [log.name for log in task.logs]
     case = Case(fit.problem, fit.optimum, fit.uncertain, task.data, names, not settings.noise, task.iterations)
     return identification(case, warnings_of(case), tuple(notes))
@@ -114,7 +114,7 @@ class _Task:
             settings.noise
             or measured_noise([s.part.pose_times for s in self.stretches], [s.part.poses for s in self.stretches]),
         )
-        self.asked = frozenset(settings.values) | frozenset(settings.frozen)
+        self.asked = asked_for(settings)
 
     def rescale(self, fit: _Fit) -> bool:
         """Count outliers by how large residuals are where that is not what the noise says, and whether it is not.
@@ -126,16 +126,6 @@ class _Task:
             return False
         self.noise = replace(self.noise, threshold=scale * self.noise.threshold)
         return True
-
-    def extras_to_try(self) -> tuple[str, ...]:
-        """Extras that are in the first fit."""
-        known, wanted = extras_of(self.model), self.settings.extras
-        if wanted == "none":
-            return ()
-        if isinstance(wanted, tuple):
-            return tuple(name for name in known if name in wanted)
-        names = {name for name in AUTOMATIC if wanted == "auto" or not moves(name)} | self.asked
-        return tuple(name for name in known if name in names)
 
     def problem(self, parameters: Parameters) -> Problem:
         """The problem with some parameters."""
@@ -177,11 +167,3 @@ class _Task:
         from kraft.sysid.paper_graph import PaperGraph
 
         return PaperGraph(problem)
-
-
-def _choice(tried: tuple[str, ...], kept: tuple[str, ...]) -> str:
-    dropped = [name for name in tried if name not in kept]
-    if not tried:
-        return "there are no extra parameters for this vehicle"
-    said = f"the data show {', '.join(kept)}" if kept else "the data show no extra parameter"
-    return f"{said}; not shown, and left out: {', '.join(dropped)}" if dropped else said

@@ -22,7 +22,8 @@ from kraft.sysid.pace import Pace
 from kraft.sysid.reading import Say, explain, read
 from kraft.sysid.record import record_of
 from kraft.sysid.result import Identification
-from kraft.sysid.setting_checks import check_settings
+from kraft.sysid.selection import not_sought
+from kraft.sysid.setting_checks import check_free, check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.subject import Subject, load_subject
 from kraft.sysid.vehicle_file import check_target, write_vehicle
@@ -99,7 +100,7 @@ def carry_out(request: Request, say: Say, warn: Say, detail: Say = no_detail) ->
         result = replace(
             result,
             warnings=(*result.warnings, *found.warnings, *_unknown_to_planning(request, result)),
-            notes=(*result.notes, *_for_planning(settings)),
+            notes=(*result.notes, *_for_planning(subject, settings)),
         )
     except InputError as error:  # of the logs: everything else was checked
         _draw_logs(request, subject, parted, error)
@@ -114,14 +115,26 @@ def carry_out(request: Request, say: Say, warn: Say, detail: Say = no_detail) ->
 def _checked(request: Request, subject: Subject) -> Settings:
     """The settings, after everything that can be wrong before the logs are read."""
     check_all(
-        lambda: check_settings(subject.given, settings_of(request.options)),
+        lambda: _check_settings(request, subject),
         lambda: None if request.out is None else check_target(request.out),
         lambda: None if request.plot is None else _check_picture(request.plot),
     )
+    return _settings(request)
+
+
+def _settings(request: Request) -> Settings:
+    """What the options mean; a file is for planning."""
     settings = settings_of(request.options)
     if request.out is not None and settings.extras == "auto":
         return replace(settings, extras="plan")
     return settings
+
+
+def _check_settings(request: Request, subject: Subject) -> None:
+    """Refuse options that cannot be read, do not fit the vehicle, or leave nothing to identify."""
+    settings = _settings(request)
+    check_settings(subject.given, settings)
+    check_free(subject.given, settings)
 
 
 def _check_picture(path: Path) -> None:
@@ -130,16 +143,15 @@ def _check_picture(path: Path) -> None:
     check_writable(path)
 
 
-def _for_planning(settings: Settings) -> tuple[str, ...]:
-    """That extras of the motion were not looked for."""
-    if settings.extras != "plan":
-        return ()
-    return ("for a file to plan with, no delay, lag, dead band or friction is sought: planning does not know them",)
+def _for_planning(subject: Subject, settings: Settings) -> tuple[str, ...]:
+    """That extras of the motion were not looked for; those that were asked for are none of these."""
+    names = not_sought(subject.vehicle, settings)
+    return (f"not sought, for planning does not know them: {', '.join(names)}",) if names else ()
 
 
 def _unknown_to_planning(request: Request, result: Identification) -> tuple[str, ...]:
-    """That a file to plan with lacks what the vehicle was asked to be identified with."""
-    extras = [name for name in result.extras if moves(name)]
+    """That a file to plan with lacks what the vehicle was asked to be identified with, unless that is nothing."""
+    extras = [name for name in result.extras if moves(name) and not result.parameters[name].nothing]
     if request.out is None or not extras:
         return ()
     return (

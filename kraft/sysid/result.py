@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from kraft.sysid.settings import Noise
 from ompl_ext.arrays import Floats
+
+AT_BOUND: Final = 1e-6
+"""Share of the range between its bounds within which a value is at one, and an extra is nothing."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,11 @@ class Estimated:
     max: float
     frozen: bool
     at_bound: bool
+
+    @property
+    def nothing(self) -> bool:
+        """Whether it is 0: an extra that is not there."""
+        return abs(self.value) <= AT_BOUND * (self.max - self.min)
 
     @property
     def cut(self) -> bool:

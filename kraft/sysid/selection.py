@@ -11,9 +11,12 @@ from typing import Final
 
 import numpy as np
 
+from kraft.sysid.extras import extras_of, moves
 from kraft.sysid.parameters import Parameters
+from kraft.sysid.settings import Settings
 from kraft.sysid.uncertainty import Uncertainty, inverse
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.vehicle import Vehicle
 
 AUTOMATIC: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
                     "dead_band_steering": 0.005, "friction": 0.01, "lever": 0.01, "yaw_offset": 0.005}  # fmt: skip
@@ -22,10 +25,49 @@ SIGNIFICANT = 3.0
 """Standard deviations from nothing."""
 TIGHTER = 0.5
 """Of the prior's standard deviation: data that say less than that do not show an extra."""
+UNTOLD = 0.985
+"""Correlation with another parameter from which an extra is not told from it, and left out."""
 
 
-ALIKE = 0.985
-"""Correlation with another parameter from which an extra is left out."""
+def asked_for(settings: Settings) -> frozenset[str]:
+    """Names that are given a value or frozen: extras of these names stay whatever the data say."""
+    return frozenset(settings.values) | frozenset(settings.frozen)
+
+
+def to_try(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
+    """Extras that are in the first fit."""
+    known, wanted = extras_of(vehicle), settings.extras
+    if wanted == "none":
+        return ()
+    if isinstance(wanted, tuple):
+        return tuple(name for name in known if name in wanted)
+    names = {name for name in AUTOMATIC if wanted == "auto" or not moves(name)} | asked_for(settings)
+    return tuple(name for name in known if name in names)
+
+
+def not_sought(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
+    """Extras that would be in the first fit but for planning, which does not know them."""
+    if settings.extras != "plan":
+        return ()
+    tried = to_try(vehicle, settings)
+    return tuple(name for name in extras_of(vehicle) if name in AUTOMATIC and name not in tried)
+
+
+def choice(tried: tuple[str, ...], kept: tuple[str, ...], asked: frozenset[str]) -> str:
+    """What became of the extras that were tried: those that were asked for say nothing about the data."""
+    if not tried:
+        return "there are no extra parameters for this vehicle"
+    given = [name for name in kept if name in asked]
+    seen = [name for name in kept if name not in asked]
+    dropped = [name for name in tried if name not in kept]
+    said = [f"asked for, and kept: {', '.join(given)}"] if given else []
+    if seen:
+        said.append(f"the data show {', '.join(seen)}")
+    elif dropped:
+        said.append(f"the data show no {'other ' if given else ''}extra parameter")
+    if dropped:
+        said.append(f"not shown, and left out: {', '.join(dropped)}")
+    return "; ".join(said)
 
 
 def shown(parameters: Parameters, rho: Floats, uncertain: Uncertainty, asked: frozenset[str]) -> tuple[str, ...]:
@@ -40,7 +82,7 @@ def shown(parameters: Parameters, rho: Floats, uncertain: Uncertainty, asked: fr
             i
             for i, name in enumerate(names[k] for k in left)
             if name in parameters.extras and name not in asked
-            and (_alike(graph, i) or not _certain(name, value[i], variance[i], prior[name]))
+            and (_untold(graph, i) or not _certain(name, value[i], variance[i], prior[name]))
         ]  # fmt: skip
         if not doubtful:
             break
@@ -59,10 +101,10 @@ def _refitted(rho: Floats, uncertain: Uncertainty, left: list[int]) -> tuple[Flo
     return follow @ rho, graph, follow @ moving @ follow.T if uncertain.kind == "sandwich" else graph
 
 
-def _alike(covariance: Matrix, k: int) -> bool:
-    """Whether a parameter cannot be told from another one."""
+def _untold(covariance: Matrix, k: int) -> bool:
+    """Whether a parameter is not told from another one."""
     std = np.sqrt(np.diag(covariance))
-    along = np.abs(covariance[k]) > ALIKE * std[k] * std
+    along = np.abs(covariance[k]) > UNTOLD * std[k] * std
     return bool(along.sum() > along[k])
 
 

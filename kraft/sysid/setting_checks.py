@@ -9,6 +9,7 @@ from kraft.errors import Diagnostic, InputError
 from kraft.suggest import choose
 from kraft.sysid.extras import extras_of
 from kraft.sysid.parameters import out_of_bounds, stated_numbers, vehicle_of
+from kraft.sysid.selection import to_try
 from kraft.sysid.settings import Settings
 from kraft.vehicle_config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
@@ -26,6 +27,22 @@ def check_settings(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None
     problems += [found for number in every if (found := out_of_bounds(number, settings.values))]
     if problems:
         raise InputError(problems)
+
+
+def check_free(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None:
+    """Refuse settings that leave nothing to identify, whatever the logs are.
+
+    Raises:
+        InputError: if all parameters of the model are frozen, and so are all extras that the fit may have.
+    """
+    model = vehicle_of(vehicle)
+    names = (*model.parameters, *to_try(model, settings))
+    if not set(names) <= set(settings.frozen):
+        return
+    expected = "expected a parameter that is not frozen, or extra parameters with --extras"
+    if names:
+        raise InputError.of("frozen", f"leaves nothing of {model.name} to identify beside {', '.join(names)}", expected)
+    raise InputError.of("extras", f"there is nothing to identify of {model.name}, which has no parameters", expected)
 
 
 def _unknown(vehicle: Vehicle, settings: Settings) -> list[Diagnostic]:

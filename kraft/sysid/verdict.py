@@ -11,12 +11,14 @@ from kraft.sysid.forecast import Predicted
 from kraft.sysid.result import Identification, correlations
 
 SAME: Final = 0.99
-"""Correlation from which two parameters are one: the logs show what they do together, and neither alone."""
+"""Correlation from which two parameters cannot be told apart: the logs show what they do together, neither alone."""
 
 
 def objections(identification: Identification, predicted: Predicted) -> tuple[str, ...]:
     """Why the parameters are not identified, as parts of a sentence; nothing if they are."""
     found = [] if identification.converged else ["the fit did not converge"]
+    if not identification.names:
+        found.append("every parameter that is left is frozen, and the data show no other")
     hidden = [name for name in identification.unidentified if name not in identification.extras]
     if hidden:
         found.append(f"the logs do not show {', '.join(hidden)}")
