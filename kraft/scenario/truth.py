@@ -58,7 +58,7 @@ class MovableBox(FileModel):
     yaw_deg: Angle = 0.0
     """rotation, degrees"""
     friction: Friction = 0.4
-    """sliding friction coefficient, at most the floor's; on a friction patch the patch's counts; cardboard's by default"""
+    """sliding friction coefficient, cardboard's by default; at most the floor's, and on a friction patch the patch's"""
 
     @property
     def yaw(self) -> float:
