@@ -46,9 +46,9 @@ def table_rows(run: Run) -> list[tuple[str, str]]:
     if planning:
         slow = f", {result.missed} took too long" if result.missed else ""
         rows.append(("planning", f"{percentile(planning, 0.5):.1f} ms median, {max(planning):.1f} ms worst{slow}"))
-    if run.request.out is not None:
-        rows.append(("written to", str(run.request.out)))
-    return rows
+    wanted = run.request.wanted
+    made = (("film", wanted.video), ("picture", wanted.plot), ("written to", run.request.out))
+    return rows + [(name, str(path)) for name, path in made if path is not None]
 
 
 def outcome_text(result: TrialResult) -> str:

@@ -213,6 +213,14 @@ def test_driving_straight_asks_for_turns() -> None:
     assert "L" in result.unidentified
 
 
+def test_radians_taken_for_degrees_are_suspected_where_the_vehicle_turns_with_them() -> None:
+    shrunk = [
+        replace(log, parts=tuple(replace(p, commands=p.commands * [1.0, np.pi / 180]) for p in log.parts))
+        for log in driven(commanded([0.3, -0.2]), commanded([-0.3, 0.1]), commanded([0.15, -0.25]))
+    ]
+    assert said(identify(lag(), shrunk, PLAIN), "steering hardly changes", "were radians taken for degrees?")
+
+
 def test_one_constant_circle_asks_for_the_other_side() -> None:
     assert said(identify(lag(), driven(*[commanded([0.3, 0.1, 0.2])] * 3), PLAIN), "only steers to the left")
     result = identify(lag(), driven(*[commanded([0.3])] * 3), PLAIN)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from world_fixtures import drive, open_world
 
+from kraft.errors import InputError
 from kraft.scenario import load_scenario
 from kraft.simulation import World
 
@@ -152,3 +153,10 @@ def test_a_box_that_slides_is_stopped_by_its_own_friction_or_less_on_a_slippery_
     world.data.joint("movable 0").qvel[0] = 1.0
     world.step(600)
     assert world.movable_poses[0, 0] - 1.0 == pytest.approx(0.5 / (friction * GRAVITY), rel=0.05)
+
+
+def test_a_box_where_the_car_starts_is_refused_and_one_that_touches_it_is_not() -> None:
+    boxes = "movable_boxes: [{{center: [{x}, 0], size: [0.4, 0.4, 0.2], mass: 1}}]"
+    with pytest.raises(InputError, match=r"truth\.movable_boxes\[0\]: stands where the car starts"):
+        open_world(boxes.format(x=0.1))
+    assert open_world(boxes.format(x=0.2 + 0.2145)).collision is None

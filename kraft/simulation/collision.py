@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from kraft.scenario import Scenario
 from kraft.simulation.car import CAR
 from kraft.simulation.contacts import ROWS
 from kraft.simulation.floor_frame import FloorFrame
+
+TOUCHING: Final = 0.001
+"""How deep things that touch are within each other at most, m."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,17 @@ class Collisions:
         self._obstacle = np.array([_obstacle_index(model.geom(geom).name) for geom in range(model.ngeom)])
         self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
         self._solid = self._obstacle >= 0
+        names = [f"movable {i}" for i in range(len(scenario.truth.movable_boxes))]
+        self._boxes = {model.geom(name).id: i for i, name in enumerate(names)}
         if model.neq or (model.geom_condim > ROWS).any():
             raise Defect("contacts are counted by rows: no equality constraint, and none of more than three dimensions")
+
+    def boxes_in_car(self) -> list[int]:
+        """Indices of the movable boxes that the car stands in, deeper than a contact is."""
+        contact = self._data.contact
+        deep = contact.geom[contact.dist < -TOUCHING]
+        with_car = deep[self._of_car[deep].any(axis=1)]
+        return sorted(self._boxes[geom] for geom in set(with_car.ravel().tolist()) & set(self._boxes))
 
     @property
     def suspected(self) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from kraft.errors import Defect
+from kraft.errors import Defect, InputError
 from kraft.scenario import Scenario, Start
 from kraft.simulation import drivetrain
 from kraft.simulation.build import build
@@ -39,6 +39,11 @@ class World:
     dt: Final = TIMESTEP
 
     def __init__(self, scenario: Scenario) -> None:
+        """Build it, with the car at the start.
+
+        Raises:
+            InputError: if the car starts in a movable box.
+        """
         truth = scenario.truth
         self.bounds: Final = scenario.bounds
         self.frame: Final = FloorFrame.of(truth.tilt)
@@ -56,6 +61,7 @@ class World:
         self._collision: Collision | None = None
         self._steps = 0
         self.reset()
+        self._check_room(scenario)
 
     def reset(self, start: Start | None = None) -> None:
         """Back to time 0 and the scenario's start, or another, with the throttle off and the wheels straight."""
@@ -155,6 +161,14 @@ class World:
         self.reset()
         self.data.qpos[:] = configuration
         mujoco.mj_step1(self.model, self.data)
+
+    def _check_room(self, scenario: Scenario) -> None:
+        """Refuse movable boxes that the car begins in: they would be thrown apart."""
+        taken = self._contacts.boxes_in_car()
+        at = [scenario.source.diagnostic(("truth", "movable_boxes", i), "stands where the car starts",
+                                         "expected a box beside the start") for i in taken]  # fmt: skip
+        if at:
+            raise InputError(at)
 
     def _place(self, start: Start) -> None:
         """Put the car on the floor and its wheels into motion."""

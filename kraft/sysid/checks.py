@@ -28,6 +28,8 @@ DISAGREE = 3.0
 """Standard deviations by the logs, in those by the stated noise."""
 UNRELATED = 0.5
 """Correlation of steering and curvature."""
+TURNS_WITH = 0.7
+"""Correlation from which the vehicle turns with the steering, however little that is said to be."""
 SLOW = 0.3
 """Share of the highest speed below which curvature is not looked at."""
 STEERS = 0.02
@@ -181,14 +183,16 @@ def _steering(case: Case) -> Iterator[str]:
     rates, yaw = case.data.rates[at], case.data.poses[at, 2]
     speed = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
     moving = speed > SLOW * np.quantile(speed, 0.95)
+    correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving)
     if moving.sum() < 10 or np.std(steering[moving]) < STEERS:
         low, high = (float(np.min(steering)), float(np.max(steering))) if len(steering) else (0.0, 0.0)
-        yield (
-            f"the steering hardly changes while driving ({low:.2f} to {high:.2f} rad): drive arcs to the left and to "
-            "the right"
+        hint = (
+            "the vehicle turns with it all the same: were radians taken for degrees?"
+            if moving.sum() >= 10 and abs(correlation) > TURNS_WITH
+            else "drive arcs to the left and to the right"
         )
+        yield f"the steering hardly changes while driving ({low:.2f} to {high:.2f} rad): {hint}"
         return
-    correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving)
     if correlation < -UNRELATED:
         yield f"steering and curvature have opposite signs (correlation {correlation:.2f}): is positive to the left?"
     elif correlation < UNRELATED:
