@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from kraft.driving import Reference
+from kraft.interpolate import interpolate
 from kraft.model import Model
 from ompl_ext.arrays import Floats, Matrix
 
@@ -64,13 +64,7 @@ class Path:
 
     def distance_at(self, time: float) -> float:
         """Length of path that is planned to lie behind the car at `time` (s), m."""
-        times = self._times
-        k = bisect_right(times, time) - 1
-        if k < 0:
-            return 0.0
-        if k == len(times) - 1:
-            return self.spacing * k
-        return self.spacing * (1.0 / (times[k + 1] - times[k]) * (time - times[k]) + k)
+        return self.spacing * interpolate(time, self._times, range(len(self._times)))
 
     @cached_property
     def _times(self) -> list[float]:

@@ -38,11 +38,11 @@ class Collisions:
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
         self._data, self._frame = data, frame
         self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
-        self._obstacle = np.array([_obstacle_index(model.geom(geom).name) for geom in range(model.ngeom)])
+        names = [model.geom(geom).name for geom in range(model.ngeom)]
+        self._obstacle = np.array([_index("obstacle", name) for name in names])
+        self._movable = np.array([_index("movable", name) for name in names])
         self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
         self._solid = self._obstacle >= 0
-        names = [f"movable {i}" for i in range(len(scenario.truth.movable_boxes))]
-        self._boxes = {model.geom(name).id: i for i, name in enumerate(names)}
         if model.neq or (model.geom_condim > ROWS).any():
             raise Defect("contacts are counted by rows: no equality constraint, and none of more than three dimensions")
 
@@ -50,8 +50,8 @@ class Collisions:
         """Indices of the movable boxes that the car stands in, deeper than a contact is."""
         contact = self._data.contact
         deep = contact.geom[contact.dist < -TOUCHING]
-        with_car = deep[self._of_car[deep].any(axis=1)]
-        return sorted(self._boxes[geom] for geom in set(with_car.ravel().tolist()) & set(self._boxes))
+        boxes = self._movable[deep[self._of_car[deep].any(axis=1)]]
+        return sorted(set(boxes[boxes >= 0].tolist()))
 
     @property
     def suspected(self) -> bool:
@@ -72,7 +72,7 @@ class Collisions:
         return Collision(time, self._labels[obstacle], (x, y, z))
 
 
-def _obstacle_index(geom: str) -> int:
-    """Which obstacle a geom is part of, by its name "obstacle i part j"; -1 if it is not."""
+def _index(kind: str, geom: str) -> int:
+    """Which obstacle or movable box a geom is part of, by its name "kind i ..."; -1 if it is of another kind."""
     words = geom.split()
-    return int(words[1]) if words[:1] == ["obstacle"] else -1
+    return int(words[1]) if words[:1] == [kind] else -1

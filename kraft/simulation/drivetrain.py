@@ -10,8 +10,9 @@ times and stopping distance; docs/world.md compares them.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from typing import Final
+
+from kraft.interpolate import interpolate
 
 WHEELBASE: Final = 0.2965
 TRACK: Final = 0.23
@@ -39,10 +40,7 @@ TORQUE: Final = (0.0, 0.153, 0.362, 0.593, 0.803, 1.0)
 def wheel_torque(throttle: float) -> float:
     """Torque at each wheel, N m; `throttle` in [-1, 1] is clamped."""
     size = min(abs(throttle), 1.0)
-    k = min(bisect_right(THROTTLE, size), len(THROTTLE) - 1)
-    slope = (TORQUE[k] - TORQUE[k - 1]) / (THROTTLE[k] - THROTTLE[k - 1])
-    share = slope * (size - THROTTLE[k - 1]) + TORQUE[k - 1]
-    return math.copysign(FULL_TORQUE * share, throttle)
+    return math.copysign(FULL_TORQUE * interpolate(size, THROTTLE, TORQUE), throttle)
 
 
 def wheel_angles(steering: float) -> tuple[float, float]:

@@ -164,11 +164,10 @@ class World:
 
     def _check_room(self, scenario: Scenario) -> None:
         """Refuse movable boxes that the car begins in: they would be thrown apart."""
-        taken = self._contacts.boxes_in_car()
-        at = [scenario.source.diagnostic(("truth", "movable_boxes", i), "stands where the car starts",
-                                         "expected a box beside the start") for i in taken]  # fmt: skip
-        if at:
-            raise InputError(at)
+        problem, expected = "stands where the car starts", "expected a box beside the start"
+        keys = [("truth", "movable_boxes", i) for i in self._contacts.boxes_in_car()]
+        if keys:
+            raise InputError(scenario.source.diagnostic(key, problem, expected) for key in keys)
 
     def _place(self, start: Start) -> None:
         """Put the car on the floor and its wheels into motion."""

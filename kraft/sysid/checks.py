@@ -183,12 +183,13 @@ def _steering(case: Case) -> Iterator[str]:
     rates, yaw = case.data.rates[at], case.data.poses[at, 2]
     speed = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
     moving = speed > SLOW * np.quantile(speed, 0.95)
-    correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving)
-    if moving.sum() < 10 or np.std(steering[moving]) < STEERS:
+    enough = moving.sum() >= 10
+    correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving) if enough else 0.0
+    if not enough or np.std(steering[moving]) < STEERS:
         low, high = (float(np.min(steering)), float(np.max(steering))) if len(steering) else (0.0, 0.0)
         hint = (
             "the vehicle turns with it all the same: were radians taken for degrees?"
-            if moving.sum() >= 10 and abs(correlation) > TURNS_WITH
+            if abs(correlation) > TURNS_WITH
             else "drive arcs to the left and to the right"
         )
         yield f"the steering hardly changes while driving ({low:.2f} to {high:.2f} rad): {hint}"

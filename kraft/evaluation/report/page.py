@@ -180,9 +180,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
     heading = element("tr", *(element("th", text) for text in columns))
     more = len(found) - LISTED
     rest = element("p", f"and {more} more, in trials.jsonl") if more > 0 else None
-    title = element(
-        "summary", f"The {len(found)} that did not succeed" if len(found) > 1 else "The one that did not succeed"
-    )
+    title = element("summary", f"The {len(found) if len(found) > 1 else 'one'} that did not succeed")
     return element("details", title, element("div", element("table", heading, *rows), class_="wide"), rest)
 
 
