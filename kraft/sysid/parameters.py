@@ -160,5 +160,6 @@ def out_of_bounds(number: Number, values: Mapping[str, float]) -> Diagnostic | N
     value = values.get(number.name, number.value)
     if number.min <= value <= number.max:
         return None
-    expected = f"expected a value from {number.min:g} to {number.max:g} {number.unit}".strip()
+    unit = "" if number.unit == "1" else f" {number.unit}"
+    expected = f"expected a value from {number.min:g} to {number.max:g}{unit}".strip()
     return Diagnostic(number.name, f"is {value:g}", expected)
