@@ -6,7 +6,7 @@ import time
 
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.scenario import load_scenario
 from kraft.simulation import World
 

@@ -19,8 +19,8 @@ import sys
 from itertools import takewhile
 from pathlib import Path
 
-from kraft import resources
-from kraft.atomic_file import write_whole
+from kraft.config import bundled as resources
+from kraft.files import write_whole
 from kraft.recording.request import Request as RecordRequest
 from kraft.recording.request import carry_out as record
 from kraft.sysid.options import Options

@@ -8,7 +8,9 @@ from typing import Final, Literal, TypeAlias
 
 from pydantic import BaseModel
 
-from kraft import resources
+from kraft.config import bundled as resources
+from kraft.config.validation import Model, check
+from kraft.config.yaml_reader import Document, read_document
 from kraft.errors import Diagnostic, InputError
 from kraft.logs.mapping import Mapping
 from kraft.method import Method
@@ -18,12 +20,10 @@ from kraft.plan_file_reader import SCHEMA as PLAN_SCHEMA
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
-from kraft.suggest import nearest
-from kraft.validation import Model, check
+from kraft.text import nearest
 from kraft.vehicle import load_vehicle, vehicle_of_task
 from kraft.vehicle_config import VehicleConfig
 from kraft.workspace import start_state
-from kraft.yaml_nodes import Document, read_document
 
 FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]
 

@@ -11,10 +11,10 @@ import sys
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
-from kraft import resources
-from kraft.atomic_file import check_writable
-from kraft.counting import counted
+from kraft.config import bundled as resources
 from kraft.errors import InputError, MissingAsset
+from kraft.files import check_writable
+from kraft.text import counted
 from kraft.version import VERSION
 from kraft.video.gl import BACKENDS
 

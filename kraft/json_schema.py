@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.logs.mapping import Mapping
 from kraft.method import Method
 from kraft.scenario.schema import ScenarioFile

@@ -10,10 +10,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 
-from kraft import resources
-from kraft.file_model import FileModel, NonNegative, Positive, Probability, refuse
-from kraft.source import Source
-from kraft.validation import read_model
+from kraft.config import bundled as resources
+from kraft.config.schema import FileModel, NonNegative, Positive, Probability, refuse
+from kraft.config.source import Source
+from kraft.config.validation import read_model
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Seconds = Annotated[float, Field(gt=0, le=1000)]

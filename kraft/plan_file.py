@@ -8,29 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from kraft.atomic_file import check_writable, write_whole
 from kraft.errors import InputError
-from kraft.plain import plain_hash
+from kraft.files import check_writable, write_whole
 from kraft.plan_file_reader import SCHEMA, plan_from, read_object
 from kraft.planning import PlanResult
 from kraft.previous import Previous
+from kraft.provenance import PLANNING, plain_hash, versions
 from kraft.scenario import Task
-from kraft.version import VERSION
 from kraft.workspace import settings_of
 from ompl_ext.plan import Plan
 from ompl_ext.vehicle import Vehicle
 
 NAME: Final = "plan.json"
-DISTRIBUTIONS: Final = ("numba", "numpy", "ompl")
 
 
 @dataclass(frozen=True)
@@ -110,15 +106,9 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
         "times": plan.times.tolist(),
         "trajectory": plan.trajectory.tolist(),
         "contingency": _contingency(plan),
-        "versions": versions(),
+        "versions": versions(PLANNING),
     }
     return dumps(content) + "\n"
-
-
-def versions() -> dict[str, str]:
-    """Versions of what shapes a plan."""
-    python = ".".join(platform.python_version_tuple()[:2])
-    return {"kraft": VERSION, **{name: version(name) for name in DISTRIBUTIONS}, "python": python}
 
 
 def task_hash(task: Task) -> str:

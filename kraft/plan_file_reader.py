@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from kraft.config.validation import describe
 from kraft.errors import Diagnostic, InputError
-from kraft.validation import describe
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Contingency, Plan
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from kraft.counting import counted, grouped
 from kraft.plan_request import Planned
 from kraft.planning import PlanResult
+from kraft.text import counted, grouped
 
 
 def json_content(planned: Planned) -> dict[str, Any]:

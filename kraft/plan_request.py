@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from kraft.atomic_file import check_all, check_writable
 from kraft.details import Stages, no_detail, vehicle_details
 from kraft.errors import Diagnostic, InputError
+from kraft.files import check_all, check_writable
 from kraft.kernel_cache import ensure_compiled
 from kraft.parameter_items import parse_parameters
 from kraft.plan_file import NAME, Origin, check_target, planned_scenario, read_plan, write_plan
@@ -19,7 +19,7 @@ from kraft.planners import PLANNERS
 from kraft.planning import PlanResult, budget_of, plan_task
 from kraft.previous import Previous
 from kraft.scenario import Planning, Task, load_scenario
-from kraft.suggest import choose
+from kraft.text import choose
 from kraft.vehicle import load_vehicle, vehicle_of_task
 from ompl_ext.vehicle import Vehicle
 

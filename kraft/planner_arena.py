@@ -8,8 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from kraft.atomic_file import EXPECTED
 from kraft.errors import InputError
+from kraft.files import EXPECTED
 
 
 def make_database(database: Path, logs: Sequence[Path]) -> None:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.counting import counted
 from kraft.errors import Defect
 from kraft.placement import check_placement
 from kraft.previous import Previous
 from kraft.reachability import UNREACHABLE, reachable
 from kraft.scenario import Task
 from kraft.search import Budget, Found, search_of
+from kraft.text import counted
 from kraft.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView

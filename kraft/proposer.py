@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kraft.counting import counted
 from kraft.errors import Defect
 from kraft.method import Planner
 from kraft.scenario import Task
+from kraft.text import counted
 from kraft.workspace import goal_of, settings_of, workspace_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView

@@ -10,11 +10,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.atomic_file import check_writable, write_whole
 from kraft.driving import Reference
 from kraft.errors import InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.experiment import Experiment
+from kraft.files import check_writable, write_whole
 from kraft.trial_result import Cycle, TrialResult
 from ompl_ext.vehicle import Vehicle
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kraft.atomic_file import check_all
 from kraft.details import Stages, no_detail, vehicle_details
 from kraft.errors import InputError
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
+from kraft.files import check_all
 from kraft.kernel_cache import ensure_compiled
 from kraft.reachability import check_reachable
 from kraft.run_folder import check_target, write_run

@@ -9,7 +9,7 @@ from typing import Final
 from kraft.errors import InputError
 from kraft.planners import PLANNERS
 from kraft.previous import Previous
-from kraft.suggest import choose
+from kraft.text import choose
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 from ompl_ext.solver import Dirt, Progress

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kraft.errors import Diagnostic, InputError
 from kraft.scenario import Task
-from kraft.suggest import choose
+from kraft.text import choose
 from kraft.vehicle_check import check_functions
 from kraft.vehicle_code import vehicle_of
 from kraft.vehicle_config import VehicleConfig, load_vehicle_config

@@ -12,8 +12,8 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
-from kraft.counting import counted
 from kraft.errors import Diagnostic, InputError
+from kraft.text import counted
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.specialise import is_cached
 from ompl_ext.vehicle import Vehicle

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import ompl_ext
 from kraft.errors import InputError
-from kraft.suggest import choose
+from kraft.text import choose
 from kraft.vehicle_reference import split_file
 from ompl_ext.vehicle import Vehicle
 

@@ -16,12 +16,12 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from kraft import resources
+from kraft.config import bundled as resources
+from kraft.config.schema import FileModel, Length, Positive, refuse
+from kraft.config.source import Source
+from kraft.config.validation import build, describe, read_model
 from kraft.errors import Diagnostic, InputError
-from kraft.file_model import FileModel, Length, Positive, refuse
-from kraft.source import Source
-from kraft.suggest import choose
-from kraft.validation import build, describe, read_model
+from kraft.text import choose
 from kraft.vehicle_identification import IdentificationRecord
 from kraft.vehicle_reference import is_attribute, split_file
 

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from kraft.file_model import FileModel, NonNegative, Positive, refuse
+from kraft.config.schema import FileModel, NonNegative, Positive, refuse
 
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]

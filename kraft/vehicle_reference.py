@@ -9,8 +9,8 @@ import os
 import re
 from pathlib import Path
 
-from kraft import resources
-from kraft.suggest import choose
+from kraft.config import bundled as resources
+from kraft.text import choose
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
 _FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTALL)

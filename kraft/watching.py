@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
-from kraft.atomic_file import check_all, check_writable
+from kraft.files import check_all, check_writable
 from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
 
 if TYPE_CHECKING:

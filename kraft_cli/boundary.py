@@ -11,8 +11,8 @@ from typing import Final
 
 import typer
 
-from kraft.atomic_file import EXPECTED
 from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult, Unreachable
+from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 from ompl_ext.cache_error import CacheError

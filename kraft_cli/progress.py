@@ -9,9 +9,9 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
-from kraft.counting import counted
 from kraft.evaluation import Experiment, TrialRow, Watch
 from kraft.evaluation.row import Key
+from kraft.text import counted
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from kraft import environment, resources
+from kraft import environment
+from kraft.config import bundled as resources
 from kraft.environment import REQUIRED, Finding
 from kraft.planners import PLANNERS
 from kraft_cli.main import main

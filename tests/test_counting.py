@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kraft.counting import counted, grouped
+from kraft.text import counted, grouped
 
 
 @pytest.mark.parametrize(("number", "text"), [(0, "0 trials"), (1, "1 trial"), (2, "2 trials")])

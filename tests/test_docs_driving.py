@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.method import Clearance, Filter, Geometric, Kinodynamic, Method, Planner, load_method
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.plan_file import Origin, plan_text
 from kraft.planning import plan_task
 from kraft.scenario import load_scenario

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.evaluation import markdown, summary, tables
 from kraft.evaluation.experiment import METHODS, SCENARIOS, Experiment, experiment_of
 from kraft.evaluation.manifest import manifest_of

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.vehicle_config import load_vehicle_config
 from kraft_cli.main import main
 

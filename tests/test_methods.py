@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from kraft import resources
 from kraft.checking import check_file
+from kraft.config import bundled as resources
 from kraft.errors import InputError
 from kraft.method import Filter, Kinodynamic, Latest, load_method
 

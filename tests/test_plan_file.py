@@ -13,9 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kraft import atomic_file
-from kraft.atomic_file import write_whole
+from kraft import files as atomic_file
 from kraft.errors import InputError
+from kraft.files import write_whole
 from kraft.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
 from kraft.planning import PlanResult, plan_task
 from kraft.previous import Previous

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from kraft import json_schema, resources
+from kraft import json_schema
+from kraft.config import bundled as resources
 from kraft.errors import InputError
 from kraft.scenario import (
     Bounds,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.errors import InputError
 from kraft.vehicle_config import Footprint, load_vehicle_config
 from kraft.vehicle_reference import VehicleProblem, resolve_vehicle

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sysid_fakes import estimated, fake_identification, fake_log, fake_predicted, fake_windows
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.errors import InputError
 from kraft.sysid.comparison import no_better
 from kraft.sysid.forecast import Forecast

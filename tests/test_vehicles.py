@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pytest
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.errors import InputError
 from kraft.vehicle import load_vehicle
 from kraft.vehicle_config import load_vehicle_config

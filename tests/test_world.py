@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from world_fixtures import drive, open_world
 
-from kraft import resources
+from kraft.config import bundled as resources
 from kraft.scenario import Goal, Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation import World
 from kraft.workspace import planar_obstacle

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kraft.config.source import Position, format_path, parse_path
+from kraft.config.yaml_reader import Unusable, parse_document, read_document
 from kraft.errors import InputError
-from kraft.source import Position, format_path, parse_path
-from kraft.yaml_nodes import Unusable, parse_document, read_document
 
 
 def problems_of(content: bytes | str) -> list[str]:

@@ -13,7 +13,7 @@ from kraft.errors import InputError, MissingDependency
 from kraft.evaluation.executor import Say, Stop
 from kraft.evaluation.job import Job, failed, perform
 from kraft.evaluation.row import TrialRow
-from kraft.evaluation.versions import versions
+from kraft.provenance import SIMULATION, versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -70,7 +70,7 @@ class Cluster:
 
     def _collected(self, client: Client, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
         """Keep a few trials per thread of the cluster going, so that there is little to wait for when it stops."""
-        here, todo = versions(), list(reversed(jobs))
+        here, todo = versions(SIMULATION), list(reversed(jobs))
         running: dict[Future, Job] = {}
         told = False
         while (todo and not stop()) or running:
@@ -114,7 +114,7 @@ async def _called(address: str) -> None:
 
 def _perform(job: Job, versions_there: Mapping[str, str]) -> TrialRow:
     """Run a trial on a worker, alone in its process, if that would do what the others do."""
-    here = versions()
+    here = versions(SIMULATION)
     if here != versions_there:
         names = sorted(name for name in {**here, **versions_there} if here.get(name) != versions_there.get(name))
         told = ", ".join(f"{name} {here.get(name)} instead of {versions_there.get(name)}" for name in names)

@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.atomic_file import check_writable, write_whole
 from kraft.errors import InputError
 from kraft.evaluation import journal, manifest, report
 from kraft.evaluation.experiment import Experiment
@@ -19,6 +18,7 @@ from kraft.evaluation.report import Results
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, json_content
+from kraft.files import check_writable, write_whole
 
 ROOT: Final = Path("results")
 

@@ -12,9 +12,9 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from kraft.atomic_file import EXPECTED
 from kraft.errors import Diagnostic, InputError
 from kraft.evaluation.row import Key, TrialRow
+from kraft.files import EXPECTED
 
 NAME: Final = "trials.jsonl"
 

@@ -10,13 +10,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.atomic_file import write_whole
 from kraft.errors import Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
-from kraft.evaluation.versions import versions
+from kraft.files import write_whole
 from kraft.method import Method
-from kraft.plain import plain, plain_hash
 from kraft.plan_file import vehicle_content
+from kraft.provenance import plain, plain_hash, versions
 from kraft.scenario import Scenario
 
 NAME: Final = "manifest.json"
@@ -59,7 +58,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "scenarios": {cell.scenario.name: scenario_entry(cell.scenario) for cell in cells},
         "methods": {cell.method.name: _hashed(_method(cell.method)) for cell in cells},
         "vehicles": {labels[reference]: _hashed(content) for reference, content in vehicles.items()},
-        "versions": versions(),
+        "versions": versions(SIMULATION),
     }
 
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.atomic_file import write_whole
 from kraft.evaluation.experiment import Cell, Experiment
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.statistics import percentile
+from kraft.files import write_whole
 from kraft.planner_arena import make_database
 
 DATABASE: Final = "benchmark.db"

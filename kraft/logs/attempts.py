@@ -13,7 +13,7 @@ from kraft.logs.mapping import Mapping
 from kraft.logs.names import parse
 from kraft.logs.pick import HOW, Picked, missing
 from kraft.logs.table import Table
-from kraft.suggest import choose
+from kraft.text import choose
 
 _TOPIC_HINTS: Final = {
     **dict.fromkeys(("mocap", "vicon", "vrpn", "optitrack", "qualisys", "aruco", "apriltag", "marker", "camera"), 10),

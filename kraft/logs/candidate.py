@@ -8,8 +8,8 @@ from os.path import realpath
 from pathlib import Path
 from typing import Final, Literal
 
-from kraft.counting import counted
 from kraft.errors import Diagnostic
+from kraft.text import counted
 
 BAGS: Final = (".bag", ".mcap", ".db3")
 COMPRESSED: Final = ".zstd"

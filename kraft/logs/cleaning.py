@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from kraft.counting import counted
 from kraft.errors import Diagnostic, InputError
 from kraft.logs import reports
 from kraft.logs.choice import Choice
@@ -23,6 +22,7 @@ from kraft.logs.samples import Samples, read_samples
 from kraft.logs.table import Rows
 from kraft.logs.teleports import stale, top_speed, tracks
 from kraft.logs.unit_checks import check_units
+from kraft.text import counted
 
 TURN_LEAST: Final = 0.2
 """A log in which the vehicle turns at least this much has motion, rad."""

@@ -12,7 +12,7 @@ from kraft.errors import Diagnostic, InputError
 from kraft.logs.candidate import BAGS, COMPRESSED, Candidate, each_once
 from kraft.logs.grouping import group
 from kraft.logs.mapping import Mapping
-from kraft.suggest import nearest
+from kraft.text import nearest
 
 CSV: Final = (".csv", ".tsv", ".txt")
 TRUTH: Final = "truth.csv"

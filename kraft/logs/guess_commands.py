@@ -12,7 +12,7 @@ from kraft.logs.mapping import Mapping
 from kraft.logs.names import parse
 from kraft.logs.pick import Picked, Picker
 from kraft.logs.table import Table
-from kraft.suggest import choose as suggest
+from kraft.text import choose as suggest
 
 
 def guess_commands(

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
-from kraft.file_model import FileModel, NonNegative, Positive, refuse
+from kraft.config.schema import FileModel, NonNegative, Positive, refuse
+from kraft.config.source import KeyPath, Source
+from kraft.config.validation import read_model
 from kraft.logs.units import ALLOWED, Quantity, Unit
-from kraft.source import KeyPath, Source
-from kraft.validation import read_model
 
 Scale = Annotated[float, Field(ge=-1e9, le=1e9)]
 _SHORT: Final[dict[str, Any]] = {"type": "string", "description": "its name alone"}

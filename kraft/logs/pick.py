@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from kraft.config.source import KeyPath
 from kraft.errors import Diagnostic
 from kraft.logs.choice import Channel
 from kraft.logs.columns import SYNONYMS, YAW, time_score
@@ -16,8 +17,7 @@ from kraft.logs.mapping import Column, Mapping
 from kraft.logs.names import parse
 from kraft.logs.table import LOG_TIME, STAMP, Table
 from kraft.logs.units import ALLOWED, Quantity, Unit
-from kraft.source import KeyPath
-from kraft.suggest import choose, nearest
+from kraft.text import choose, nearest
 
 Score = Callable[[str], int | None]
 SPELT: Final = 4

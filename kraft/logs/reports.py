@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from kraft.counting import counted
 from kraft.logs.choice import Choice
 from kraft.logs.commands import Commands, timeout
 from kraft.logs.findings import Findings
@@ -16,6 +15,7 @@ from kraft.logs.mapping import Limits
 from kraft.logs.samples import Samples
 from kraft.logs.table import Flags, Rows
 from kraft.logs.teleports import OUTLIER
+from kraft.text import counted
 
 DROPOUT_STEPS: Final = 1.6
 """Poses are missing where the next one comes later than this many usual steps."""

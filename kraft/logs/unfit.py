@@ -7,14 +7,14 @@ from typing import Final
 
 import numpy as np
 
+from kraft.config.source import KeyPath
 from kraft.errors import Diagnostic, InputError
 from kraft.logs.columns import SYNONYMS, control_score
 from kraft.logs.guess_commands import unknown_controls
 from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.pick import written_at
 from kraft.logs.table import Table
-from kraft.source import KeyPath
-from kraft.suggest import choose
+from kraft.text import choose
 
 _SHOWN: Final = 3
 """Names of tables in one sentence."""

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from kraft.atomic_file import write_whole
 from kraft.errors import InputError
+from kraft.files import write_whole
 
 FORMATS: Final = (".png", ".svg", ".pdf")
 PNG_WIDTH: Final = 1600

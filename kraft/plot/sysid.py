@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from kraft.counting import counted
 from kraft.plot.output import picture_format, write_picture
 from kraft.plot.page import HEAD, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
 from kraft.plot.style import INK, SMALL, look, text_width
@@ -39,6 +38,7 @@ from kraft.plot.sysid_style import (
 from kraft.sysid.forecast import Predicted
 from kraft.sysid.holdout import Split
 from kraft.sysid.result import Identification
+from kraft.text import counted
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:

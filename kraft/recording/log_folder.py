@@ -17,10 +17,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.atomic_file import check_writable, write_whole
 from kraft.errors import InputError
-from kraft.evaluation.versions import versions
-from kraft.plain import plain, plain_hash
+from kraft.files import check_writable, write_whole
+from kraft.provenance import plain, plain_hash, versions
 from kraft.recording.recorder import Recording
 from kraft.scenario import Scenario
 from ompl_ext.arrays import Matrix
@@ -98,7 +97,7 @@ def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recor
         "units": UNITS,
         "clock": "both files count from the beginning of the run; a pose carries the time its frame was taken",
         "scenario": {"sha256": plain_hash(described), "content": described},
-        "versions": versions(),
+        "versions": versions(SIMULATION),
     }
 
 

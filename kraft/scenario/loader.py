@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from kraft import resources
+from kraft.config import bundled as resources
+from kraft.config.source import KeyPath
+from kraft.config.validation import check, part
+from kraft.config.yaml_reader import Document, Value, parse_document, read_document
 from kraft.errors import Diagnostic, InputError
 from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, signed_area
 from kraft.scenario.model import Goal, Scenario, Start
 from kraft.scenario.occupancy import read_map
 from kraft.scenario.schema import Bounds, GoalFile, MapFile, ObstacleFile, ScenarioFile, StartFile
-from kraft.source import KeyPath
-from kraft.validation import check, part
 from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
-from kraft.yaml_nodes import Document, Value, parse_document, read_document
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:

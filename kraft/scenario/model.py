@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
+from kraft.config.source import Source
 from kraft.scenario.geometry import Obstacle, Vec2
 from kraft.scenario.planning import Planning
 from kraft.scenario.schema import Bounds
 from kraft.scenario.trial import Sensing, Trial
 from kraft.scenario.truth import Truth
-from kraft.source import Source
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from pydantic import BeforeValidator, Field, model_validator
 
+from kraft.config.schema import Angle, Coordinate, FileModel, Probability, refuse
+from kraft.config.source import Source
+from kraft.config.validation import read_model
 from kraft.errors import InputError
-from kraft.file_model import Angle, Coordinate, FileModel, Probability, refuse
 from kraft.scenario.geometry import OccupancyMap
-from kraft.source import Source
-from kraft.validation import read_model
 
 CELLS_MAX: Final = 16_000_000
 

@@ -7,8 +7,8 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from kraft.file_model import FileModel, NonNegative, Probability, refuse
-from kraft.validation import build
+from kraft.config.schema import FileModel, NonNegative, Probability, refuse
+from kraft.config.validation import build
 
 DEFAULT_ITERATIONS: Final = 20_000
 

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
 
-from kraft.file_model import Angle, Coordinate, FileModel, Length, Point, Size, Span, refuse
+from kraft.config.schema import Angle, Coordinate, FileModel, Length, Point, Size, Span, refuse
 from kraft.scenario.geometry import crossing_edges
 from kraft.scenario.planning import Planning
 from kraft.scenario.trial import Sensing, Trial

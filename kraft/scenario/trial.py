@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kraft.file_model import Coordinate, FileModel, Probability
+from kraft.config.schema import Coordinate, FileModel, Probability
 
 Delay = Annotated[float, Field(ge=0, le=10)]
 Timeout = Annotated[float, Field(gt=0, le=86_400)]

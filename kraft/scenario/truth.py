@@ -11,7 +11,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from kraft.file_model import Angle, FileModel, Length, Point, Positive, Size, Span, refuse
+from kraft.config.schema import Angle, FileModel, Length, Point, Positive, Size, Span, refuse
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]

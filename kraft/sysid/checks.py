@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.counting import counted
 from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.problem import Problem
@@ -15,6 +14,7 @@ from kraft.sysid.residuals import residual_ratio
 from kraft.sysid.result import AT_BOUND, correlations
 from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
+from kraft.text import counted
 from ompl_ext.arrays import Floats
 
 HARDLY_TOLD = 0.95

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.counting import counted
 from kraft.errors import InputError
+from kraft.text import counted
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log

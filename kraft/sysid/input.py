@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kraft.errors import Diagnostic, InputError
-from kraft.suggest import alternatives
+from kraft.text import alternatives
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import Final, Literal
 
 from kraft.errors import Diagnostic, InputError
 from kraft.parameter_items import parse_parameters
-from kraft.suggest import choose
 from kraft.sysid.settings import Extras, Noise, Settings
+from kraft.text import choose
 
 GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from kraft.provenance import IDENTIFICATION, versions
 from kraft.sysid.forecast import Predicted
 from kraft.sysid.holdout import Split
 from kraft.sysid.result import Identification, PredictionErrors
 from kraft.vehicle_identification import Covariance, Extra, IdentificationRecord, Logged, PoseNoise, Prediction
-from kraft.version import VERSION
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
-
-DISTRIBUTIONS: Final = ("gtsam", "numba", "numpy", "scipy")
 
 
 def record_of(
@@ -51,14 +47,8 @@ def record_of(
         held_out_before=None if unseen is None else _prediction(unseen.errors_before),
         warnings=identification.warnings,
         logs=(*_logged(split.fitted, held_out=False), *_logged(split.held_out, held_out=True)),
-        versions=versions(),
+        versions=versions(IDENTIFICATION),
     )
-
-
-def versions() -> dict[str, str]:
-    """Versions of what shapes an identification."""
-    python = ".".join(platform.python_version_tuple()[:2])
-    return {"kraft": VERSION, **{name: version(name) for name in DISTRIBUTIONS}, "python": python}
 
 
 def _extra(identification: Identification, name: str) -> Extra:

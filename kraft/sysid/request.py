@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from kraft.atomic_file import check_all, check_writable
 from kraft.details import no_detail
 from kraft.errors import InputError, NegativeResult
+from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
 from kraft.plot.output import picture_format
 from kraft.sysid.compilation import ensure_compiled

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 
 from kraft.errors import Diagnostic, InputError
-from kraft.suggest import choose
 from kraft.sysid.extras import extras_of
 from kraft.sysid.parameters import out_of_bounds, stated_numbers, vehicle_of
 from kraft.sysid.selection import to_try
 from kraft.sysid.settings import Settings
+from kraft.text import choose
 from kraft.vehicle_config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 

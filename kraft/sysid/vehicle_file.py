@@ -9,16 +9,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.atomic_file import check_writable, write_whole
-from kraft.counting import counted
+from kraft.config.validation import check
+from kraft.config.yaml_reader import read_document
 from kraft.errors import InputError
+from kraft.files import check_writable, write_whole
 from kraft.sysid.result import Estimated
 from kraft.sysid.subject import Subject
-from kraft.validation import check
+from kraft.text import counted
 from kraft.vehicle_config import Parameter, VehicleConfig
 from kraft.vehicle_identification import IdentificationRecord
 from kraft.vehicle_reference import split_file
-from kraft.yaml_nodes import read_document
 
 DIGITS: Final = 6
 """Significant digits of parameters: far more than are known."""

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.atomic_file import check_writable
 from kraft.errors import InputError, MissingDependency
+from kraft.files import check_writable
 from kraft.video.gl import offscreen_context
 
 INSTEAD: Final = "`--video FILE.mp4` needs no screen"

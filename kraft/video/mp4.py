@@ -13,8 +13,8 @@ import numpy as np
 from av.video.reformatter import ColorRange, Colorspace
 from numpy.typing import NDArray
 
-from kraft.atomic_file import EXPECTED, file_mode
 from kraft.errors import InputError
+from kraft.files import EXPECTED, file_mode
 
 Image: TypeAlias = NDArray[np.uint8]
 

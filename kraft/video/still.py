@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image as Pillow
 
-from kraft.atomic_file import write_whole
+from kraft.files import write_whole
 from kraft.simulation.world import World
 from kraft.trial import run_trial
 from kraft.trial_result import Step, TrialSpec

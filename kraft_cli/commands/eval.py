@@ -67,8 +67,8 @@ def eval_(
 
 
 def _show(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
-    from kraft.counting import counted
     from kraft.evaluation.summary import SCHEMA, json_content
+    from kraft.text import counted
     from kraft_cli.tables import show_tables
 
     if json:

@@ -29,10 +29,10 @@ def list_(
 
 
 def _described(what: str) -> dict[str, str]:
-    from kraft import resources
+    from kraft.config import bundled as resources
     from kraft.errors import InputError
     from kraft.planners import PLANNERS
-    from kraft.suggest import choose
+    from kraft.text import choose
 
     if what == "planners":
         return PLANNERS

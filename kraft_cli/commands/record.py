@@ -29,8 +29,8 @@ def record(
     json: Json = False,
 ) -> ExitStatus:
     """Drive manoeuvres without feedback in simulation and write what was commanded and seen, for kraft sysid."""
-    from kraft.counting import counted
     from kraft.recording.request import Request, carry_out
+    from kraft.text import counted
 
     terminal: Terminal = context.obj
     done: list[Recorded] = []

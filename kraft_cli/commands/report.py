@@ -16,8 +16,8 @@ Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The page to writ
 
 def report(context: typer.Context, results: Folder, out: Out = None) -> ExitStatus:
     """Make a page for a browser of what kraft eval found, also while it runs or after it was stopped."""
-    from kraft.counting import counted
     from kraft.evaluation.report import write_report
+    from kraft.text import counted
 
     terminal: Terminal = context.obj
     found, path = write_report(results, out)

@@ -87,7 +87,7 @@ def sysid(
 
 def _tell(terminal: Terminal, done: Identified) -> None:
     """What -v asks for."""
-    from kraft.counting import counted
+    from kraft.text import counted
 
     initial = ", ".join(f"{name} {value:g}" for name, value in done.subject.vehicle.parameters.items())
     terminal.detail(f"model {done.subject.model}, from {initial}")

@@ -20,7 +20,7 @@ def validate(
 ) -> ExitStatus:
     """Check scenario, vehicle, method, map, log mapping and plan files and show every problem of each."""
     from kraft.checking import check_file
-    from kraft.counting import counted
+    from kraft.text import counted
 
     terminal: Terminal = context.obj
     checked = [check_file(file) for file in files]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from kraft.atomic_file import check_writable, write_whole
 from kraft.evaluation.report.page import page
 from kraft.evaluation.report.results import Results, read_results
+from kraft.files import check_writable, write_whole
 
 NAME: Final = "report.html"
 

@@ -9,10 +9,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from kraft.counting import counted
 from kraft.evaluation.report.elements import Content, element, number, svg
 from kraft.scenario import Box, Circle, Goal, Obstacle, OccupancyMap, Polygon, Scenario, Start, Truth
 from kraft.scenario.truth import Tilt
+from kraft.text import counted
 
 LONGEST, WIDEST = 330.0, 200.0  # px
 MARGIN: Final = 0.03  # of the longer side

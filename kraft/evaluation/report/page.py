@@ -9,13 +9,13 @@ from importlib.resources import files
 from typing import Final
 from xml.etree.ElementTree import Element
 
-from kraft.counting import counted
 from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import Content, document, element
 from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import Result
+from kraft.text import counted
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 

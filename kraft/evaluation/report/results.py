@@ -10,7 +10,6 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from kraft.counting import grouped
 from kraft.errors import InputError
 from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
@@ -18,6 +17,7 @@ from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import Name, Summary, tabulate
 from kraft.scenario import Scenario, load_scenario
+from kraft.text import grouped
 
 EXPECTED = "expected the folder of a kraft eval"
 

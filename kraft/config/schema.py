@@ -8,7 +8,7 @@ from typing import Annotated, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from kraft.source import KeyPath
+from kraft.config.source import KeyPath
 
 
 class FileModel(BaseModel):

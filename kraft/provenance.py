@@ -1,14 +1,32 @@
-"""Configuration as plain data: for files that record it, and to hash it."""
+"""Where a result comes from: versions of the software, and hashes of what it was made with."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import platform
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
-from typing import Any
+from importlib.metadata import version
+from typing import Any, Final
 
 import numpy as np
 from pydantic import BaseModel
+
+from kraft.version import VERSION
+
+PLANNING: Final = ("numba", "numpy", "ompl")
+"""Distributions that shape a plan."""
+SIMULATION: Final = (*PLANNING, "mujoco", "scipy")
+"""Distributions that shape a trial."""
+IDENTIFICATION: Final = ("gtsam", "numba", "numpy", "scipy")
+"""Distributions that shape identified parameters."""
+
+
+def versions(distributions: Iterable[str]) -> dict[str, str]:
+    """Versions of kraft, of the named distributions and of Python."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"kraft": VERSION, **{name: version(name) for name in distributions}, "python": python}
 
 
 def plain(value: Any) -> Any:

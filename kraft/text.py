@@ -1,9 +1,19 @@
-"""Near-miss suggestions for error messages."""
+"""Words for messages: counts of things, and suggestions for misspelt names."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 trial``, ``2 trials``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def grouped(number: int, noun: str) -> str:
+    """The same for numbers that may be large: ``20,000 iterations``."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def _folded(word: str) -> str:

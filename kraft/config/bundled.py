@@ -7,9 +7,9 @@ from functools import cache
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
+from kraft.config.yaml_reader import read_document
 from kraft.errors import InputError, MissingAsset
-from kraft.suggest import choose, nearest
-from kraft.yaml_nodes import read_document
+from kraft.text import choose, nearest
 
 Kind: TypeAlias = Literal["scenario", "vehicle", "method"]
 
@@ -30,7 +30,7 @@ def root() -> Path:
     Raises:
         MissingAsset: if neither is there.
     """
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parent.parent
     for candidate in (package / "_bundled", package.parent):
         if (candidate / "scenarios").is_dir() and (candidate / "configs").is_dir():
             return candidate

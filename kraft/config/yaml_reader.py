@@ -1,0 +1,336 @@
+"""Read YAML through its nodes, so that every value knows its line and column.
+
+Anchors and aliases work (a value used through an alias is reported where it is written). Merge keys, tags,
+repeated keys and several documents in one file are errors. Lists become tuples: configuration does not change
+after it was read.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import yaml
+
+from kraft.config.source import KeyPath, Position, Source
+from kraft.errors import Diagnostic, InputError
+
+NODES_MAX: Final = 100_000  # after aliases are followed: a few lines of aliases can stand for billions
+
+_STANDARD: Final = "tag:yaml.org,2002:"
+
+
+class Unusable:
+    """Stands for a value that was already reported."""
+
+    def __repr__(self) -> str:
+        return "<unusable>"
+
+
+Value: TypeAlias = "Scalar | tuple[Value, ...] | dict[str, Value] | Unusable"
+
+
+@dataclass(frozen=True)
+class Document:
+    """The content of one file.
+
+    Attributes:
+        data: the root value; lists are tuples, and what could not be read is an `Unusable`.
+        source: where each value and key was written.
+        problems: what was wrong with the YAML itself; `data` is usable apart from those places.
+        unusable: the places in `data` that hold an `Unusable`.
+    """
+
+    data: Value
+    source: Source
+    problems: tuple[Diagnostic, ...] = ()
+    unusable: frozenset[KeyPath] = frozenset()
+
+
+def read_document(path: Path) -> Document:
+    """Read the file at ``path``.
+
+    Raises:
+        InputError: if the file cannot be read, is too large, is not UTF-8, or is not one YAML document.
+    """
+    return parse_document(read_bytes(path), str(path))
+
+
+def parse_document(content: bytes | str, file: str) -> Document:
+    """Parse the content of a file; ``file`` is the name that errors carry.
+
+    Raises:
+        InputError: if it is too large, not UTF-8, or not one YAML document.
+    """
+    return _Converter(file).document(compose(content, file))
+
+
+def _position(node: yaml.Node) -> Position:
+    return Position(node.start_mark.line + 1, node.start_mark.column + 1)
+
+
+@dataclass
+class _Converter:
+    """Turns nodes into values and notes every problem and position on the way."""
+
+    file: str
+    values: dict[KeyPath, Position] = field(default_factory=dict)
+    keys: dict[KeyPath, Position] = field(default_factory=dict)
+    problems: list[Diagnostic] = field(default_factory=list)
+    unusable: set[KeyPath] = field(default_factory=set)
+    open_nodes: list[yaml.Node] = field(default_factory=list)
+    count: int = 0
+
+    def document(self, root: yaml.Node) -> Document:
+        data = self.value(root, ())
+        source = Source(self.file, self.values, self.keys)
+        return Document(data, source, tuple(self.problems), frozenset(self.unusable))
+
+    def report(self, node: yaml.Node, path: KeyPath, problem: str, expected: str) -> None:
+        at = Source(self.file, {path: _position(node)})
+        self.problems.append(at.diagnostic(path, problem, expected))
+
+    def reject(self, node: yaml.Node, path: KeyPath, problem: str, expected: str) -> Unusable:
+        self.report(node, path, problem, expected)
+        self.unusable.add(path)
+        return Unusable()
+
+    def value(self, node: yaml.Node, path: KeyPath) -> Value:
+        self.values[path] = _position(node)
+        self.count += 1
+        if self.count > NODES_MAX:
+            self.report(node, (), f"holds more than {NODES_MAX} values", "expected fewer aliases")
+            raise InputError(self.problems)
+        if node in self.open_nodes:
+            return self.reject(node, path, "the alias stands for something it is part of", "expected a finite value")
+        if len(self.open_nodes) >= DEPTH_MAX:
+            return self.reject(node, path, TOO_DEEP, f"expected at most {DEPTH_MAX} levels")
+        self.open_nodes.append(node)
+        value = self.content(node, path)
+        self.open_nodes.pop()
+        return value
+
+    def content(self, node: yaml.Node, path: KeyPath) -> Value:
+        if isinstance(node, yaml.SequenceNode) and node.tag == _STANDARD + "seq":
+            return tuple(self.value(item, (*path, i)) for i, item in enumerate(node.value))
+        if isinstance(node, yaml.MappingNode) and node.tag == _STANDARD + "map":
+            return self.mapping(node, path)
+        if isinstance(node, yaml.ScalarNode) and node.tag in (PLAIN, _STANDARD + "str"):
+            return self.scalar(node, path)
+        tag = node.tag.replace(_STANDARD, "!!")
+        return self.reject(node, path, f"the tag {tag} is not supported", "expected the value without a tag")
+
+    def scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Value:
+        text: str = node.value
+        if any("\ud800" <= character <= "\udfff" for character in text):
+            return self.reject(node, path, "holds half of a character", "expected text that UTF-8 can write")
+        if node.tag != PLAIN:
+            return text
+        try:
+            return plain_scalar(text)
+        except AmbiguousScalar as error:
+            return self.reject(node, path, error.problem, error.expected)
+
+    def mapping(self, node: yaml.MappingNode, path: KeyPath) -> dict[str, Value]:
+        result: dict[str, Value] = {}
+        for key_node, value_node in node.value:
+            key = self.key(key_node, path)
+            if key is None:
+                continue
+            inner = (*path, key)
+            if key in result:
+                first = self.keys[inner]
+                self.report(key_node, inner, f"the key is repeated; it is first at {first}", "expected it once")
+                continue
+            self.keys[inner] = _position(key_node)
+            result[key] = self.value(value_node, inner)
+        return result
+
+    def key(self, node: yaml.Node, path: KeyPath) -> str | None:
+        """Return the text of a key, or None after reporting that it is not text."""
+        if not isinstance(node, yaml.ScalarNode) or node.tag not in (PLAIN, _STANDARD + "str"):
+            self.report(node, path, "a key is a list, a mapping or tagged", "expected keys that are words")
+        elif any("\ud800" <= character <= "\udfff" for character in node.value):
+            self.report(node, path, "a key holds half of a character", "expected text that UTF-8 can write")
+        elif node.value == "<<" and node.tag == PLAIN:
+            self.report(node, path, "merge keys (<<) are not supported", "expected the keys written out")
+        else:
+            return str(node.value)
+        return None
+
+
+Scalar: TypeAlias = str | int | float | bool | None
+
+_NULL = frozenset({"", "~", "null", "Null", "NULL"})
+_TRUE = frozenset({"true", "True", "TRUE"})
+_FALSE = frozenset({"false", "False", "FALSE"})
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
+_LEADING_ZERO = re.compile(r"([-+]?)0+([0-9]+)\Z")
+_OTHER_BASE = re.compile(r"[-+]?0[xXoObB][0-9a-fA-F_]+\Z")
+_UNDERSCORED = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(\.[0-9_]*)?\Z")
+_NOT_FINITE = re.compile(r"([-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z")
+_DIGITS_MAX = 18  # every integer of 18 digits fits 64 bits
+
+
+class AmbiguousScalar(ValueError):  # noqa: N818 - it names what the word is
+    """A word that cannot be taken as a value."""
+
+    def __init__(self, problem: str, expected: str) -> None:
+        super().__init__(problem, expected)
+        self.problem = problem
+        self.expected = expected
+
+
+def plain_scalar(word: str) -> Scalar:
+    """Return the value of an unquoted word.
+
+    Raises:
+        AmbiguousScalar: for an integer with leading zeros, another base or underscores, a number that is
+            not finite, and an integer beyond 18 digits.
+    """
+    if word in _NULL:
+        return None
+    if word in _TRUE or word in _FALSE:
+        return word in _TRUE
+    if _INTEGER.match(word):
+        if len(word.lstrip("+-")) > _DIGITS_MAX:
+            raise AmbiguousScalar(f"the number {_short(word)} is too large", "expected at most 18 digits")
+        return int(word)
+    _refuse_ambiguous(word)
+    if _FLOAT.match(word):
+        value = float(word)
+        if not math.isfinite(value):
+            raise AmbiguousScalar(f"the number {_short(word)} is too large", "expected a finite number")
+        return value
+    return word
+
+
+def _refuse_ambiguous(word: str) -> None:
+    if zeros := _LEADING_ZERO.match(word):
+        decimal = zeros[1] + (zeros[2].lstrip("0") or "0")
+        raise AmbiguousScalar(
+            f"{_short(word)} is octal to some YAML readers and decimal to others",
+            f"expected {_short(decimal)}, or quotes if it is text",
+        )
+    if _OTHER_BASE.match(word) or _UNDERSCORED.match(word):
+        raise AmbiguousScalar(
+            f"{_short(word)} is a number to some YAML readers and text to others",
+            "expected a plain decimal number, or quotes if it is text",
+        )
+    if _NOT_FINITE.match(word):
+        raise AmbiguousScalar(f"{word} is not a finite number", "expected a finite number")
+
+
+def _short(word: str) -> str:
+    return word if len(word) <= 40 else f"{word[:37]}..."
+
+
+BYTES_MAX: Final = 256 * 1024
+DEPTH_MAX: Final = 50
+TOO_DEEP: Final = "nested too deep"
+PLAIN: Final = "!plain"
+"""Tag of a word without quotes, whose meaning is not decided here."""
+
+_VALID: Final = "expected YAML, such as 'key: value'"
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's reader with a depth limit and without any opinion about unquoted words."""
+
+    depth = 0
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
+        if kind is yaml.ScalarNode and implicit[0]:
+            return PLAIN
+        return super().resolve(kind, value, implicit)  # type: ignore[no-untyped-call]
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self.depth += 1
+        if self.depth > DEPTH_MAX:
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem=TOO_DEEP, problem_mark=mark)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a configuration file, or a little more than the largest one allowed.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    file = str(path)
+    try:
+        with path.open("rb") as stream:
+            return stream.read(BYTES_MAX + 1)
+    except FileNotFoundError:
+        raise InputError.of(file, "there is no such file", "expected a YAML file") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise InputError.of(file, f"cannot be read ({reason})", "expected a readable YAML file") from error
+
+
+def compose(content: bytes | str, file: str) -> yaml.Node:
+    """Return the root node of a file's content; ``file`` is the name that errors carry.
+
+    Raises:
+        InputError: if it is empty, too large, not UTF-8, or not one YAML document.
+    """
+    if len(content) > BYTES_MAX:
+        raise InputError.of(file, f"is larger than {BYTES_MAX // 1024} KiB", "expected a configuration file")
+    text = _decoded(content, file) if isinstance(content, bytes) else content.removeprefix("\ufeff")
+    root = _composed(text, file)
+    if root is None:
+        raise InputError([Diagnostic(file, "the file is empty", "expected a mapping", 1, 1)])
+    return root
+
+
+def _decoded(content: bytes, file: str) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
+        problem = "is not UTF-8 text"
+        raise InputError([Diagnostic(file, problem, "expected the file saved as UTF-8", line, column)]) from error
+
+
+def _composed(text: str, file: str) -> yaml.Node | None:
+    loader: _Loader | None = None
+    try:
+        loader = _Loader(text)
+        node: yaml.Node | None = loader.get_single_node()
+    except yaml.reader.ReaderError as error:
+        before = text[: error.position]
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        code = error.character if isinstance(error.character, int) else ord(str(error.character))
+        problem = f"the character U+{code:04X} is not allowed"
+        raise InputError([Diagnostic(file, problem, "expected printable text", line, column)]) from error
+    except yaml.MarkedYAMLError as error:
+        raise _syntax_error(file, error.problem_mark or error.context_mark, *_explained(error)) from error
+    except (ValueError, OverflowError) as error:  # PyYAML lets these out for absurd escapes and directives
+        mark = loader.get_mark() if loader else None
+        raise _syntax_error(file, mark, "not valid YAML (a number out of range)", _VALID) from error
+    return node
+
+
+def _explained(error: yaml.MarkedYAMLError) -> tuple[str, str]:
+    """Say what is wrong and what was expected, for the mistakes people make."""
+    problem = error.problem or "cannot be read"
+    if error.context == "expected a single document in the stream":
+        return "a second document begins here", "expected one document in a file"
+    if "'\\t'" in problem:
+        return "a tab is used for indentation", "expected spaces"
+    if problem == TOO_DEEP:
+        return problem, f"expected at most {DEPTH_MAX} levels"
+    return f"not valid YAML ({problem}{f', {error.context}' if error.context else ''})", _VALID
+
+
+def _syntax_error(file: str, mark: Any, problem: str, expected: str) -> InputError:
+    line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+    return InputError([Diagnostic(file, problem, expected, line, column)])
