@@ -13,7 +13,7 @@ from kraft.method import load_method
 from kraft.scenario import load_scenario
 from kraft.trial import run_trial
 from kraft.trial_result import TrialSpec
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 
 SCENES = ("turns", "boxes", "slope", "slip", "bump", "movable")
 SEED = 1000  # of the first trial: tuning's, not the tables'

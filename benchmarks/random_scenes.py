@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from benchmarks.exact import Body, Disc, Rectangle, Solid, Star
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Circle, Obstacle, Polygon, Workspace, box
 from ompl_ext.query import Goal, Safety, Settings

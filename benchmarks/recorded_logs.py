@@ -12,7 +12,7 @@ from kraft.logs.log import Log
 from kraft.logs.reader import read_logs
 from kraft.recording.request import Request, carry_out
 from kraft.sysid import Settings, identify, prediction_errors
-from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
 
 NOMINAL = {"mushr": dict(MUSHR.parameters), "mushr-lag": dict(MUSHR_LAG.parameters)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kraft.scenario import load_scenario
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft.workspace import goal_of, start_state, workspace_of
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace

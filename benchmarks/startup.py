@@ -18,7 +18,7 @@ from kraft.plan_file import NAME, Origin, plan_text
 from kraft.planning import plan_task
 from kraft.scenario import load_scenario
 from kraft.search import Budget
-from kraft.vehicle import vehicle_of_task
+from kraft.vehicles.load import vehicle_of_task
 
 LAUNCHER = Path(__file__).with_name("launch.py")
 MEGABYTE = 1e6

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from kraft.logs.log import Log, Part
 from kraft.sysid.motion import Motion
 from kraft.sysid.parameters import vehicle_of
-from kraft.vehicle_config import VehicleConfig
+from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 

@@ -17,7 +17,7 @@ from benchmarks.report import Report, Row, Target, row
 from benchmarks.synthetic_logs import synthetic_logs
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, prediction_errors
-from kraft.vehicle_config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 
 REAL = Path(os.environ.get("KRAFT_REAL_LOGS", "../shared/data")) / "f1tenth_koopman_cc0"
 TRUTH = {"L": 0.30, "phi_diff": 0.03, "v_delta": 0.7, "tau": 0.6}

@@ -29,7 +29,7 @@ from kraft.sysid.report import parameter_table, prediction_table
 from kraft.sysid.request import Identified, Request
 from kraft.sysid.request import carry_out as identify
 from kraft.sysid.vehicle_file import vehicle_text
-from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.config import load_vehicle_config
 
 MODELS = ("mushr", "mushr-lag", "mushr-drive")
 

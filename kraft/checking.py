@@ -21,8 +21,8 @@ from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
-from kraft.vehicle import load_vehicle, vehicle_of_task
-from kraft.vehicle_config import VehicleConfig
+from kraft.vehicles.config import VehicleConfig
+from kraft.vehicles.load import load_vehicle, vehicle_of_task
 from kraft.workspace import start_state
 
 FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]

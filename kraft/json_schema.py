@@ -16,7 +16,7 @@ from kraft.config import bundled as resources
 from kraft.logs.mapping import Mapping
 from kraft.method import Method
 from kraft.scenario.schema import ScenarioFile
-from kraft.vehicle_config import VehicleConfig
+from kraft.vehicles.config import VehicleConfig
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -20,7 +20,7 @@ from kraft.planning import PlanResult, budget_of, plan_task
 from kraft.previous import Previous
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.text import choose
-from kraft.vehicle import load_vehicle, vehicle_of_task
+from kraft.vehicles.load import load_vehicle, vehicle_of_task
 from ompl_ext.vehicle import Vehicle
 
 

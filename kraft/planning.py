@@ -72,7 +72,7 @@ def plan_task(
 
     Args:
         task: scene, start, goal and planning settings.
-        vehicle: see `kraft.vehicle.load_vehicle`; the task's own reference is not followed.
+        vehicle: see `kraft.vehicles.load.load_vehicle`; the task's own reference is not followed.
         budget: instead of the task's.
         seed: the same seed and iterations give the same plan, bit for bit.
         previous: an earlier plan to begin with.

@@ -15,7 +15,7 @@ from kraft.proposer import Planners
 from kraft.replanner import Replanner
 from kraft.scenario import Task, load_scenario
 from kraft.trial_result import Cycle
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft.workspace import start_state
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle

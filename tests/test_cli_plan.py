@@ -14,7 +14,7 @@ import pytest
 
 from kraft import kernel_cache, planning
 from kraft.plan_file import read_plan
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 from ompl_ext.verify import Verification
 

@@ -12,7 +12,7 @@ import pytest
 from kraft.recording import request
 from kraft.recording.recorder import Recorder
 from kraft.scenario import load_scenario
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent

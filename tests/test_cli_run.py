@@ -17,7 +17,7 @@ from kraft.run_request import Request, carry_out
 from kraft.scenario import load_scenario
 from kraft.trial import run_trial
 from kraft.trial_result import TrialSpec
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -9,7 +9,7 @@ import pytest
 
 from kraft.closest_approach import ClosestApproach
 from kraft.scenario import load_scenario
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft.workspace import workspace_of
 from ompl_ext.exact import ExactClearance
 

@@ -13,8 +13,8 @@ from kraft.plan_file import Origin, plan_text
 from kraft.planning import plan_task
 from kraft.scenario import load_scenario
 from kraft.search import Budget
-from kraft.vehicle import load_vehicle
-from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.config import load_vehicle_config
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -21,7 +21,7 @@ from kraft.evaluation import Evaluation, TrialRow, Watch, evaluate, folder, mani
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
 from kraft.evaluation.summary import WALL_CLOCK
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 
 SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kraft.config import bundled as resources
-from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 
 SCRIPT = Path(__file__).resolve().parent.parent / "examples" / "identify_mushr.py"

@@ -18,7 +18,7 @@ from kraft.logs.log import Log
 from kraft.logs.names import parse
 from kraft.logs.reader import read_logs
 from kraft.run_folder import _step_heading
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 
 MADE = drive()
 WIDE = wide_columns(np.arange(0.025, 5.9, 0.025), MADE)

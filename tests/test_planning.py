@@ -15,7 +15,7 @@ from kraft.planning import PlanResult, plan_task
 from kraft.previous import Previous
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.search import Budget
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft.workspace import fence, workspace_of
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle

@@ -21,7 +21,7 @@ from kraft.scenario import load_scenario
 from kraft.simulation.hidden import hidden_things
 from kraft.trial import run_trial
 from kraft.trial_result import Outcome, TrialResult, TrialSpec
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
 MUSHR = load_vehicle("mushr")

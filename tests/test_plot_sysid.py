@@ -17,7 +17,7 @@ from kraft.plot.sysid_logs import compose_logs, plot_logs, speeds, telling
 from kraft.plot.sysid_panels import growth, typical
 from kraft.sysid.holdout import Split
 from kraft.sysid.result import Identification
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 
 MUSHR = load_vehicle("mushr")
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))

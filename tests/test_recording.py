@@ -12,7 +12,7 @@ from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, manoeuvr
 from kraft.recording.recorder import COMMAND_RATE, STOP, Recorder, Recording
 from kraft.recording.room import MARGIN, STEP, Room, moved
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft.workspace import workspace_of
 from ompl_ext.exact import ExactClearance
 

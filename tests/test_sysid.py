@@ -18,8 +18,8 @@ from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, prediction_errors, windows
 from kraft.sysid.uncertainty import Uncertainty, uncertainty
-from kraft.vehicle import load_vehicle
-from kraft.vehicle_config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.load import load_vehicle
 
 SKID_STEER = str(Path(__file__).parent.parent / "examples" / "skid_steer.py") + ":VEHICLE"
 EXTRAS = {"delay": 0.12, "lever": 0.15, "yaw_offset": 0.05, "dead_band_steering": 0.03}

@@ -20,7 +20,7 @@ from kraft.sysid.observation import Observation
 from kraft.sysid.parameters import parameters_of, vehicle_of
 from kraft.sysid.selection import choice
 from kraft.sysid.setting_checks import check_free
-from kraft.vehicle_config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 

@@ -26,8 +26,8 @@ from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise, smoothed
 from kraft.sysid.start import Search, smooth
 from kraft.sysid.uncertainty import uncertainty
-from kraft.vehicle import load_vehicle
-from kraft.vehicle_config import load_vehicle_config
+from kraft.vehicles.config import load_vehicle_config
+from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR_DRIVE
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.specialise import kernels

@@ -14,7 +14,7 @@ from kraft.scenario import load_scenario
 from kraft.simulation.world import World
 from kraft.trial import run_trial
 from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 
 SCENE = """name: short
 bounds: {x: [0, 5], y: [0, 4]}

@@ -8,7 +8,7 @@ import pytest
 
 from kraft.errors import InputError
 from kraft.scenario import load_scenario, parse_scenario
-from kraft.vehicle import load_vehicle, vehicle_of_task
+from kraft.vehicles.load import load_vehicle, vehicle_of_task
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "examples" / "skid_steer.py"

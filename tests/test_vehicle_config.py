@@ -8,9 +8,9 @@ import pytest
 
 from kraft.config import bundled as resources
 from kraft.errors import InputError
-from kraft.vehicle_config import Footprint, load_vehicle_config
-from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.config import Footprint, load_vehicle_config
 from kraft.vehicles.mushr import MUSHR_LAG
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 CAR = """name: car
 model: my_robots.car:CAR

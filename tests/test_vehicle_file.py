@@ -20,8 +20,8 @@ from kraft.sysid.result import Estimated
 from kraft.sysid.subject import Subject, load_subject
 from kraft.sysid.vehicle_file import check_target, identified, vehicle_text, write_vehicle
 from kraft.sysid.verdict import objections
-from kraft.vehicle import load_vehicle
-from kraft.vehicle_config import Parameter, VehicleConfig, load_vehicle_config
+from kraft.vehicles.config import Parameter, VehicleConfig, load_vehicle_config
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))

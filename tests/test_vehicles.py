@@ -10,9 +10,9 @@ import pytest
 
 from kraft.config import bundled as resources
 from kraft.errors import InputError
-from kraft.vehicle import load_vehicle
-from kraft.vehicle_config import load_vehicle_config
 from kraft.vehicles.benchmark import BENCHMARK
+from kraft.vehicles.config import load_vehicle_config
+from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import BREAKAWAY, MUSHR, MUSHR_DRIVE, MUSHR_LAG
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace

@@ -21,7 +21,7 @@ from kraft.scenario import Scenario, load_scenario
 from kraft.simulation.world import World
 from kraft.trial import run_trial
 from kraft.trial_result import Outcome, Step, TrialResult, TrialSpec
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
 from kraft.video.available import check_video, check_view
 from kraft.video.gl import offscreen_context

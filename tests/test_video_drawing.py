@@ -17,7 +17,7 @@ from kraft.simulation.hidden import hidden_things
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial_result import Cycle, Step, TrialSpec
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from kraft.video.camera import ROOF, SOLID, ChaseCamera, map_aim
 from kraft.video.curves import resampled
 from kraft.video.drawing import EDGES_MAX, draw_cycle

@@ -13,8 +13,8 @@ from kraft.evaluation.job import TRIAL, Job
 from kraft.method import Method, load_method
 from kraft.placement import check_placement
 from kraft.scenario import Scenario, load_scenario
-from kraft.vehicle import load_vehicle, vehicle_of_task
-from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.load import load_vehicle, vehicle_of_task
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from kraft.workspace import start_state
 from ompl_ext.vehicle import Vehicle
 

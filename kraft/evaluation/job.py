@@ -15,7 +15,7 @@ from kraft.evaluation.row import Key, TrialRow, reduced
 from kraft.method import Method
 from kraft.scenario import Scenario
 from kraft.trial_result import TrialResult, TrialSpec
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 
 TRIAL: Final = "kraft.trial:run_trial"

@@ -19,7 +19,7 @@ from kraft.evaluation.job import Job, failed
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.worker import ONE_THREAD, Answer, serve
 from kraft.kernel_cache import ensure_compiled
-from kraft.vehicle import load_vehicle
+from kraft.vehicles.load import load_vehicle
 
 POLL: Final = 0.1  # s, how late a request to stop is seen
 FALSE_STARTS: Final = 3  # workers in a row that die before they are ready

@@ -10,7 +10,7 @@ from typing import Final
 from kraft.errors import Diagnostic, InputError
 from kraft.kernel_cache import ensure_compiled
 from kraft.scenario import load_scenario
-from kraft.vehicle import vehicle_of_task
+from kraft.vehicles.load import vehicle_of_task
 
 RUNS: Final = 10
 

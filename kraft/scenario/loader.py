@@ -17,7 +17,7 @@ from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon
 from kraft.scenario.model import Goal, Scenario, Start
 from kraft.scenario.occupancy import read_map
 from kraft.scenario.schema import Bounds, GoalFile, MapFile, ObstacleFile, ScenarioFile, StartFile
-from kraft.vehicle_reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:

@@ -12,7 +12,7 @@ from kraft.sysid.holdout import Split
 from kraft.sysid.prediction import Window, errors_of, windows
 from kraft.sysid.result import Identification, PredictionErrors
 from kraft.sysid.settings import Settings
-from kraft.vehicle_config import VehicleConfig
+from kraft.vehicles.config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.start import Search, Smooth, smooth
 from kraft.sysid.uncertainty import Uncertainty, uncertainty
-from kraft.vehicle_config import VehicleConfig
+from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 

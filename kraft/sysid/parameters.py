@@ -11,8 +11,8 @@ import numpy as np
 from kraft.errors import Diagnostic, InputError
 from kraft.sysid.extras import extras_of
 from kraft.sysid.settings import Settings
-from kraft.vehicle import configured
-from kraft.vehicle_config import Parameter, VehicleConfig
+from kraft.vehicles.config import Parameter, VehicleConfig
+from kraft.vehicles.load import configured
 from ompl_ext.arrays import Bools, Floats
 from ompl_ext.vehicle import Vehicle
 

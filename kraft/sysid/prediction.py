@@ -29,7 +29,7 @@ from kraft.sysid.setting_checks import check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.start import smooth
-from kraft.vehicle_config import VehicleConfig
+from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 

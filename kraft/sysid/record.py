@@ -10,7 +10,7 @@ from kraft.provenance import IDENTIFICATION, versions
 from kraft.sysid.forecast import Predicted
 from kraft.sysid.holdout import Split
 from kraft.sysid.result import Identification, PredictionErrors
-from kraft.vehicle_identification import Covariance, Extra, IdentificationRecord, Logged, PoseNoise, Prediction
+from kraft.vehicles.config import Covariance, Extra, IdentificationRecord, Logged, PoseNoise, Prediction
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log

@@ -11,7 +11,7 @@ from kraft.sysid.parameters import out_of_bounds, stated_numbers, vehicle_of
 from kraft.sysid.selection import to_try
 from kraft.sysid.settings import Settings
 from kraft.text import choose
-from kraft.vehicle_config import VehicleConfig
+from kraft.vehicles.config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 
 

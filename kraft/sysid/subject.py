@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kraft.errors import InputError
-from kraft.vehicle import configured
-from kraft.vehicle_check import check_functions
-from kraft.vehicle_code import vehicle_of
-from kraft.vehicle_config import Footprint, Parameter, VehicleConfig, load_vehicle_config
-from kraft.vehicle_reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from kraft.vehicles.check import check_functions
+from kraft.vehicles.code import vehicle_of
+from kraft.vehicles.config import Footprint, Parameter, VehicleConfig, load_vehicle_config
+from kraft.vehicles.load import configured
+from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
 from ompl_ext.vehicle import Vehicle
 
 

@@ -16,9 +16,8 @@ from kraft.files import check_writable, write_whole
 from kraft.sysid.result import Estimated
 from kraft.sysid.subject import Subject
 from kraft.text import counted
-from kraft.vehicle_config import Parameter, VehicleConfig
-from kraft.vehicle_identification import IdentificationRecord
-from kraft.vehicle_reference import split_file
+from kraft.vehicles.config import IdentificationRecord, Parameter, VehicleConfig
+from kraft.vehicles.reference import split_file
 
 DIGITS: Final = 6
 """Significant digits of parameters: far more than are known."""

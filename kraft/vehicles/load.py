@@ -9,10 +9,10 @@ from pathlib import Path
 from kraft.errors import Diagnostic, InputError
 from kraft.scenario import Task
 from kraft.text import choose
-from kraft.vehicle_check import check_functions
-from kraft.vehicle_code import vehicle_of
-from kraft.vehicle_config import VehicleConfig, load_vehicle_config
-from kraft.vehicle_reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from kraft.vehicles.check import check_functions
+from kraft.vehicles.code import vehicle_of
+from kraft.vehicles.config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
 from ompl_ext.vehicle import Footprint, Vehicle
 
 

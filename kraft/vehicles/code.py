@@ -13,7 +13,7 @@ from types import ModuleType
 import ompl_ext
 from kraft.errors import InputError
 from kraft.text import choose
-from kraft.vehicle_reference import split_file
+from kraft.vehicles.reference import split_file
 from ompl_ext.vehicle import Vehicle
 
 _PLANNER = Path(ompl_ext.__file__).parent
