@@ -6,7 +6,7 @@ import time
 
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.scenario import load_scenario
 from kraft.simulation import World
 
@@ -23,7 +23,7 @@ TARGETS = {
 
 def run(effort: Effort) -> Report:
     """Measure every bundled scene."""
-    rows = [entry for name in resources.names("scenario") for entry in measure(name, effort)]
+    rows = [entry for name in bundled.names("scenario") for entry in measure(name, effort)]
     notes = [
         "Drives at full throttle from the start to the first collision, over and over, steering differently.",
         "Bumps, slippery floor and boxes are met on the way. Processor time of one core; a physics step is 2 ms.",

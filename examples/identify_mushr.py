@@ -19,7 +19,7 @@ import sys
 from itertools import takewhile
 from pathlib import Path
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.files import write_whole
 from kraft.recording.request import Request as RecordRequest
 from kraft.recording.request import carry_out as record
@@ -47,7 +47,7 @@ def identified(model: str, logs: Path, folder: Path) -> Identified:
 
 def bundle(done: Identified) -> Path:
     """Write the bundled vehicle file anew: its comments, name, description, bounds and priors stay."""
-    path = resources.folder("vehicle") / f"{done.request.model}.yaml"
+    path = bundled.folder("vehicle") / f"{done.request.model}.yaml"
     before = load_vehicle_config(path)
     header = list(takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines()))
     record = record_of(done.request.model, done.result, done.split, done.predicted)

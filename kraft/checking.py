@@ -8,7 +8,7 @@ from typing import Final, Literal, TypeAlias
 
 from pydantic import BaseModel
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.errors import Diagnostic, InputError
@@ -90,13 +90,13 @@ def _schema(document: Document) -> str | None:
 
 
 def _find(name_or_path: str | Path) -> Path:
-    kinds: tuple[resources.Kind, ...] = ("vehicle", "method")
+    kinds: tuple[bundled.Kind, ...] = ("vehicle", "method")
     for kind in kinds:
-        if name_or_path in resources.names(kind):
-            return resources.find(kind, name_or_path)
+        if name_or_path in bundled.names(kind):
+            return bundled.find(kind, name_or_path)
     if isinstance(name_or_path, str) and Path(name_or_path).suffix in ("", ".json") and Path(name_or_path).is_file():
         return Path(name_or_path)
-    return resources.find("scenario", name_or_path)
+    return bundled.find("scenario", name_or_path)
 
 
 def _check_as(kind: FileKind, document: Document, path: Path) -> None:

@@ -11,7 +11,7 @@ import sys
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.errors import InputError, MissingAsset
 from kraft.files import check_writable
 from kraft.text import counted
@@ -73,7 +73,7 @@ def _python() -> Finding:
 
 def _files() -> Finding:
     try:
-        return Finding("bundled files", "ok", f"{len(resources.names('scenario'))} scenarios in {resources.root()}")
+        return Finding("bundled files", "ok", f"{len(bundled.names('scenario'))} scenarios in {bundled.root()}")
     except MissingAsset as error:
         return Finding("bundled files", "missing", str(error))
 

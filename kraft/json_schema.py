@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.logs.mapping import Mapping
 from kraft.method import Method
 from kraft.scenario.schema import ScenarioFile
@@ -24,10 +24,10 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 def files() -> dict[Path, type[BaseModel]]:
     """Each schema file and the model it describes."""
     return {
-        resources.folder("scenario") / "scenario.schema.json": ScenarioFile,
-        resources.folder("vehicle") / "vehicle.schema.json": VehicleConfig,
-        resources.folder("method") / "method.schema.json": Method,
-        resources.root() / "configs" / "logs" / "mapping.schema.json": Mapping,
+        bundled.folder("scenario") / "scenario.schema.json": ScenarioFile,
+        bundled.folder("vehicle") / "vehicle.schema.json": VehicleConfig,
+        bundled.folder("method") / "method.schema.json": Method,
+        bundled.root() / "configs" / "logs" / "mapping.schema.json": Mapping,
     }
 
 

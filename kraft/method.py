@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.config.schema import FileModel, NonNegative, Positive, Probability, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
@@ -188,6 +188,6 @@ def load_method(name_or_path: str | Path) -> Method:
     Raises:
         InputError: with every problem of the file, or if there is no such name or file.
     """
-    method, document = read_model(resources.find("method", name_or_path), Method)
+    method, document = read_model(bundled.find("method", name_or_path), Method)
     method._source = document.source  # frozen fields stay as they are; this is where they came from
     return method

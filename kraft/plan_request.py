@@ -19,7 +19,7 @@ from kraft.planners import PLANNERS
 from kraft.planning import PlanResult, budget_of, plan_task
 from kraft.previous import Previous
 from kraft.scenario import Planning, Task, load_scenario
-from kraft.text import choose
+from kraft.text import suggestion
 from kraft.vehicles.load import load_vehicle, vehicle_of_task
 from ompl_ext.vehicle import Vehicle
 
@@ -114,7 +114,7 @@ def _task(request: Request) -> Task:
         planning = planning.with_budget(iterations=request.iterations, time=request.time)
     if request.planner is not None:
         if request.planner not in PLANNERS:
-            raise InputError.of("--planner", f"is {request.planner!r}", choose(request.planner, PLANNERS))
+            raise InputError.of("--planner", f"is {request.planner!r}", suggestion(request.planner, PLANNERS))
         planning = planning.model_copy(update={"planner": request.planner})
     return dataclasses.replace(task, planning=planning)
 

@@ -9,7 +9,7 @@ from typing import Final
 from kraft.errors import InputError
 from kraft.planners import PLANNERS
 from kraft.previous import Previous
-from kraft.text import choose
+from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 from ompl_ext.solver import Dirt, Progress
@@ -46,7 +46,7 @@ def search_of(planner: str) -> Search:
         InputError: if there is no planner of this name.
     """
     if planner not in _SEARCHES:
-        raise InputError.of(planner, "there is no planner of this name", choose(planner, _SEARCHES))
+        raise InputError.of(planner, "there is no planner of this name", suggestion(planner, _SEARCHES))
     return _SEARCHES[planner]
 
 

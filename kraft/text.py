@@ -30,7 +30,7 @@ def nearest(word: str, options: Iterable[str]) -> str | None:
     return folded[close[0]] if close else None
 
 
-def choose(word: str, options: Iterable[str], *, none: str = "there is nothing to choose from") -> str:
+def suggestion(word: str, options: Iterable[str], *, none: str = "there is nothing to choose from") -> str:
     """Say what to write instead of ``word``: the near miss if there is one, else all ``options``."""
     options = list(options)
     near = nearest(word, options)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from kraft import environment
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.environment import REQUIRED, Finding
 from kraft.planners import PLANNERS
 from kraft_cli.main import main
@@ -36,7 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_valid_files_are_said_to_be_what_they_are(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["validate", "good.yaml", str(resources.folder("vehicle") / "mushr.yaml")]) == 0
+    assert main(["validate", "good.yaml", str(bundled.folder("vehicle") / "mushr.yaml")]) == 0
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == "good.yaml: valid scenario"
     assert out.splitlines()[1].endswith("mushr.yaml: valid vehicle")
@@ -44,7 +44,7 @@ def test_valid_files_are_said_to_be_what_they_are(folder: Path, capsys: pytest.C
 
 
 def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["validate", *resources.names("scenario"), *resources.names("vehicle")]) == 0
+    assert main(["validate", *bundled.names("scenario"), *bundled.names("vehicle")]) == 0
     assert capsys.readouterr().err == ""
 
 
@@ -94,7 +94,7 @@ def test_lists_name_and_describe_what_there_is(what: str, capsys: pytest.Capture
 def test_methods_are_what_the_folder_holds(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "methods", "--json"]) == 0
     items = json.loads(capsys.readouterr().out)["items"]
-    assert tuple(item["name"] for item in items) == resources.names("method")
+    assert tuple(item["name"] for item in items) == bundled.names("method")
 
 
 def test_the_planners_listed_are_those_a_scenario_may_name() -> None:

@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.method import Clearance, Filter, Geometric, Kinodynamic, Method, Planner, load_method
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS
@@ -55,7 +55,7 @@ def test_the_method_shown_is_the_bundled_one(tmp_path: Path) -> None:
 
 def test_the_table_of_methods_is_the_bundled_ones() -> None:
     rows = re.findall(r"^\| `([\w-]+)` \| ((?:one-shot|replanning) .*) \|$", TEXT, re.MULTILINE)
-    assert sorted(name for name, _ in rows) == sorted(resources.names("method"))
+    assert sorted(name for name, _ in rows) == sorted(bundled.names("method"))
     for name, row in rows:
         method = load_method(name)
         planner, safety = method.planner, method.planner.safety

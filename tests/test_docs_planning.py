@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.plan_file import Origin, plan_text
 from kraft.planning import plan_task
 from kraft.scenario import load_scenario
@@ -36,7 +36,7 @@ def test_the_vehicle_file_shown_is_that_of_mushr(tmp_path: Path) -> None:
 
 
 def test_every_bundled_vehicle_is_described() -> None:
-    for name in resources.names("vehicle"):
+    for name in bundled.names("vehicle"):
         vehicle = load_vehicle(name)
         rows = [line for line in VEHICLES.splitlines() if line.startswith(f"| `{name}` |")]
         assert any(", ".join(vehicle.state) in row for row in rows)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.evaluation import markdown, summary, tables
 from kraft.evaluation.experiment import METHODS, SCENARIOS, Experiment, experiment_of
 from kraft.evaluation.manifest import manifest_of
@@ -92,7 +92,7 @@ def test_without_success_there_is_no_mean_and_without_kraft_no_comparison() -> N
 
 def test_the_papers_rows_add_up_to_their_trials() -> None:
     found = 0
-    for scenario in resources.names("scenario"):
+    for scenario in bundled.names("scenario"):
         for method in METHODS:
             row = paper_row(scenario, method)
             if row is None:

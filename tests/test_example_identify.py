@@ -1,4 +1,4 @@
-"""The script that makes the bundled numbers does what `kraft record` and `kraft sysid` do, and writes only if asked to."""
+"""The script that makes the before numbers does what `kraft record` and `kraft sysid` do, and writes only if asked to."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 
@@ -27,7 +27,7 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> int:
 def test_it_identifies_three_models_as_the_commands_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bundled = {name: (resources.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS}
+    before = {name: (bundled.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS}
     assert run(tmp_path / "all", monkeypatch) == 0
     told = capsys.readouterr().out
     assert "mushr-drive:" in told
@@ -36,7 +36,7 @@ def test_it_identifies_three_models_as_the_commands_do(
     assert len(re.findall(heading, told, re.M)) == 3
     assert len(re.findall(r"^    OPEN LOOP, held-out logs  1 s {5,8}2 s", told, re.M)) == 3
     assert all((tmp_path / "all" / f"{name}.png").stat().st_size > 50_000 for name in MODELS)
-    assert {name: (resources.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS} == bundled
+    assert {name: (bundled.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS} == before
     monkeypatch.chdir(tmp_path)
     assert main(["record", "--runs", "8", "--out", "logs", "-q"]) == 0
     assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--out", "mushr-lag.yaml", "-q"]) == 0
@@ -45,10 +45,10 @@ def test_it_identifies_three_models_as_the_commands_do(
 
 def test_what_it_bundles_keeps_head_name_bounds_and_priors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in MODELS:
-        (tmp_path / f"{name}.yaml").write_bytes((resources.folder("vehicle") / f"{name}.yaml").read_bytes())
+        (tmp_path / f"{name}.yaml").write_bytes((bundled.folder("vehicle") / f"{name}.yaml").read_bytes())
     before = {name: load_vehicle_config(tmp_path / f"{name}.yaml") for name in MODELS}
-    real = resources.folder
-    monkeypatch.setattr(resources, "folder", lambda kind: tmp_path if kind == "vehicle" else real(kind))
+    real = bundled.folder
+    monkeypatch.setattr(bundled, "folder", lambda kind: tmp_path if kind == "vehicle" else real(kind))
     assert run(tmp_path / "all", monkeypatch, "--write") == 0
     for name in MODELS:
         lines = (tmp_path / f"{name}.yaml").read_text().splitlines()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kraft.checking import check_file
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.errors import InputError
 from kraft.method import Filter, Kinodynamic, Latest, load_method
 
@@ -24,9 +24,9 @@ def problems_of(folder: Path, text: str) -> list[str]:
     return [str(problem).removeprefix(f"{folder / 'm.yaml'}:") for problem in check_file(folder / "m.yaml").problems]
 
 
-@pytest.mark.parametrize("name", resources.names("method"))
+@pytest.mark.parametrize("name", bundled.names("method"))
 def test_a_bundled_method_is_described_and_names_its_schema(name: str) -> None:
-    text = (resources.folder("method") / f"{name}.yaml").read_text(encoding="utf-8")
+    text = (bundled.folder("method") / f"{name}.yaml").read_text(encoding="utf-8")
     assert text.splitlines()[0] == "# yaml-language-server: $schema=method.schema.json"
     method = load_method(name)
     assert method.name == name

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from kraft import json_schema
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.errors import InputError
 from kraft.scenario import (
     Bounds,
@@ -50,7 +50,7 @@ SCENES = (*PAPER, *HALLS)
 
 
 def test_the_eight_scenes_of_the_paper_and_the_training_halls_are_bundled() -> None:
-    assert resources.names("scenario") == tuple(sorted(SCENES))
+    assert bundled.names("scenario") == tuple(sorted(SCENES))
 
 
 @pytest.mark.parametrize("name", PAPER)
@@ -128,7 +128,7 @@ def test_the_bumps_leave_no_way_around() -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_bundled_scene_names_its_schema_for_editors(name: str) -> None:
-    path = resources.folder("scenario") / f"{name}.yaml"
+    path = bundled.folder("scenario") / f"{name}.yaml"
     first = path.read_text(encoding="utf-8").splitlines()[0]
     assert first == "# yaml-language-server: $schema=scenario.schema.json"
 
@@ -233,7 +233,7 @@ def test_a_scenario_built_in_code_has_no_places_and_says_so_without_failing() ->
 def test_a_later_check_can_point_into_the_file() -> None:
     scene = load_scenario("turns")
     line = str(scene.source.diagnostic("obstacles[4].box.size", "too large", "expected less"))
-    assert line.startswith(f"{resources.folder('scenario') / 'turns.yaml'}:")
+    assert line.startswith(f"{bundled.folder('scenario') / 'turns.yaml'}:")
     assert ": obstacles[4].box.size: too large; expected less" in line
 
 

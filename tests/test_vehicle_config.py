@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.errors import InputError
 from kraft.vehicles.config import Footprint, load_vehicle_config
 from kraft.vehicles.mushr import MUSHR_LAG
@@ -30,7 +30,7 @@ def problems_of(folder: Path, text: str) -> list[str]:
 
 
 def test_the_five_vehicles_are_bundled() -> None:
-    assert resources.names("vehicle") == ("benchmark", "mushr", "mushr-drive", "mushr-lag", "unicycle2")
+    assert bundled.names("vehicle") == ("benchmark", "mushr", "mushr-drive", "mushr-lag", "unicycle2")
 
 
 @pytest.mark.parametrize(
@@ -58,9 +58,9 @@ def test_the_lag_is_the_benchmarks_rate_seen_as_a_time() -> None:
     assert MUSHR_LAG.parameters["tau"] == pytest.approx(1 / rate, abs=1e-4)
 
 
-@pytest.mark.parametrize("name", resources.names("vehicle"))
+@pytest.mark.parametrize("name", bundled.names("vehicle"))
 def test_a_bundled_vehicle_is_described_and_names_its_schema(name: str) -> None:
-    text = (resources.folder("vehicle") / f"{name}.yaml").read_text(encoding="utf-8")
+    text = (bundled.folder("vehicle") / f"{name}.yaml").read_text(encoding="utf-8")
     assert text.splitlines()[0] == "# yaml-language-server: $schema=vehicle.schema.json"
     assert load_vehicle_config(name).description
 

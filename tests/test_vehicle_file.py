@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sysid_fakes import estimated, fake_identification, fake_log, fake_predicted, fake_windows
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.errors import InputError
 from kraft.sysid.comparison import no_better
 from kraft.sysid.forecast import Forecast
@@ -125,10 +125,10 @@ def test_a_bundled_file_written_anew_keeps_its_head_and_its_priors() -> None:
     before = load_vehicle_config("mushr")
     subject = load_subject("mushr")
     lines = vehicle_text(
-        resources.folder("vehicle"), before.name, before.description, ["# head"], subject, RESULT.parameters, RECORD,
+        bundled.folder("vehicle"), before.name, before.description, ["# head"], subject, RESULT.parameters, RECORD,
         tighten=False,
     ).splitlines()  # fmt: skip
-    old = (resources.folder("vehicle") / "mushr.yaml").read_text().splitlines()
+    old = (bundled.folder("vehicle") / "mushr.yaml").read_text().splitlines()
     assert lines[0] == "# head"
     assert lines[1:4] == [line for line in old if not line.startswith("#")][:3]
     assert "  L: {value: 0.33, unit: m, min: 0.15, max: 0.6, std: 0.03, description: wheelbase}" in lines
@@ -169,7 +169,7 @@ def test_a_file_of_somebody_else_is_not_replaced(name: str, content: str | None,
 def test_an_identified_file_may_be_replaced(tmp_path: Path) -> None:
     written(tmp_path / "mine.yaml")
     check_target(tmp_path / "mine.yaml")
-    bundled = resources.folder("vehicle") / "unicycle2.yaml"
+    bundled = bundled.folder("vehicle") / "unicycle2.yaml"
     with pytest.raises(InputError, match="did not write it"):
         check_target(bundled)
 

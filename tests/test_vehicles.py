@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pytest
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.errors import InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.config import load_vehicle_config
@@ -37,7 +37,7 @@ def after(vehicle: Vehicle, state: list[float], control: list[float], seconds: f
     return x
 
 
-@pytest.mark.parametrize("name", resources.names("vehicle"))
+@pytest.mark.parametrize("name", bundled.names("vehicle"))
 def test_a_bundled_file_fits_its_model(name: str) -> None:
     config, vehicle = load_vehicle_config(name), load_vehicle(name)
     assert vehicle.name == name

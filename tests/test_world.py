@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from world_fixtures import drive, open_world
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.scenario import Goal, Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation import World
 from kraft.workspace import planar_obstacle
@@ -20,7 +20,7 @@ from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Footprint
 
 FRONT = 0.21415
-SCENES = resources.names("scenario")
+SCENES = bundled.names("scenario")
 SHAPES = """
 name: shapes
 bounds: {x: [0, 6], y: [0, 6]}

@@ -9,7 +9,7 @@ from typing import Final, Literal, TypeAlias
 
 from kraft.config.yaml_reader import read_document
 from kraft.errors import InputError, MissingAsset
-from kraft.text import choose, nearest
+from kraft.text import nearest, suggestion
 
 Kind: TypeAlias = Literal["scenario", "vehicle", "method"]
 
@@ -68,7 +68,7 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
     if isinstance(name_or_path, str) and is_name(name_or_path):
         if name_or_path in names(kind):
             return folder(kind) / f"{name_or_path}.yaml"
-        expected = choose(name_or_path, names(kind), none=f"no {kind} comes with kraft")
+        expected = suggestion(name_or_path, names(kind), none=f"no {kind} comes with kraft")
         raise InputError.of(
             name_or_path, f"there is no {kind} of this name", f"{expected} (or the path of a .yaml file)"
         )

@@ -15,7 +15,7 @@ from kraft.config.schema import FileModel
 from kraft.config.source import KeyPath, Source
 from kraft.config.yaml_reader import Document, Value, read_document
 from kraft.errors import Diagnostic, InputError
-from kraft.text import choose, nearest
+from kraft.text import nearest, suggestion
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -142,18 +142,18 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
         return source.diagnostic((*path, *context["at"]), context["problem"], context["expected"])
     if kind == "extra_forbidden":
         siblings = lookup(model, detail["loc"][:-1]).keys
-        return source.diagnostic(path, "unknown key", choose(str(path[-1]), siblings), at_key=True)
+        return source.diagnostic(path, "unknown key", suggestion(str(path[-1]), siblings), at_key=True)
     if kind in ("missing", "union_tag_not_found"):
         return _missing(source, path, known, "kind" if kind == "union_tag_not_found" else "")
     if kind == "union_tag_invalid":
         tags = [tag.strip(" '") for tag in context["expected_tags"].split(",")]
-        return source.diagnostic((*path, "kind"), f"is {describe(given['kind'])}", choose(context["tag"], tags))
+        return source.diagnostic((*path, "kind"), f"is {describe(given['kind'])}", suggestion(context["tag"], tags))
     if kind == "too_long":
         return source.diagnostic(path, "the list is too long", f"expected {context['max_length']} items{about}")
     if kind == "too_short":
         return source.diagnostic(path, "the list is too short", f"expected {context['min_length']} items or more")
     if kind == "literal_error":
-        return source.diagnostic(path, f"is {describe(given)}", choose(str(given), known.choices))
+        return source.diagnostic(path, f"is {describe(given)}", suggestion(str(given), known.choices))
     if kind in _LIMITS:
         key, words = _LIMITS[kind]
         return source.diagnostic(path, f"is {describe(given)}", f"expected a number {words} {context[key]:g}{about}")

@@ -15,7 +15,7 @@ from kraft.evaluation.experiment import Experiment
 from kraft.files import write_whole
 from kraft.method import Method
 from kraft.plan_file import vehicle_content
-from kraft.provenance import plain, plain_hash, versions
+from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.scenario import Scenario
 
 NAME: Final = "manifest.json"

@@ -13,7 +13,7 @@ from kraft.logs.mapping import Mapping
 from kraft.logs.names import parse
 from kraft.logs.pick import HOW, Picked, missing
 from kraft.logs.table import Table
-from kraft.text import choose
+from kraft.text import suggestion
 
 _TOPIC_HINTS: Final = {
     **dict.fromkeys(("mocap", "vicon", "vrpn", "optitrack", "qualisys", "aruco", "apriltag", "marker", "camera"), 10),
@@ -72,7 +72,7 @@ def named(tables: Sequence[Table], name: str | None, mapping: Mapping, *path: st
     found = [table for table in tables if name in (table.name, table.topic, table.file)]
     if not found:
         files = ", ".join(dict.fromkeys(table.file for table in tables))
-        expected = choose(name, [table.name for table in tables])
+        expected = suggestion(name, [table.name for table in tables])
         raise InputError([mapping.source.diagnostic(path, f"there is no {name!r} in {files}", expected)])
     return found
 

@@ -12,7 +12,7 @@ from kraft.logs.mapping import Mapping
 from kraft.logs.names import parse
 from kraft.logs.pick import Picked, Picker
 from kraft.logs.table import Table
-from kraft.text import choose as suggest
+from kraft.text import suggestion
 
 
 def guess_commands(
@@ -50,7 +50,7 @@ def unknown_controls(controls: Sequence[str], mapping: Mapping) -> list[Diagnost
     """Controls that the mapping file has columns for, and the vehicle has not."""
     return [
         mapping.source.diagnostic(
-            ("commands", "controls", name), "is no control of the vehicle", suggest(name, controls), at_key=True
+            ("commands", "controls", name), "is no control of the vehicle", suggestion(name, controls), at_key=True
         )
         for name in mapping.commands.controls
         if name not in controls

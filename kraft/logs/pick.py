@@ -17,7 +17,7 @@ from kraft.logs.mapping import Column, Mapping
 from kraft.logs.names import parse
 from kraft.logs.table import LOG_TIME, STAMP, Table
 from kraft.logs.units import ALLOWED, Quantity, Unit
-from kraft.text import choose, nearest
+from kraft.text import nearest, suggestion
 
 Score = Callable[[str], int | None]
 SPELT: Final = 4
@@ -74,7 +74,7 @@ class Picker:
         """Take the column that the mapping file names."""
         if wish.column not in self.table.columns:
             problem = f"there is no column {wish.column!r} in {self.table.name}"
-            said = self.mapping.source.diagnostic(path, problem, choose(wish.column, self.table.columns))
+            said = self.mapping.source.diagnostic(path, problem, suggestion(wish.column, self.table.columns))
             return Picked(None, problem=said)
         channel = self.channel(role, wish.column, quantity, wish.unit)
         place = self.mapping.source.diagnostic(path, "", "")

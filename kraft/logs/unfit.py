@@ -14,7 +14,7 @@ from kraft.logs.guess_commands import unknown_controls
 from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.pick import written_at
 from kraft.logs.table import Table
-from kraft.text import choose
+from kraft.text import suggestion
 
 _SHOWN: Final = 3
 """Names of tables in one sentence."""
@@ -73,11 +73,11 @@ def _missing(
     among = [each for each in tables if table is None or table in (each.name, each.file)]
     if not among:
         problem = f"there is no {table!r} in {_some([each.file for each in tables])}"
-        yield mapping.source.diagnostic(family, problem, choose(str(table), dict.fromkeys(t.name for t in tables)))
+        yield mapping.source.diagnostic(family, problem, suggestion(str(table), dict.fromkeys(t.name for t in tables)))
     elif column is not None and not any(column.column in each.columns for each in among):
         problem = f"there is no column {column.column!r} in {_some([each.name for each in among])}"
         known = dict.fromkeys(name for each in among for name in each.columns)
-        yield mapping.source.diagnostic(written_at(path, mapping), problem, choose(column.column, known))
+        yield mapping.source.diagnostic(written_at(path, mapping), problem, suggestion(column.column, known))
 
 
 def _foreign(where: str, controls: Sequence[str], mapping: Mapping, tables: Sequence[Table]) -> list[Diagnostic]:

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from kraft.errors import InputError
 from kraft.files import check_writable, write_whole
-from kraft.provenance import plain, plain_hash, versions
+from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.recording.recorder import Recording
 from kraft.scenario import Scenario
 from ompl_ext.arrays import Matrix

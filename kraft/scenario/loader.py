@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.config.source import KeyPath
 from kraft.config.validation import check, part
 from kraft.config.yaml_reader import Document, Value, parse_document, read_document
@@ -26,7 +26,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     Raises:
         InputError: with every problem of the file, or if there is no such name or file.
     """
-    path = resources.find("scenario", name_or_path)
+    path = bundled.find("scenario", name_or_path)
     return scenario_from(read_document(path), path.parent)
 
 

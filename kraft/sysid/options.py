@@ -10,7 +10,7 @@ from typing import Final, Literal
 from kraft.errors import Diagnostic, InputError
 from kraft.parameter_items import parse_parameters
 from kraft.sysid.settings import Extras, Noise, Settings
-from kraft.text import choose
+from kraft.text import suggestion
 
 GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
 
@@ -42,7 +42,7 @@ def settings_of(options: Options) -> Settings:
         noise = _noise(options.pose_noise, problems)
     graph = next((known for known in GRAPHS if known == options.graph), None)
     if graph is None:
-        problems.append(Diagnostic("--graph", f"is {options.graph!r}", choose(options.graph, GRAPHS)))
+        problems.append(Diagnostic("--graph", f"is {options.graph!r}", suggestion(options.graph, GRAPHS)))
     if problems or graph is None:
         raise InputError(problems)
     frozen, extras = _names(options.freeze), _extras(options.extras)

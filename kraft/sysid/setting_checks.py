@@ -10,7 +10,7 @@ from kraft.sysid.extras import extras_of
 from kraft.sysid.parameters import out_of_bounds, stated_numbers, vehicle_of
 from kraft.sysid.selection import to_try
 from kraft.sysid.settings import Settings
-from kraft.text import choose
+from kraft.text import suggestion
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 
@@ -57,7 +57,7 @@ def _unknown(vehicle: Vehicle, settings: Settings) -> list[Diagnostic]:
         ("control_noise", tuple(settings.control_noise), list(vehicle.controls), "control"),
     ]
     return [
-        Diagnostic(setting, f"{vehicle.name} has no {kind} {name}", choose(name, options))
+        Diagnostic(setting, f"{vehicle.name} has no {kind} {name}", suggestion(name, options))
         for setting, names, options, kind in questions
         for name in names
         if name not in options

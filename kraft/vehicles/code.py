@@ -12,7 +12,7 @@ from types import ModuleType
 
 import ompl_ext
 from kraft.errors import InputError
-from kraft.text import choose
+from kraft.text import suggestion
 from kraft.vehicles.reference import split_file
 from ompl_ext.vehicle import Vehicle
 
@@ -82,11 +82,11 @@ def _import_error(error: BaseException, subject: str) -> InputError:
 def _attribute(module: ModuleType, attribute: str, subject: str) -> Vehicle:
     vehicles = _vehicles(module)
     if not hasattr(module, attribute):
-        expected = choose(attribute, vehicles, none="expected the name of a Vehicle, and it defines none")
+        expected = suggestion(attribute, vehicles, none="expected the name of a Vehicle, and it defines none")
         raise InputError.of(subject, f"there is no {attribute} in {_place(module)}", expected)
     value = getattr(module, attribute)
     if not isinstance(value, Vehicle):
-        expected = choose(attribute, vehicles, none="expected an ompl_ext.vehicle.Vehicle")
+        expected = suggestion(attribute, vehicles, none="expected an ompl_ext.vehicle.Vehicle")
         raise InputError.of(subject, f"{attribute} is of type {type(value).__name__}, not a Vehicle", expected)
     return value
 

@@ -16,12 +16,12 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from kraft.config import bundled as resources
+from kraft.config import bundled
 from kraft.config.schema import FileModel, Length, NonNegative, Positive, refuse
 from kraft.config.source import Source
 from kraft.config.validation import build, describe, read_model
 from kraft.errors import Diagnostic, InputError
-from kraft.text import choose
+from kraft.text import suggestion
 from kraft.vehicles.reference import is_attribute, split_file
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
@@ -142,7 +142,7 @@ class VehicleConfig(FileModel):
             InputError: for parameters that the vehicle does not have and values outside their limits.
         """
         problems = [
-            Diagnostic(name, f"{self.name} has no such parameter", choose(name, self.parameters))
+            Diagnostic(name, f"{self.name} has no such parameter", suggestion(name, self.parameters))
             for name in values
             if name not in self.parameters
         ]
@@ -166,7 +166,7 @@ def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
     Raises:
         InputError: with every problem of the file, or if there is no such name or file.
     """
-    path = resources.find("vehicle", name_or_path)
+    path = bundled.find("vehicle", name_or_path)
     config, document = read_model(path, VehicleConfig)
     config._source = document.source  # frozen fields stay as they are; this is where they came from
     return config

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kraft.errors import Diagnostic, InputError
 from kraft.scenario import Task
-from kraft.text import choose
+from kraft.text import suggestion
 from kraft.vehicles.check import check_functions
 from kraft.vehicles.code import vehicle_of
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
@@ -65,7 +65,7 @@ def configured(config: VehicleConfig) -> Vehicle:
         config.source.diagnostic(
             ("parameters", name),
             f"{model.name} has no such parameter",
-            choose(name, model.parameters, none=f"{model.name} has no parameters"),
+            suggestion(name, model.parameters, none=f"{model.name} has no parameters"),
             at_key=True,
         )
         for name in config.parameters
@@ -95,7 +95,7 @@ def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicl
     if unknown:
         none = f"{vehicle.name} has no parameters"
         raise InputError(
-            Diagnostic(name, f"{vehicle.name} has no such parameter", choose(name, vehicle.parameters, none=none))
+            Diagnostic(name, f"{vehicle.name} has no such parameter", suggestion(name, vehicle.parameters, none=none))
             for name in unknown
         )
     return vehicle.with_parameters(parameters)

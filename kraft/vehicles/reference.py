@@ -9,8 +9,8 @@ import os
 import re
 from pathlib import Path
 
-from kraft.config import bundled as resources
-from kraft.text import choose
+from kraft.config import bundled
+from kraft.text import suggestion
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
 _FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTALL)
@@ -49,11 +49,11 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
         return _existing(folder / file, "a Python file") + (f":{attribute}" if attribute else "")
     if is_attribute(reference):
         return reference
-    if ":" in reference and resources.is_name(reference):
+    if ":" in reference and bundled.is_name(reference):
         raise VehicleProblem(f"{reference!r} is not a module and an attribute", "expected module:attribute")
-    if resources.is_name(reference):
-        if reference not in resources.names("vehicle"):
-            raise VehicleProblem(f"there is no vehicle {reference!r}", choose(reference, resources.names("vehicle")))
+    if bundled.is_name(reference):
+        if reference not in bundled.names("vehicle"):
+            raise VehicleProblem(f"there is no vehicle {reference!r}", suggestion(reference, bundled.names("vehicle")))
         return reference
     return _existing(folder / reference, "a vehicle's YAML file")
 

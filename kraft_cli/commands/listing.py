@@ -29,14 +29,14 @@ def list_(
 
 
 def _described(what: str) -> dict[str, str]:
-    from kraft.config import bundled as resources
+    from kraft.config import bundled
     from kraft.errors import InputError
     from kraft.planners import PLANNERS
-    from kraft.text import choose
+    from kraft.text import suggestion
 
     if what == "planners":
         return PLANNERS
-    kinds: dict[str, resources.Kind] = {"scenarios": "scenario", "methods": "method", "vehicles": "vehicle"}
+    kinds: dict[str, bundled.Kind] = {"scenarios": "scenario", "methods": "method", "vehicles": "vehicle"}
     if what not in kinds:
-        raise InputError.of(what, "cannot be listed", choose(what, THINGS))
-    return resources.descriptions(kinds[what])
+        raise InputError.of(what, "cannot be listed", suggestion(what, THINGS))
+    return bundled.descriptions(kinds[what])
