@@ -1,4 +1,4 @@
-"""The script that makes the before numbers does what `kraft record` and `kraft sysid` do, and writes only if asked to."""
+"""The script that makes the bundled numbers does what `kraft record` and `kraft sysid` do, and writes only if asked to."""
 
 from __future__ import annotations
 

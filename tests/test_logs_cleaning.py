@@ -10,9 +10,8 @@ from log_fixtures import Drive, drive, wide_columns, wrapped, write_pair, write_
 
 from kraft.errors import InputError
 from kraft.logs.log import Finding, Log
-from kraft.logs.motion import extent
+from kraft.logs.motion import extent, tracks
 from kraft.logs.reader import read_logs
-from kraft.logs.teleports import tracks
 
 MADE = drive()
 TIMES = np.arange(0.025, 5.9, 0.025)

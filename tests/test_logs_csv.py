@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from log_fixtures import Drive, drive, wide_columns, wrapped, write_pair, write_table, write_wide
 
 from kraft.errors import InputError
-from kraft.logs.candidate import Candidate, each_once
-from kraft.logs.columns import axis_score, control_score, time_score, yaw_score
 from kraft.logs.csv_table import read_csv
+from kraft.logs.discover import Candidate, each_once
 from kraft.logs.log import Log
-from kraft.logs.names import parse
+from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
 from kraft.logs.reader import read_logs
 from kraft.run_folder import _step_heading
 from kraft.vehicles.load import load_vehicle

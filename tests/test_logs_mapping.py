@@ -11,12 +11,11 @@ from log_fixtures import Bag, drive, nanoseconds, wide_columns, write_table, wri
 
 from kraft.checking import check_file
 from kraft.errors import InputError
-from kraft.logs.guess_commands import guess_commands
+from kraft.logs.guess import guess_commands
 from kraft.logs.log import Log
 from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import CONTROLS, read_logs
+from kraft.logs.reader import CONTROLS, heading, read_logs, unfit
 from kraft.logs.table import Table
-from kraft.logs.unfit import heading, unfit
 
 MADE = drive()
 TIMES = np.arange(0.025, 5.9, 0.025)

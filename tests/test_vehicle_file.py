@@ -169,9 +169,9 @@ def test_a_file_of_somebody_else_is_not_replaced(name: str, content: str | None,
 def test_an_identified_file_may_be_replaced(tmp_path: Path) -> None:
     written(tmp_path / "mine.yaml")
     check_target(tmp_path / "mine.yaml")
-    bundled = bundled.folder("vehicle") / "unicycle2.yaml"
+    unicycle = bundled.folder("vehicle") / "unicycle2.yaml"
     with pytest.raises(InputError, match="did not write it"):
-        check_target(bundled)
+        check_target(unicycle)
 
 
 @pytest.mark.parametrize(

@@ -10,17 +10,11 @@ import numpy as np
 from kraft.errors import Diagnostic, InputError
 from kraft.logs import reports
 from kraft.logs.choice import Choice
-from kraft.logs.commands import Commands, merge
-from kraft.logs.dead_man import held_intervals, interval_of
-from kraft.logs.findings import Findings
-from kraft.logs.log import Array, Finding, Part
+from kraft.logs.log import Array, Finding, Findings, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGED, extent
-from kraft.logs.parts import POSES_MIN, make_part, pose_gap, stretches
-from kraft.logs.planar import planar
-from kraft.logs.samples import Samples, read_samples
-from kraft.logs.table import Rows
-from kraft.logs.teleports import stale, top_speed, tracks
+from kraft.logs.motion import AVERAGED, OUTLIER, extent, stale, top_speed, tracks
+from kraft.logs.samples import GAP_LEAST, GAP_STEPS, Commands, Samples, held_intervals, interval_of, merge, read_samples
+from kraft.logs.table import Flags, Rows
 from kraft.logs.unit_checks import check_units
 from kraft.text import counted
 
@@ -137,3 +131,77 @@ def _check_motion(poses: Samples, parts: tuple[Part, ...], limits: Limits) -> No
         expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
         fact = f"the vehicle gets {way:.2g} m far (between means over up to {AVERAGED:g} s)"
         raise poses.refuse(f"there is no motion: {fact}", expected)
+
+
+HISTORY: Final = 1.0
+"""How long before a part's first pose its commands begin, if they do, s: the vehicle may obey them late."""
+POSES_MIN: Final = 3
+
+
+def pose_gap(times: Array, limits: Limits) -> float:
+    """How long poses may be missing within a part, s."""
+    return limits.pose_gap or max(GAP_LEAST, GAP_STEPS * float(np.median(np.diff(times))))
+
+
+def stretches(poses: Samples, tracks: Rows, held: Rows, commands: Commands, gap: float) -> list[Rows]:
+    """Indices of the poses of each part.
+
+    Args:
+        poses: all of them.
+        tracks: number of each one's track, shape (n,).
+        held: number of each one's interval of the dead-man switch, negative while it is released, shape (n,).
+        commands: to leave out what is driven without.
+        gap: longest time without poses within a part, s.
+    """
+    index = commands.in_force(poses.times)
+    run = np.searchsorted(commands.gaps, index, side="left")  # changes where the commands had a gap
+    good: Flags = (index >= 0) & (tracks != OUTLIER) & (held >= 0)
+    chosen = np.flatnonzero(good)
+    if not len(chosen):
+        return []
+    marks = np.column_stack([tracks, held, run])[chosen]
+    breaks = (np.diff(poses.times[chosen]) > gap) | np.any(np.diff(marks, axis=0) != 0, axis=1)
+    return np.split(chosen, np.flatnonzero(breaks) + 1)
+
+
+def make_part(times: Array, poses: Array, commands: Commands, since: float) -> Part:
+    """Make a part of its poses, shape (n, 3), and of the commands from at most `HISTORY` before them.
+
+    ``since`` is when commands began to be obeyed, s: one that was in force before then counts from then.
+    """
+    begin = max(since, times[0] - HISTORY)
+    first = max(0, int(np.searchsorted(commands.times, begin, side="right")) - 1)
+    started = int(commands.in_force(times[:1])[0])
+    gaps = commands.gaps
+    before = gaps[(gaps >= first) & (gaps < started)]
+    if len(before):
+        first = int(before[-1]) + 1
+    last = int(np.searchsorted(commands.times, times[-1], side="right"))
+    command_times = np.maximum(commands.times[first:last], since)
+    whole = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    return Part(command_times, commands.values[first:last].copy(), times.copy(), whole)
+
+
+UPRIGHT: Final = 0.7
+"""Cosine of the tilt beyond which a vehicle does not stand on its wheels."""
+
+
+def planar(poses: Samples, findings: Findings) -> tuple[Samples, Array]:
+    """Poses that have an orientation, and these as x, y and yaw, shape (n, 3).
+
+    Raises:
+        InputError: if none has.
+    """
+    if poses.stream.roles[2] == "yaw":
+        return poses, poses.values
+    none = np.linalg.norm(poses.values[:, 2:], axis=1) < 0.5  # trackers write zeros when they see nothing
+    if none.all():
+        columns = ", ".join(channel.column for channel in poses.stream.channels[2:])
+        raise poses.refuse(f"{columns} are no orientation", "expected a quaternion of length 1", 0)
+    reports.left_out("nan", poses, none, "have no orientation", findings)
+    poses = poses.keep(~none)
+    x, y, z, w = (poses.values[:, 2:] / np.linalg.norm(poses.values[:, 2:], axis=1, keepdims=True)).T
+    if np.median(1 - 2 * (x * x + y * y)) < UPRIGHT:
+        findings.add("tilted", 1, f"{poses.stream.table.name}: the vehicle does not stand upright; is z not up?")
+    yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return poses, np.column_stack([poses.values[:, :2], yaw])

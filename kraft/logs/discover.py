@@ -5,14 +5,20 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from os.path import realpath
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
+
+import numpy as np
 
 from kraft.errors import Diagnostic, InputError
-from kraft.logs.candidate import BAGS, COMPRESSED, Candidate, each_once
-from kraft.logs.grouping import group
+from kraft.logs.csv_table import read_heading
+from kraft.logs.guess import offers
 from kraft.logs.mapping import Mapping
-from kraft.text import nearest
+from kraft.logs.names import COMMAND, POSE, parse
+from kraft.logs.table import Table
+from kraft.text import counted, nearest
 
 CSV: Final = (".csv", ".tsv", ".txt")
 TRUTH: Final = "truth.csv"
@@ -118,3 +124,111 @@ def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:
     """Give candidates of the same name (from different folders) the names of their files."""
     count = Counter(candidate.name for candidate in found)
     return [c if count[c.name] == 1 else Candidate(str(c.files[0]), c.kind, c.files) for c in found]
+
+
+BAGS: Final = (".bag", ".mcap", ".db3")
+COMPRESSED: Final = ".zstd"
+"""Of a file in the folder of a bag."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What looks like one log.
+
+    Attributes:
+        name: unique among those found together.
+        kind: how to read it.
+        files: CSV files, or the one file or folder of a bag.
+    """
+
+    name: str
+    kind: Literal["csv", "run", "bag"]
+    files: tuple[Path, ...]
+
+    @property
+    def place(self) -> Path:
+        """Its file, or the folder that holds its files."""
+        return self.files[0] if len(self.files) == 1 else self.files[0].parent
+
+    def content(self) -> frozenset[Path]:
+        """Files with its samples, under the one name that each has whatever links lead to it."""
+        if self.kind == "bag" and self.files[0].is_dir():
+            inside = self.files[0].iterdir()
+            return frozenset(Path(realpath(path)) for path in inside if path.suffix in (*BAGS, COMPRESSED))
+        return frozenset(Path(realpath(path)) for path in self.files)
+
+
+def each_once(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnostic]]:
+    """Leave out candidates whose files are all in one that is kept, and say so in one diagnostic.
+
+    A log that is fitted twice would count twice, and be held out to test the very fit that it is in.
+    """
+    owners: dict[Path, set[int]] = {}
+    kept: set[int] = set()
+    contents = [candidate.content() for candidate in found]
+    for i in sorted(range(len(found)), key=lambda i: -len(contents[i])):  # the whole before its parts
+        if not set.intersection(*(owners.setdefault(path, set()) for path in contents[i])):
+            kept.add(i)
+            for path in contents[i]:
+                owners[path].add(i)
+    again = list(dict.fromkeys(candidate.place for i, candidate in enumerate(found) if i not in kept))
+    said = []
+    if again:
+        others = f", as {'is' if len(again) == 2 else 'are'} {counted(len(again) - 1, 'other log')}"
+        problem = "is found more than once" + (others if len(again) > 1 else "")
+        said = [Diagnostic(str(again[0]), problem, "each log counts once")]
+    return [found[i] for i in sorted(kept)], said
+
+
+_HEAD = 65536  # bytes; a heading is in them
+
+
+def group(files: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> list[tuple[Path, ...]]:
+    """Group files of one folder: each group is a log. What is recognised as nothing is a group of its own."""
+    stated = _stated(files, mapping)
+    if stated:
+        return [stated]
+    whole: list[Path] = []
+    commands: list[Path] = []
+    poses: list[Path] = []
+    for path in files:
+        has_commands, has_poses = _offers(path, controls, mapping)
+        kind = commands if has_commands and not has_poses else poses if has_poses and not has_commands else whole
+        kind.append(path)
+    pairs = _pairs(commands, poses)
+    paired = {path for pair in pairs for path in pair}
+    return [*pairs, *((path,) for path in files if path not in paired)]
+
+
+def _stated(files: Sequence[Path], mapping: Mapping) -> tuple[Path, ...]:
+    """Files that the mapping file names, if all of them are here and there are several."""
+    tables = [mapping.commands.table, mapping.poses.table, mapping.dead_man.table if mapping.dead_man else None]
+    tables += [column.table for column in mapping.commands.controls.values()]
+    wanted = {table for table in tables if table is not None}
+    found = tuple(path for path in files if path.name in wanted)
+    return found if len(wanted) > 1 and len(found) == len(wanted) else ()
+
+
+def _offers(path: Path, controls: Sequence[str], mapping: Mapping) -> tuple[bool, bool]:
+    try:
+        with path.open("rb") as file:
+            names = read_heading(path, file.read(_HEAD))
+    except (InputError, OSError):  # said when the file is read as a log
+        return False, False
+    none = np.zeros(0)
+    return offers(Table(str(path), "", dict.fromkeys(names, none), none.astype(np.int64)), controls, mapping)
+
+
+def _pairs(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Path, ...]]:
+    """Pair files whose names differ only in the words for commands and poses, or the only two there are."""
+    if len(commands) == len(poses) == 1:
+        return [(commands[0], poses[0])]
+    partners: dict[tuple[str, ...], tuple[list[Path], list[Path]]] = {}
+    for kind, paths in enumerate((commands, poses)):
+        for path in paths:
+            partners.setdefault(_key(path), ([], []))[kind].append(path)
+    return [(a[0], b[0]) for a, b in partners.values() if len(a) == len(b) == 1]
+
+
+def _key(path: Path) -> tuple[str, ...]:
+    return tuple(word for word in parse(path.stem).words if word not in COMMAND | POSE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,23 @@ class Finding:
 
     def __str__(self) -> str:
         return self.text
+
+
+@dataclass
+class Findings:
+    """What was found so far, in the order in which it was found."""
+
+    found: list[Finding] = field(default_factory=list)
+
+    def add(self, kind: str, count: int, text: str) -> None:
+        """Note a finding; one that was not found even once is none."""
+        finding = Finding(kind, int(count), text)
+        if count and finding not in self.found:  # commands and poses may share their rows
+            self.found.append(finding)
+
+    def as_tuple(self) -> tuple[Finding, ...]:
+        """Return all of them."""
+        return tuple(self.found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,11 @@ from typing import Final
 import numpy as np
 
 from kraft.logs.choice import Choice
-from kraft.logs.commands import Commands, timeout
-from kraft.logs.findings import Findings
-from kraft.logs.log import Array
+from kraft.logs.log import Array, Findings
 from kraft.logs.mapping import Limits
-from kraft.logs.samples import Samples
+from kraft.logs.motion import OUTLIER
+from kraft.logs.samples import Commands, Samples, timeout
 from kraft.logs.table import Flags, Rows
-from kraft.logs.teleports import OUTLIER
 from kraft.text import counted
 
 DROPOUT_STEPS: Final = 1.6

@@ -9,8 +9,7 @@ import numpy as np
 
 from kraft.errors import Diagnostic, InputError
 from kraft.logs.choice import Channel
-from kraft.logs.findings import Findings
-from kraft.logs.log import Array
+from kraft.logs.log import Array, Findings
 from kraft.logs.motion import Chords, agreement, chords
 from kraft.logs.samples import Samples
 

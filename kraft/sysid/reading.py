@@ -11,8 +11,7 @@ from kraft.errors import InputError, NegativeResult
 from kraft.logs.discover import discover
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import read_logs
-from kraft.logs.unfit import UnfitError
+from kraft.logs.reader import UnfitError, read_logs
 from kraft.sysid.input import screened
 
 Say = Callable[[str], None]
