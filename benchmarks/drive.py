@@ -9,10 +9,10 @@ import numpy as np
 
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
-from kraft.method import load_method
+from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
-from kraft.trial import run_trial
-from kraft.trial_result import TrialSpec
+from kraft.trial.result import TrialSpec
+from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 
 SCENES = ("turns", "boxes", "slope", "slip", "bump", "movable")

@@ -15,7 +15,7 @@ from benchmarks.effort import Effort
 from benchmarks.judge import Judgement, judge
 from benchmarks.random_scenes import VEHICLES, RandomScene, random_scene, vehicle_named
 from benchmarks.report import Report, Target, row
-from kraft.kernel_cache import ensure_compiled
+from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 from ompl_ext.solver import Dirt

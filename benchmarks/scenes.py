@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kraft.planning.workspace import goal_of, start_state, workspace_of
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
-from kraft.workspace import goal_of, start_state, workspace_of
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Goal, Safety, Settings

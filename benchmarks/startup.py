@@ -13,12 +13,12 @@ from pathlib import Path
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.scenes import SCENES
-from kraft.kernel_cache import ensure_compiled
-from kraft.plan_file import NAME, Origin, plan_text
-from kraft.planning import plan_task
+from kraft.planning.compilation import ensure_compiled
+from kraft.planning.plan_file import NAME, Origin, plan_text
+from kraft.planning.plan_task import plan_task
+from kraft.planning.search import Budget
+from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario
-from kraft.search import Budget
-from kraft.vehicles.load import vehicle_of_task
 
 LAUNCHER = Path(__file__).with_name("launch.py")
 MEGABYTE = 1e6

@@ -19,14 +19,13 @@ from benchmarks.effort import Effort
 from benchmarks.exact import Body
 from benchmarks.random_scenes import RandomScene, random_scene, random_start, vehicle_named
 from benchmarks.report import Report, Target, row
-from kraft.control import make_controller
-from kraft.driving import Estimate, Kind, Reference
-from kraft.kernel_cache import ensure_compiled
-from kraft.method import Kinodynamic, OpenLoop, Planner
-from kraft.model import Model
-from kraft.proposer import Planners
-from kraft.replanner import Replanner
-from kraft.trial_result import Cycle
+from kraft.driving.car_model import Model
+from kraft.driving.control import make_controller
+from kraft.driving.messages import Cycle, Estimate, Kind, Reference
+from kraft.driving.method import Kinodynamic, OpenLoop, Planner
+from kraft.driving.proposer import Planners
+from kraft.driving.replanner import Replanner
+from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import Dirt

@@ -11,19 +11,19 @@ from pydantic import BaseModel
 from kraft.config import bundled
 from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
+from kraft.driving.method import Method
 from kraft.errors import Diagnostic, InputError
 from kraft.logs.mapping import Mapping
-from kraft.method import Method
-from kraft.placement import check_placement
-from kraft.plan_file import read_plan
-from kraft.plan_file_reader import SCHEMA as PLAN_SCHEMA
+from kraft.planning.feasibility import check_placement
+from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
+from kraft.planning.plan_file import read_plan
+from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
 from kraft.vehicles.config import VehicleConfig
-from kraft.vehicles.load import load_vehicle, vehicle_of_task
-from kraft.workspace import start_state
+from kraft.vehicles.load import load_vehicle
 
 FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]
 

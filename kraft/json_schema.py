@@ -13,8 +13,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from kraft.config import bundled
+from kraft.driving.method import Method
 from kraft.logs.mapping import Mapping
-from kraft.method import Method
 from kraft.scenario.schema import ScenarioFile
 from kraft.vehicles.config import VehicleConfig
 

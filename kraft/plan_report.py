@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from kraft.plan_request import Planned
-from kraft.planning import PlanResult
+from kraft.planning.plan_task import PlanResult
 from kraft.text import counted, grouped
 
 

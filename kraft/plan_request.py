@@ -12,15 +12,16 @@ from pathlib import Path
 from kraft.details import Stages, no_detail, vehicle_details
 from kraft.errors import Diagnostic, InputError
 from kraft.files import check_all, check_writable
-from kraft.kernel_cache import ensure_compiled
 from kraft.parameter_items import parse_parameters
-from kraft.plan_file import NAME, Origin, check_target, planned_scenario, read_plan, write_plan
-from kraft.planners import PLANNERS
-from kraft.planning import PlanResult, budget_of, plan_task
-from kraft.previous import Previous
+from kraft.planning.compilation import ensure_compiled
+from kraft.planning.plan_file import NAME, Origin, check_target, planned_scenario, read_plan, write_plan
+from kraft.planning.plan_task import PlanResult, budget_of, plan_task
+from kraft.planning.search import Previous
+from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
+from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
-from kraft.vehicles.load import load_vehicle, vehicle_of_task
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 
 

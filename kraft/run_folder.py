@@ -10,12 +10,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.driving import Reference
+from kraft.driving.messages import Cycle, Reference
 from kraft.errors import InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.files import check_writable, write_whole
-from kraft.trial_result import Cycle, TrialResult
+from kraft.trial.result import TrialResult
 from ompl_ext.vehicle import Vehicle
 
 MANIFEST_SCHEMA: Final = "kraft.run-manifest/1"

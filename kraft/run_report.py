@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from kraft.driving.messages import Cycle
 from kraft.evaluation.statistics import percentile
 from kraft.run_request import Run
-from kraft.trial_result import Cycle, Outcome, TrialResult
+from kraft.trial.result import Outcome, TrialResult
 
 
 def json_content(run: Run) -> dict[str, Any]:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kraft.details import Stages, no_detail, vehicle_details
+from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
 from kraft.files import check_all
-from kraft.kernel_cache import ensure_compiled
-from kraft.reachability import check_reachable
+from kraft.planning.compilation import ensure_compiled
+from kraft.planning.feasibility import check_reachable
 from kraft.run_folder import check_target, write_run
-from kraft.trial_result import Cycle, TrialResult, TrialSpec
+from kraft.trial.result import TrialResult, TrialSpec
 from kraft.watching import NOTHING, Wanted, Watchers
 
 
@@ -63,7 +64,7 @@ def carry_out(
     stages.ended("loaded and checked")
     ensure_compiled(cell.vehicle, say)
     check_reachable(cell.scenario.task(), cell.vehicle)
-    from kraft.trial import run_trial  # loads the simulator
+    from kraft.trial.trial import run_trial  # loads the simulator
 
     stages.ended("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)

@@ -10,8 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
+from kraft.driving.messages import Cycle
 from kraft.files import check_all, check_writable
-from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+from kraft.trial.result import Step, TrialResult, TrialSpec
 
 if TYPE_CHECKING:
     from kraft.simulation.world import World

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from kraft.driving import Kind, Motion, Reference
+from kraft.driving.messages import Cycle, Kind, Motion, Reference
 from kraft.errors import InputError, MissingDependency
 from kraft.evaluation.executor import Say, Stop
 from kraft.evaluation.job import Job, perform
 from kraft.evaluation.row import TrialRow
-from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
+from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 
 LEFT = "KRAFT_TEST_FOLDER"
 """environment variable: folder in which trials leave what the next ones find"""

@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from kraft.control import Controller
-from kraft.driving import Estimate, Kind, Reference
-from kraft.model import Model
-from kraft.planning import plan_task
+from kraft.driving.car_model import Model
+from kraft.driving.control import Controller
+from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.stopping import plan_reference
+from kraft.planning.plan_task import plan_task
+from kraft.planning.search import Budget
 from kraft.scenario import load_scenario
-from kraft.search import Budget
-from kraft.stopping import plan_reference
 from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
 from ompl_ext.arrays import Floats
 

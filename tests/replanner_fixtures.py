@@ -7,16 +7,15 @@ from functools import cache
 
 import numpy as np
 
-from kraft.control import make_controller
-from kraft.driving import Estimate
-from kraft.method import Clearance, Kinodynamic, OpenLoop, Planner
-from kraft.model import Model
-from kraft.proposer import Planners
-from kraft.replanner import Replanner
+from kraft.driving.car_model import Model
+from kraft.driving.control import make_controller
+from kraft.driving.messages import Cycle, Estimate
+from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, Planner
+from kraft.driving.proposer import Planners
+from kraft.driving.replanner import Replanner
+from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
-from kraft.trial_result import Cycle
 from kraft.vehicles.load import load_vehicle
-from kraft.workspace import start_state
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from kraft.driving import Observation
+from kraft.driving.messages import Observation
 from kraft.errors import InputError
 from kraft.scenario import Sensing, load_scenario
 from kraft.simulation.camera import MarkerCamera

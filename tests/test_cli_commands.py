@@ -15,7 +15,7 @@ import pytest
 from kraft import environment
 from kraft.config import bundled
 from kraft.environment import REQUIRED, Finding
-from kraft.planners import PLANNERS
+from kraft.scenario.planning import PLANNERS
 from kraft_cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent

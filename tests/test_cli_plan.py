@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from kraft import kernel_cache, planning
-from kraft.plan_file import read_plan
+from kraft.planning import compilation as kernel_cache
+from kraft.planning import plan_task as planning
+from kraft.planning.plan_file import read_plan
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 from ompl_ext.verify import Verification

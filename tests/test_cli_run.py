@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
+from kraft.driving.method import load_method
 from kraft.evaluation.row import digest
-from kraft.method import load_method
 from kraft.run_report import cycle_line, outcome_text
 from kraft.run_request import Request, carry_out
 from kraft.scenario import load_scenario
-from kraft.trial import run_trial
-from kraft.trial_result import TrialSpec
+from kraft.trial.result import TrialSpec
+from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from kraft.closest_approach import ClosestApproach
+from kraft.planning.workspace import workspace_of
 from kraft.scenario import load_scenario
+from kraft.trial.closest_approach import ClosestApproach
 from kraft.vehicles.load import load_vehicle
-from kraft.workspace import workspace_of
 from ompl_ext.exact import ExactClearance
 
 

@@ -22,10 +22,10 @@ from driving_fixtures import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kraft.control import Controller, make_controller
-from kraft.driving import Estimate, Kind, Reference
-from kraft.method import Geometric, Kinodynamic, OpenLoop
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.control import Controller, make_controller
+from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.method import Geometric, Kinodynamic, OpenLoop
 from ompl_ext.arrays import Floats
 
 Settings = OpenLoop | Geometric | Kinodynamic

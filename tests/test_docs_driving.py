@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from kraft.config import bundled
-from kraft.method import Clearance, Filter, Geometric, Kinodynamic, Method, Planner, load_method
+from kraft.driving.method import Clearance, Filter, Geometric, Kinodynamic, Method, Planner, load_method
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from kraft.config import bundled
-from kraft.plan_file import Origin, plan_text
-from kraft.planning import plan_task
+from kraft.planning.plan_file import Origin, plan_text
+from kraft.planning.plan_task import plan_task
+from kraft.planning.search import Budget
 from kraft.scenario import load_scenario
-from kraft.search import Budget
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main

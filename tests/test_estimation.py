@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from driving_fixtures import RATE, car, slow_car
 
-from kraft.driving import Observation
-from kraft.estimation import Estimator, make_estimator
-from kraft.estimation.pose_filter import PoseFilter
-from kraft.method import Filter, Latest
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.estimation import Estimator, make_estimator
+from kraft.driving.estimation.pose_filter import PoseFilter
+from kraft.driving.messages import Observation
+from kraft.driving.method import Filter, Latest
 from kraft.scenario import Sensing
 from kraft.simulation.camera import MarkerCamera
 from ompl_ext.arrays import Floats

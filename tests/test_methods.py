@@ -8,8 +8,8 @@ import pytest
 
 from kraft.checking import check_file
 from kraft.config import bundled
+from kraft.driving.method import Filter, Kinodynamic, Latest, load_method
 from kraft.errors import InputError
-from kraft.method import Filter, Kinodynamic, Latest, load_method
 
 GOOD = """name: mine
 title: Mine

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from driving_fixtures import PROMPT, car, slow_car
 
+from kraft.driving.car_model import Model
 from kraft.errors import InputError
-from kraft.model import Model
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace

@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 from kraft import files as atomic_file
 from kraft.errors import InputError
 from kraft.files import write_whole
-from kraft.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
-from kraft.planning import PlanResult, plan_task
-from kraft.previous import Previous
+from kraft.planning.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
+from kraft.planning.plan_task import PlanResult, plan_task
+from kraft.planning.search import Budget, Previous
 from kraft.scenario import Task, load_scenario, parse_scenario
-from kraft.search import Budget
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 

@@ -9,14 +9,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from kraft import planning
 from kraft.errors import Defect, InputError
-from kraft.planning import PlanResult, plan_task
-from kraft.previous import Previous
+from kraft.planning import plan_task as planning
+from kraft.planning.plan_task import PlanResult, plan_task
+from kraft.planning.search import Budget, Previous
+from kraft.planning.workspace import fence, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
-from kraft.search import Budget
 from kraft.vehicles.load import load_vehicle
-from kraft.workspace import fence, workspace_of
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verify import Verification

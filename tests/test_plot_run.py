@@ -10,8 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from kraft.driving.method import load_method
 from kraft.errors import InputError
-from kraft.method import load_method
 from kraft.plot.drive import SEEN, Drive, driven_line, footprint_times
 from kraft.plot.frame import Frame
 from kraft.plot.run import _compose, _key_entries, key_numbers, plot_run
@@ -19,8 +19,8 @@ from kraft.plot.style import look
 from kraft.plot.traces import traces_of
 from kraft.scenario import load_scenario
 from kraft.simulation.hidden import hidden_things
-from kraft.trial import run_trial
-from kraft.trial_result import Outcome, TrialResult, TrialSpec
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from replanner_fixtures import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
-from kraft.driving import Kind
+from kraft.driving.messages import Kind
+from kraft.driving.method import Clearance, Planner
+from kraft.driving.proposer import LEEWAY, SMALLEST_GOAL, Planners
 from kraft.errors import Defect
-from kraft.method import Clearance, Planner
-from kraft.proposer import LEEWAY, SMALLEST_GOAL, Planners
 from ompl_ext.plan import Plan
 from ompl_ext.solver import Dirt, Progress
 from ompl_ext.verify import Verification
@@ -124,7 +124,7 @@ def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.Monkey
         heads.append(head)
         return Verification(0.0, None, ())
 
-    monkeypatch.setattr("kraft.proposer.verify", judge)
+    monkeypatch.setattr("kraft.driving.proposer.verify", judge)
     for mode, until in (("replanning", 1.0), ("one-shot", math.inf)):
         subject = replanner(mode=mode)
         subject.begin(start())
@@ -140,7 +140,7 @@ def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.Monkey
 
 
 def test_a_plan_that_fails_its_verification_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kraft.proposer.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
+    monkeypatch.setattr("kraft.driving.proposer.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
     with pytest.raises(Defect, match=r"cycle 0 fails verification: plan: collides"):
         replanner().begin(start())
 
@@ -150,7 +150,7 @@ def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.
     subject._proposer._realtime = True
     subject.begin(start())
     late = itertools.chain([0.0], itertools.repeat(5.0))
-    monkeypatch.setattr("kraft.proposer.clock.perf_counter", lambda: next(late))
+    monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
     monkeypatch.setattr(subject.dirt, "grow", lambda **_: subject.dirt.progress)
     proposal = subject._proposer.propose(1, start(), None)
     assert proposal.missed
@@ -163,7 +163,7 @@ def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pyt
     subject = replanner(margin=0.03, cycle=0.5, lead=0.05)
     subject._proposer._realtime = True
     now, granted, both = [0.0], list[float](), subject._proposer._planners
-    monkeypatch.setattr("kraft.proposer.clock.perf_counter", lambda: now[0])
+    monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: now[0])
     for dirt in (both.planning, both.checking):
 
         def grow(seconds: float, dirt: Dirt = dirt, grow: Callable[..., Progress] = dirt.grow) -> Progress:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from kraft.errors import InputError
+from kraft.planning.workspace import workspace_of
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, manoeuvre
 from kraft.recording.recorder import COMMAND_RATE, STOP, Recorder, Recording
 from kraft.recording.room import MARGIN, STEP, Room, moved
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
-from kraft.workspace import workspace_of
 from ompl_ext.exact import ExactClearance
 
 MUSHR = load_vehicle("mushr")

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from replanner_fixtures import FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
-from kraft.control import make_controller
-from kraft.driving import Estimate, Kind
-from kraft.method import Clearance, Geometric, Planner
-from kraft.model import Model
-from kraft.proposer import Planners
-from kraft.replanner import Replanner
-from kraft.stopping import emergency
-from kraft.trial_result import Cycle
+from kraft.driving.car_model import Model
+from kraft.driving.control import make_controller
+from kraft.driving.messages import Cycle, Estimate, Kind
+from kraft.driving.method import Clearance, Geometric, Planner
+from kraft.driving.proposer import Planners
+from kraft.driving.replanner import Replanner
+from kraft.driving.stopping import emergency
 from ompl_ext.arrays import Floats
 
 

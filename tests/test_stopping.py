@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from replanner_fixtures import FARSIGHTED, mushr, replanner, start
 
-from kraft.driving import Estimate, Kind, Reference
-from kraft.replanner import Replanner
-from kraft.stopping import emergency, plan_reference, stop_control
+from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.replanner import Replanner
+from kraft.driving.stopping import emergency, plan_reference, stop_control
 from ompl_ext.arrays import Floats
 
 

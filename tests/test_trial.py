@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kraft.driving import Kind
-from kraft.method import load_method
+from kraft.driving.messages import Cycle, Kind
+from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
 from kraft.simulation.world import World
-from kraft.trial import run_trial
-from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
+from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
+from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 
 SCENE = """name: short

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from kraft.errors import InputError
+from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario, parse_scenario
-from kraft.vehicles.load import load_vehicle, vehicle_of_task
+from kraft.vehicles.load import load_vehicle
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "examples" / "skid_steer.py"

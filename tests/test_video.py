@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
+from kraft.driving.method import load_method
 from kraft.errors import InputError, MissingDependency
-from kraft.method import load_method
 from kraft.scenario import Scenario, load_scenario
 from kraft.simulation.world import World
-from kraft.trial import run_trial
-from kraft.trial_result import Outcome, Step, TrialResult, TrialSpec
+from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
+from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
 from kraft.video.available import check_video, check_view

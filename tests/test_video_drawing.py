@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from kraft.driving import Kind, Motion, Reference
-from kraft.method import load_method
+from kraft.driving.messages import Cycle, Kind, Motion, Reference
+from kraft.driving.method import load_method
 from kraft.scenario import Box, Scenario, Start, load_scenario
 from kraft.simulation.hidden import hidden_things
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
-from kraft.trial_result import Cycle, Step, TrialSpec
+from kraft.trial.result import Step, TrialSpec
 from kraft.vehicles.load import load_vehicle
 from kraft.video.camera import ROOF, SOLID, ChaseCamera, map_aim
 from kraft.video.curves import resampled

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from world_fixtures import drive, open_world
 
 from kraft.config import bundled
+from kraft.planning.workspace import planar_obstacle
 from kraft.scenario import Goal, Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation import World
-from kraft.workspace import planar_obstacle
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Footprint

@@ -19,8 +19,8 @@ from kraft.evaluation.folder import Folder, create, reopen, write_results
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import Summary, summarise
-from kraft.kernel_cache import ensure_maps_compiled
-from kraft.reachability import check_reachable
+from kraft.planning.compilation import ensure_maps_compiled
+from kraft.planning.feasibility import check_reachable
 
 
 class Watch:
@@ -85,7 +85,7 @@ def evaluate(
         cluster: address of a Dask scheduler to use instead of processes of this machine.
         watch: is told how it goes and may stop it.
         arguments: what to record as having been asked for.
-        trial: ``module:function`` that runs one trial, by default `kraft.trial.run_trial`.
+        trial: ``module:function`` that runs one trial, by default `kraft.trial.trial.run_trial`.
 
     Raises:
         InputError: with everything that is wrong with what was given; if the folder cannot be written, or if one to go

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
 
+from kraft.driving.method import Method, load_method
 from kraft.errors import Diagnostic, InputError
 from kraft.evaluation.job import TRIAL, Job
-from kraft.method import Method, load_method
-from kraft.placement import check_placement
+from kraft.planning.feasibility import check_placement
+from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
-from kraft.vehicles.load import load_vehicle, vehicle_of_task
+from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
-from kraft.workspace import start_state
 from ompl_ext.vehicle import Vehicle
 
 SCENARIOS: Final = ("turns", "boxes", "slope", "slip", "bump", "movable")

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final, TypeAlias
 
+from kraft.driving.method import Method
 from kraft.errors import InputError, MissingDependency, MissingError
 from kraft.evaluation.row import Key, TrialRow, reduced
-from kraft.method import Method
 from kraft.scenario import Scenario
-from kraft.trial_result import TrialResult, TrialSpec
+from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 
-TRIAL: Final = "kraft.trial:run_trial"
+TRIAL: Final = "kraft.trial.trial:run_trial"
 TrialFunction: TypeAlias = Callable[[TrialSpec], TrialResult]
 
 

@@ -10,11 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from kraft.driving.method import Method
 from kraft.errors import Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
 from kraft.files import write_whole
-from kraft.method import Method
-from kraft.plan_file import vehicle_content
+from kraft.planning.plan_file import vehicle_content
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.scenario import Scenario
 

@@ -18,7 +18,7 @@ from kraft.evaluation.executor import DEATHS, Say, Stop
 from kraft.evaluation.job import Job, failed
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.worker import ONE_THREAD, Answer, serve
-from kraft.kernel_cache import ensure_compiled
+from kraft.planning.compilation import ensure_compiled
 from kraft.vehicles.load import load_vehicle
 
 POLL: Final = 0.1  # s, how late a request to stop is seen

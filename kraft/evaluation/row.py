@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from kraft.trial_result import TrialResult
+from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
 """scenario, method, seed"""

@@ -13,11 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap, Normalize
 
-from kraft.driving import Kind
+from kraft.driving.messages import Kind
 from kraft.plot.frame import Frame, Motion, arrowheads, outlines
 from kraft.plot.style import CYCLE, DASHED, INK, WARNING, Look
 from kraft.simulation.hidden import Hidden
-from kraft.trial_result import Outcome, TrialResult
+from kraft.trial.result import Outcome, TrialResult
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 

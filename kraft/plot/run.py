@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from kraft.driving import Kind
+from kraft.driving.messages import Kind
 from kraft.plot.drive import (
     CRASH,
     HIDDEN,
@@ -37,7 +37,7 @@ from kraft.plot.style import CYCLE, GOAL, INK, WARNING, look
 from kraft.plot.traces import ESTIMATED, draw_trace, traces_of
 from kraft.scenario import Task
 from kraft.simulation.hidden import Hidden
-from kraft.trial_result import Outcome, TrialResult
+from kraft.trial.result import Outcome, TrialResult
 from ompl_ext.vehicle import Vehicle
 
 

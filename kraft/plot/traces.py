@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from kraft.driving import Kind
+from kraft.driving.messages import Cycle, Kind
+from kraft.planning.workspace import workspace_of
 from kraft.plot.drive import Drive
 from kraft.plot.style import CYCLE, GREY, INK, RULE, SMALL, WARNING_PALE, Look, plain_number
 from kraft.scenario import Task
-from kraft.trial_result import Cycle, TrialResult
-from kraft.workspace import workspace_of
+from kraft.trial.result import TrialResult
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.car_model import Model
 from kraft.errors import InputError
-from kraft.model import Model
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
 from kraft.recording.room import Place, Room, predicted
 from kraft.scenario import Scenario

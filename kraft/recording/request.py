@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from kraft.errors import Diagnostic, InputError
-from kraft.kernel_cache import ensure_compiled
+from kraft.planning.compilation import ensure_compiled
+from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario
-from kraft.vehicles.load import vehicle_of_task
 
 RUNS: Final = 10
 

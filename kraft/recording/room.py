@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.planning.workspace import workspace_of
 from kraft.recording.manoeuvres import Manoeuvre
 from kraft.scenario import Box, Scenario, Start
-from kraft.workspace import workspace_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle

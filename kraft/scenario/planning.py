@@ -10,6 +10,14 @@ from pydantic import Field, model_validator
 from kraft.config.schema import FileModel, NonNegative, Probability, refuse
 from kraft.config.validation import build
 
+PLANNERS: Final[dict[str, str]] = {
+    "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
+    "rrt": "OMPL's Rapidly-exploring Random Tree",
+    "est": "OMPL's Expansive Space Trees",
+    "kpiece1": "OMPL's Kinodynamic Planning by Interior-Exterior Cell Exploration",
+}
+
+
 DEFAULT_ITERATIONS: Final = 20_000
 
 Duration = Annotated[float, Field(gt=0, le=1000)]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kraft.driving import Observation
+from kraft.driving.messages import Observation
 from kraft.errors import InputError
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS, PoseNoise

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from kraft.interpolate import interpolate
+from kraft.driving.car_model import interpolate
 
 WHEELBASE: Final = 0.2965
 TRACK: Final = 0.23

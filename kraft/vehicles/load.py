@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from kraft.errors import Diagnostic, InputError
-from kraft.scenario import Task
 from kraft.text import suggestion
 from kraft.vehicles.check import check_functions
 from kraft.vehicles.code import vehicle_of
@@ -37,21 +36,6 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
         vehicle = configured(load_vehicle_config(resolved).with_values(parameters or {}))
     check_functions(vehicle, reference)
     return vehicle
-
-
-def vehicle_of_task(task: Task, parameters: Mapping[str, float] | None = None) -> Vehicle:
-    """The vehicle that a scenario names.
-
-    Raises:
-        InputError: as `load_vehicle`; what is wrong with the reference is said at its line.
-    """
-    try:
-        return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)
-    except InputError as error:
-        raise InputError(
-            task.source.diagnostic("vehicle", d.problem, d.expected) if d.file == task.vehicle else d
-            for d in error.diagnostics
-        ) from error
 
 
 def configured(config: VehicleConfig) -> Vehicle:

@@ -6,9 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving import Kind, Reference
+from kraft.driving.messages import Cycle, Kind, Reference
 from kraft.plot.frame import outlines
-from kraft.trial_result import Cycle
 from kraft.video import palette
 from kraft.video.moment import Moment, poses_of
 from kraft.video.palette import colour

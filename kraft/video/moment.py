@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kraft.driving.messages import Cycle
+from kraft.planning.workspace import workspace_of
 from kraft.simulation.world import World
-from kraft.trial_result import Cycle, Step, TrialSpec
-from kraft.workspace import workspace_of
+from kraft.trial.result import Step, TrialSpec
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from kraft.driving import Kind
-from kraft.trial_result import Outcome, TrialResult, TrialSpec
+from kraft.driving.messages import Kind
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.video import palette
 from kraft.video.legend import draw_legend
 from kraft.video.moment import Moment

@@ -6,9 +6,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
+from kraft.driving.messages import Cycle
 from kraft.scenario import Bounds
 from kraft.simulation.world import World
-from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+from kraft.trial.result import Step, TrialResult, TrialSpec
 from kraft.video.available import check_video
 from kraft.video.gl import offscreen_context
 from kraft.video.moment import Chronicle

@@ -9,9 +9,10 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from kraft.driving.messages import Cycle
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
-from kraft.trial_result import Cycle, TrialSpec
+from kraft.trial.result import TrialSpec
 from kraft.video.camera import Aim, ChaseCamera, map_aim
 from kraft.video.drawing import draw_crash, draw_cycle, draw_moment
 from kraft.video.moment import Moment

@@ -10,8 +10,8 @@ from PIL import Image as Pillow
 
 from kraft.files import write_whole
 from kraft.simulation.world import World
-from kraft.trial import run_trial
-from kraft.trial_result import Step, TrialSpec
+from kraft.trial.result import Step, TrialSpec
+from kraft.trial.trial import run_trial
 from kraft.video.gl import offscreen_context
 from kraft.video.moment import Chronicle
 from kraft.video.mp4 import Image

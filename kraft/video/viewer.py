@@ -12,9 +12,10 @@ from typing import Any, Final, Self
 import mujoco
 import numpy as np
 
+from kraft.driving.messages import Cycle
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
-from kraft.trial_result import Cycle, Step, TrialResult, TrialSpec
+from kraft.trial.result import Step, TrialResult, TrialSpec
 from kraft.video.available import check_view
 from kraft.video.camera import AHEAD, DISTANCE, LOWEST
 from kraft.video.drawing import draw_cycle, draw_moment

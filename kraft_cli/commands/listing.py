@@ -31,7 +31,7 @@ def list_(
 def _described(what: str) -> dict[str, str]:
     from kraft.config import bundled
     from kraft.errors import InputError
-    from kraft.planners import PLANNERS
+    from kraft.scenario.planning import PLANNERS
     from kraft.text import suggestion
 
     if what == "planners":

@@ -38,7 +38,7 @@ def run(
     from kraft.run_folder import SCHEMA
     from kraft.run_report import cycle_line, json_content, table_rows
     from kraft.run_request import Request, carry_out
-    from kraft.trial_result import Outcome
+    from kraft.trial.result import Outcome
     from kraft.watching import Wanted
     from kraft_cli.tables import show_rows
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from kraft.driving import Estimate, Reference
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.messages import Estimate, Reference
 from ompl_ext.arrays import Floats
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from kraft.driving import Motion, Observation, Reference
-from kraft.method import Method
+from kraft.driving.messages import Cycle, Observation
+from kraft.driving.method import Method
 from kraft.scenario import Scenario
 from ompl_ext.arrays import Floats
-from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
 
 
@@ -46,35 +45,6 @@ class Step:
     estimate: Floats
     command: Floats
     cycle: int
-
-
-@dataclass(frozen=True)
-class Cycle:
-    """One replanning cycle: what was committed at `time`, why, and what it cost to find.
-
-    `time` is when the cycle begins (s): what was committed for it is tracked from then on.  `cost_to_goal` is the
-    predicted time to the goal (s) of the committed plan, with the cost-to-go from its end if it does not lead there,
-    and infinite without a plan.  `predicted` is what the robot expects to do within the cycle and `clearance` the
-    smallest distance to an obstacle that it passes (m).  `planning_ms` is measured and everything else repeats.
-    `tree` is kept only when asked for.
-    """
-
-    number: int
-    time: float
-    speed: float
-    kind: str
-    reason: str
-    cost_to_goal: float
-    clearance: float
-    iterations: int
-    nodes: int
-    retained: int
-    planning_ms: float
-    missed: bool
-    reference: Reference
-    contingency: Reference | None
-    predicted: Motion
-    tree: TreeView | None = None
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ planned.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -169,3 +170,13 @@ def _inverse(value: float, values: list[float], arguments: list[float]) -> float
         return arguments[-1]
     share = (value - values[k - 1]) / (values[k] - values[k - 1])
     return arguments[k - 1] + share * (arguments[k] - arguments[k - 1])
+
+
+def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
+    """Value at `x` of the line through (xs, ys), both (n,), xs ascending; beyond the ends theirs, as `numpy.interp`."""
+    k = bisect_right(xs, x) - 1
+    if k < 0:
+        return ys[0]
+    if k >= len(xs) - 1:
+        return ys[-1]
+    return (ys[k + 1] - ys[k]) / (xs[k + 1] - xs[k]) * (x - xs[k]) + ys[k]

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from kraft.control.guide import Guide
-from kraft.control.path import Path, Place
-from kraft.driving import Estimate, Kind, Reference
-from kraft.method import Kinodynamic
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.control.path import Guide, Path, Place
+from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.method import Kinodynamic
 from ompl_ext.arrays import Floats
 
 WINDOW: Final = 25

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from kraft.driving import Estimate, Observation
+from kraft.driving.messages import Estimate, Observation
 from ompl_ext.arrays import Floats
 
 

@@ -1,9 +1,9 @@
 """The safe replanner: one step per cycle commits the plan made in the last one, or a contingency, and makes the next.
 
 Fig. 3 of the paper.  Cycle k covers [k, k + 1) cycle durations of the trial, later by what the delay of communication
-exceeds `lead` by.  `step` runs a little before cycle k begins: it looks at the plan that `kraft.proposer` made during
-cycle k - 1 once more from the latest estimate, commits it or a manoeuvre that stops, predicts where that leads, and
-has a plan made from there for cycle k + 1.
+exceeds `lead` by.  `step` runs a little before cycle k begins: it looks at the plan that `kraft.driving.proposer` made
+during cycle k - 1 once more from the latest estimate, commits it or a manoeuvre that stops, predicts where that leads,
+and has a plan made from there for cycle k + 1.
 """
 
 from __future__ import annotations
@@ -13,14 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.control import Controller
-from kraft.driving import Estimate, Kind, Motion, Reference
-from kraft.method import Planner
-from kraft.proposer import Planners, Proposal, Proposer
-from kraft.rollout import Roller
-from kraft.stopping import emergency, plan_reference, stop_reference
-from kraft.trial_result import Cycle
-from kraft.workspace import pose_of
+from kraft.driving.control import Controller
+from kraft.driving.messages import Cycle, Estimate, Kind, Motion, Reference
+from kraft.driving.method import Planner
+from kraft.driving.proposer import Planners, Proposal, Proposer
+from kraft.driving.stopping import Roller, emergency, plan_reference, stop_reference
+from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 

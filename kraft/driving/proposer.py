@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kraft.driving.method import Planner
 from kraft.errors import Defect
-from kraft.method import Planner
+from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
 from kraft.text import counted
-from kraft.workspace import goal_of, settings_of, workspace_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query import Safety

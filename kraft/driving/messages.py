@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.plan import TreeView
 
 
 @dataclass(frozen=True)
@@ -105,3 +106,32 @@ class Motion:
         """The last state."""
         last: Floats = self.states[-1]
         return last
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One replanning cycle: what was committed at `time`, why, and what it cost to find.
+
+    `time` is when the cycle begins (s): what was committed for it is tracked from then on.  `cost_to_goal` is the
+    predicted time to the goal (s) of the committed plan, with the cost-to-go from its end if it does not lead there,
+    and infinite without a plan.  `predicted` is what the robot expects to do within the cycle and `clearance` the
+    smallest distance to an obstacle that it passes (m).  `planning_ms` is measured and everything else repeats.
+    `tree` is kept only when asked for.
+    """
+
+    number: int
+    time: float
+    speed: float
+    kind: str
+    reason: str
+    cost_to_goal: float
+    clearance: float
+    iterations: int
+    nodes: int
+    retained: int
+    planning_ms: float
+    missed: bool
+    reference: Reference
+    contingency: Reference | None
+    predicted: Motion
+    tree: TreeView | None = None

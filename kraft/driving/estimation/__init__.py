@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from kraft.estimation.latest import LatestPose
-from kraft.estimation.pose_filter import PoseFilter
-from kraft.estimation.protocol import Estimator
-from kraft.method import Filter, Latest
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.estimation.latest import LatestPose
+from kraft.driving.estimation.pose_filter import PoseFilter
+from kraft.driving.estimation.protocol import Estimator
+from kraft.driving.method import Filter, Latest
 from ompl_ext.arrays import Floats
 
 __all__ = ["Estimator", "LatestPose", "PoseFilter", "make_estimator"]

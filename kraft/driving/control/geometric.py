@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from kraft.control.guide import Guide
-from kraft.control.path import SPACING, Path, Place
-from kraft.driving import Estimate, Kind, Reference
-from kraft.method import Geometric
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.control.path import SPACING, Guide, Path, Place
+from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.method import Geometric
 from ompl_ext.arrays import Floats
 
 WINDUP: Final = 0.5

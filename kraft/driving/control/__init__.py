@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from kraft.control.geometric import GeometricController
-from kraft.control.kinodynamic import KinodynamicController
-from kraft.control.open_loop import OpenLoopController
-from kraft.control.protocol import Controller
-from kraft.method import Geometric, Kinodynamic, OpenLoop
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.control.geometric import GeometricController
+from kraft.driving.control.kinodynamic import KinodynamicController
+from kraft.driving.control.open_loop import OpenLoopController
+from kraft.driving.control.protocol import Controller
+from kraft.driving.method import Geometric, Kinodynamic, OpenLoop
 
 __all__ = ["Controller", "GeometricController", "KinodynamicController", "OpenLoopController", "make_controller"]
 

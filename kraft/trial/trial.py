@@ -1,6 +1,7 @@
 """One trial: a robot with a model of itself drives in a world that is different.
 
-`run_trial` is the main path of the package; read it, then `kraft.replanner.Replanner.step`, then `ompl_ext.dirt`.
+`run_trial` is the main path of the package; read it, then `kraft.driving.replanner.Replanner.step`, then
+`ompl_ext.dirt`.
 """
 
 from __future__ import annotations
@@ -10,19 +11,19 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from kraft.closest_approach import ClosestApproach
-from kraft.control import make_controller
-from kraft.driving import Observation, Reference
-from kraft.estimation import make_estimator
-from kraft.model import Model
-from kraft.proposer import Planners
-from kraft.replanner import Replanner
+from kraft.driving.car_model import Model
+from kraft.driving.control import make_controller
+from kraft.driving.estimation import make_estimator
+from kraft.driving.messages import Cycle, Observation, Reference
+from kraft.driving.proposer import Planners
+from kraft.driving.replanner import Replanner
+from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.ticks import Ticks, steps_of
 from kraft.simulation.world import World
-from kraft.trial_result import Cycle, Outcome, Step, TrialResult, TrialSpec
-from kraft.workspace import start_state, workspace_of
+from kraft.trial.closest_approach import ClosestApproach
+from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 

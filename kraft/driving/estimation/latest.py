@@ -7,10 +7,10 @@ from collections import deque
 
 import numpy as np
 
-from kraft.driving import Estimate, Observation
-from kraft.estimation.dead_reckoning import DeadReckoning
-from kraft.method import Latest
-from kraft.model import Model
+from kraft.driving.car_model import Model
+from kraft.driving.estimation.dead_reckoning import DeadReckoning
+from kraft.driving.messages import Estimate, Observation
+from kraft.driving.method import Latest
 from ompl_ext.arrays import Floats
 
 

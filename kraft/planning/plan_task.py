@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from kraft.errors import Defect
-from kraft.placement import check_placement
-from kraft.previous import Previous
-from kraft.reachability import UNREACHABLE, reachable
+from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
+from kraft.planning.search import Budget, Found, Previous, search_of
+from kraft.planning.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
 from kraft.scenario import Task
-from kraft.search import Budget, Found, search_of
 from kraft.text import counted
-from kraft.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
+from kraft.errors import InputError
 from kraft.scenario import Bounds, Box, Circle, Obstacle, OccupancyMap, Polygon, Task
+from kraft.vehicles.load import load_vehicle
 from ompl_ext import obstacles as planar
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace, box
@@ -110,3 +114,18 @@ def pose_of(state: Floats, vehicle: Vehicle) -> tuple[float, float, float]:
 def pose_text(x: float, y: float, heading: float) -> str:
     """A pose for a sentence."""
     return f"({x:.3g}, {y:.3g}) heading {math.degrees(heading):.4g} deg"
+
+
+def vehicle_of_task(task: Task, parameters: Mapping[str, float] | None = None) -> Vehicle:
+    """The vehicle that a scenario names.
+
+    Raises:
+        InputError: as `load_vehicle`; what is wrong with the reference is said at its line.
+    """
+    try:
+        return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)
+    except InputError as error:
+        raise InputError(
+            task.source.diagnostic("vehicle", d.problem, d.expected) if d.file == task.vehicle else d
+            for d in error.diagnostics
+        ) from error
