@@ -14,8 +14,7 @@ import numpy as np
 
 from kraft.driving.messages import Cycle, Kind, Motion, Reference
 from kraft.errors import InputError, MissingDependency
-from kraft.evaluation.executor import Say, Stop
-from kraft.evaluation.job import Job, perform
+from kraft.evaluation.job import Job, Say, Stop, perform
 from kraft.evaluation.row import TrialRow
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 

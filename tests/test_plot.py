@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from kraft.errors import InputError
-from kraft.plot import output, picture, plot_plan
+from kraft.plot import picture, plot_plan
+from kraft.plot import style as output
 from kraft.plot.frame import Frame, Motion, arrowheads, outlines
 from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import flow

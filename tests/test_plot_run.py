@@ -12,11 +12,10 @@ from PIL import Image
 
 from kraft.driving.method import load_method
 from kraft.errors import InputError
-from kraft.plot.drive import SEEN, Drive, driven_line, footprint_times
 from kraft.plot.frame import Frame
 from kraft.plot.run import _compose, _key_entries, key_numbers, plot_run
 from kraft.plot.style import look
-from kraft.plot.traces import traces_of
+from kraft.plot.traces import SEEN, Drive, driven_line, footprint_times, traces_of
 from kraft.scenario import load_scenario
 from kraft.simulation.hidden import hidden_things
 from kraft.trial.result import Outcome, TrialResult, TrialSpec

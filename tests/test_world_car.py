@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from world_fixtures import drive, open_world
 
-from kraft.simulation.drivetrain import STEERING_MAX, WHEELBASE, wheel_angles, wheel_torque
+from kraft.simulation.car import STEERING_MAX, WHEELBASE, wheel_angles, wheel_torque
 
 WITHIN = 0.15
 Run = dict[str, NDArray[np.float64]]

@@ -13,7 +13,7 @@ import pytest
 
 from kraft.scenario import load_scenario
 from kraft.simulation import World, car_looks
-from kraft.simulation.shapes import Part, block, loft, mirrored
+from kraft.simulation.car_looks import Part, block, loft, mirrored
 
 ROOT = Path(__file__).resolve().parent.parent
 DRAW = """

@@ -10,8 +10,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final
 
 from kraft.errors import InputError, MissingDependency
-from kraft.evaluation.executor import Say, Stop
-from kraft.evaluation.job import Job, failed, perform
+from kraft.evaluation.job import Job, Say, Stop, failed, perform
 from kraft.evaluation.row import TrialRow
 from kraft.provenance import SIMULATION, versions
 
@@ -47,7 +46,7 @@ class Cluster:
             raise self._silent(error) from error
 
     def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
-        """See `kraft.evaluation.executor.Executor`; how many deaths are too many is the scheduler's setting."""
+        """See `kraft.evaluation.job.Executor`; how many deaths are too many is the scheduler's setting."""
         client = self._client()
         try:
             yield from self._collected(client, jobs, stop, say)

@@ -13,9 +13,9 @@ from typing import Any
 from kraft.errors import Diagnostic, InputError, Unreachable
 from kraft.evaluation import job
 from kraft.evaluation.cluster import Cluster
-from kraft.evaluation.executor import Executor
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment, MethodLike, ScenarioLike, experiment_of
 from kraft.evaluation.folder import Folder, create, reopen, write_results
+from kraft.evaluation.job import Executor
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import Summary, summarise

@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Final, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 from kraft.driving.method import Method
 from kraft.errors import InputError, MissingDependency, MissingError
@@ -80,3 +80,26 @@ def _function(name: str) -> TrialFunction:
 @cache
 def _vehicle(reference: str) -> Vehicle:
     return load_vehicle(reference)
+
+
+Stop: TypeAlias = Callable[[], bool]
+Say: TypeAlias = Callable[[str], None]
+
+DEATHS: Final = 2
+"""A trial whose worker died this often has failed."""
+
+
+class Executor(Protocol):
+    """Runs trials."""
+
+    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+        """Yield the row of every job once, in whatever order they end.
+
+        As soon as `stop()` is true no further trial is begun, and those that run are waited for.  Closing the
+        iterator drops them.  A trial whose worker dies is begun again on another one, until it has died
+        too often; then its row says so.
+
+        Raises:
+            InputError, MissingError: from a trial, see `kraft.evaluation.job.perform`, or if there is nowhere to run.
+        """
+        ...

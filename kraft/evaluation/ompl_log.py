@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from kraft.errors import InputError
 from kraft.evaluation.experiment import Cell, Experiment
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.statistics import percentile
-from kraft.files import write_whole
-from kraft.planner_arena import make_database
+from kraft.files import EXPECTED, write_whole
 
 DATABASE: Final = "benchmark.db"
 OUTCOMES: Final = ("success", "collision", "timeout", "failed")
@@ -127,3 +130,25 @@ def _settings(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[st
 
 def _text(value: float | None, scale: float = 1.0) -> str:
     return "nan" if value is None else f"{value * scale:.9g}"
+
+
+def make_database(database: Path, logs: Sequence[Path]) -> None:
+    """Make a database of benchmark logs, in place of an earlier one.
+
+    The tool runs in a process of its own: it prints, and leaves its connections to the database open.
+
+    Raises:
+        InputError: if it cannot be written; what was there before is still there then.
+    """
+    part = database.with_name(f".{database.name}.part")
+    command = [sys.executable, "-P", "-m", "ompl.ompl_benchmark_statistics", "--database", str(part)]
+    try:
+        done = subprocess.run([*command, *map(str, logs)], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            reason = done.stderr.strip().splitlines()[-1:] or [f"OMPL's tool ended with {done.returncode}"]
+            raise InputError.of(str(database), f"cannot be written: {reason[0]}", EXPECTED)
+        os.replace(part, database)
+    except OSError as error:
+        raise InputError.of(str(database), f"cannot be written: {error.strerror}", EXPECTED) from error
+    finally:
+        part.unlink(missing_ok=True)

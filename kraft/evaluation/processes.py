@@ -11,13 +11,11 @@ from dataclasses import dataclass, field
 from multiprocessing import connection, get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Final
+from typing import Final, TypeAlias
 
 from kraft.errors import Defect, KraftError
-from kraft.evaluation.executor import DEATHS, Say, Stop
-from kraft.evaluation.job import Job, failed
+from kraft.evaluation.job import DEATHS, Job, Say, Stop, failed, perform
 from kraft.evaluation.row import Key, TrialRow
-from kraft.evaluation.worker import ONE_THREAD, Answer, serve
 from kraft.planning.compilation import ensure_compiled
 from kraft.vehicles.load import load_vehicle
 
@@ -68,7 +66,7 @@ class Processes:
         self.count = count
 
     def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
-        """See `kraft.evaluation.executor.Executor`.
+        """See `kraft.evaluation.job.Executor`.
 
         Raises:
             Defect: if workers do not start.
@@ -180,3 +178,41 @@ def _no_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+Answer: TypeAlias = TrialRow | KraftError | None
+"""a row, an error that concerns every trial, or None: ready"""
+
+ONE_THREAD: Final = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "BLIS_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+    ),
+    "1",
+)
+"""environment in which numeric libraries keep to one thread; they read it when they are loaded"""
+
+
+def serve(pipe: Connection) -> None:
+    """Run jobs until the other end closes, which it also does by dying."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that gave the jobs decides what an interrupt means
+    os.dup2(2, 1)  # what a trial prints must not get between the results on stdout
+    try:
+        pipe.send(None)
+        while True:
+            job: Job = pipe.recv()
+            pipe.send(_answer(job))
+    except (EOFError, OSError):
+        return
+
+
+def _answer(job: Job) -> Answer:
+    try:
+        return perform(job)
+    except KraftError as error:
+        return error

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from kraft.plot.output import FORMATS, picture_format, write_picture
 from kraft.plot.picture import Subject, compose
-from kraft.plot.style import look
+from kraft.plot.style import FORMATS, look, picture_format, write_picture
 from kraft.scenario import Task
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.vehicle import Vehicle

@@ -12,10 +12,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from kraft.plot.frame import Frame, Motion, outlines
-from kraft.plot.key import Entry, draw_key
 from kraft.plot.labels import Label, draw_labels
 from kraft.plot.motion import draw_contingency, draw_plan, draw_start, footprint_interval
-from kraft.plot.page import lay_out
+from kraft.plot.page import Entry, draw_key, lay_out
 from kraft.plot.panels import draw_panel, panels_of
 from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace, tree_lines, widest_place
 from kraft.plot.style import CYCLE, GOAL, INK, WARNING

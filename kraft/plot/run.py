@@ -13,8 +13,15 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from kraft.driving.messages import Kind
-from kraft.plot.drive import (
+from kraft.plot.frame import Frame
+from kraft.plot.labels import Label, draw_labels
+from kraft.plot.motion import draw_start
+from kraft.plot.page import Entry, draw_key, lay_out
+from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace
+from kraft.plot.style import CYCLE, GOAL, INK, WARNING, look, picture_format, write_picture
+from kraft.plot.traces import (
     CRASH,
+    ESTIMATED,
     HIDDEN,
     SEEN,
     SEEN_SIZE,
@@ -23,18 +30,11 @@ from kraft.plot.drive import (
     draw_hidden,
     draw_intentions,
     draw_seen,
+    draw_trace,
     driven_line,
     footprint_times,
+    traces_of,
 )
-from kraft.plot.frame import Frame
-from kraft.plot.key import Entry, draw_key
-from kraft.plot.labels import Label, draw_labels
-from kraft.plot.motion import draw_start
-from kraft.plot.output import picture_format, write_picture
-from kraft.plot.page import lay_out
-from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace
-from kraft.plot.style import CYCLE, GOAL, INK, WARNING, look
-from kraft.plot.traces import ESTIMATED, draw_trace, traces_of
 from kraft.scenario import Task
 from kraft.simulation.hidden import Hidden
 from kraft.trial.result import Outcome, TrialResult

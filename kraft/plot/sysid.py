@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from kraft.plot.output import picture_format, write_picture
 from kraft.plot.page import HEAD, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
-from kraft.plot.style import INK, SMALL, look, text_width
+from kraft.plot.style import INK, SMALL, look, picture_format, text_width, write_picture
 from kraft.plot.sysid_logs import telling
 from kraft.plot.sysid_panels import (
     draw_correlation,

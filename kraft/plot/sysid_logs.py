@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from kraft.plot.output import picture_format, write_picture
 from kraft.plot.page import HEAD, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
-from kraft.plot.style import INK, look
+from kraft.plot.style import INK, look, picture_format, write_picture
 from kraft.plot.sysid_style import DATA, FITTED, Curve, Panel, caption, draw_stack, draw_ways, fit_floor
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle

@@ -15,8 +15,7 @@ from kraft.recording.room import Place, Room, predicted
 from kraft.scenario import Scenario
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.ticks import Ticks, steps_of
-from kraft.simulation.world import World
+from kraft.simulation.world import Ticks, World, steps_of
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
 

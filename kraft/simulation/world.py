@@ -14,12 +14,11 @@ import numpy as np
 
 from kraft.errors import Defect, InputError
 from kraft.scenario import Scenario, Start
-from kraft.simulation import drivetrain
-from kraft.simulation.build import build
+from kraft.simulation import car as drivetrain
 from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, sag
 from kraft.simulation.collision import Collision, Collisions
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.simulation.scene import quaternion, turn
+from kraft.simulation.scene import build, quaternion, turn
 from ompl_ext.arrays import Floats, Matrix
 
 TIMESTEP: Final = 0.002
@@ -186,3 +185,20 @@ class World:
         x, y = self.frame.along_floor(body.xpos - self.frame.origin)
         ahead, left = self.frame.along_floor(body.xmat[0::3])
         return x, y, math.atan2(left, ahead)
+
+
+def steps_of(duration: float, dt: float) -> int:
+    """Number of physics steps of `dt` s nearest to a duration (s)."""
+    return round(duration / dt)
+
+
+class Ticks:
+    """Events at a rate (1/s), each at the physics step of `dt` s nearest to its time; `number` of them are over."""
+
+    def __init__(self, rate: float, dt: float) -> None:
+        self._period, self.number = 1.0 / (rate * dt), 0
+
+    @property
+    def due(self) -> int:
+        """Physics step of the next event."""
+        return round(self.number * self._period)

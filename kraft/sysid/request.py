@@ -11,7 +11,7 @@ from kraft.details import no_detail
 from kraft.errors import InputError, NegativeResult
 from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
-from kraft.plot.output import picture_format
+from kraft.plot.style import picture_format
 from kraft.sysid.compilation import ensure_compiled
 from kraft.sysid.extras import moves
 from kraft.sysid.forecast import Predicted, predicted

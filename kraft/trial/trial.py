@@ -20,8 +20,7 @@ from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.ticks import Ticks, steps_of
-from kraft.simulation.world import World
+from kraft.simulation.world import Ticks, World, steps_of
 from kraft.trial.closest_approach import ClosestApproach
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 from ompl_ext.arrays import Floats

@@ -8,8 +8,12 @@ import re
 import warnings
 from ctypes.util import find_library
 from typing import Any, Final
-
 from kraft.errors import MissingDependency
+import sys
+from pathlib import Path
+from kraft.errors import InputError, MissingDependency
+from kraft.files import check_writable
+
 
 BACKENDS: Final = ("egl", "osmesa", "glfw")
 ADVICE: Final = (
@@ -62,3 +66,47 @@ def _backend() -> str:
         raise MissingDependency(f"a video needs OpenGL without a window: {problem}; unset it or use {BACKENDS[0]}")
     # the first import of a backend fixes it for the process, so look before
     return "osmesa" if find_library("EGL") is None and find_library("OSMesa") is not None else "egl"
+
+
+INSTEAD: Final = "`--video FILE.mp4` needs no screen"
+
+
+def check_video(path: Path) -> None:
+    """Find out before the drive whether a video can be written at `path`.
+
+    Raises:
+        InputError: if its suffix is not .mp4 or the place is closed.
+        MissingDependency: if nothing can be drawn without a window here.
+    """
+    if path.suffix.lower() != ".mp4":
+        problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
+        raise InputError.of(str(path), f"the video's name {problem}", "expected .mp4")
+    check_writable(path)
+    offscreen_context(16, 16).free()
+
+
+def check_view() -> None:
+    """Find out before the drive whether a window can be opened.
+
+    Raises:
+        MissingDependency: if there is no screen, or nothing to open a window with.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise MissingDependency(f"--view needs a screen, and DISPLAY is not set; {INSTEAD}")
+    try:
+        glfw = importlib.import_module("glfw")
+        importlib.import_module("mujoco.viewer")
+    except Exception as error:  # whatever a graphics library that is not there leads to
+        raise MissingDependency(f"--view needs MuJoCo's viewer: {error}; {INSTEAD}") from error
+    # the viewer opens its window in a thread and would wait forever if that failed
+    if not glfw.init() or not _can_open(glfw):
+        raise MissingDependency(f"--view cannot open a window with OpenGL on this screen; {INSTEAD}")
+
+
+def _can_open(glfw: Any) -> bool:
+    glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+    window = glfw.create_window(16, 16, "kraft", None, None)
+    if window:
+        glfw.destroy_window(window)
+    glfw.default_window_hints()
+    return bool(window)

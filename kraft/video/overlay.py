@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from typing import Final
-
 import numpy as np
 from PIL import Image as Pillow
 from PIL import ImageDraw
-
 from kraft.driving.messages import Kind
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.video import palette
-from kraft.video.legend import draw_legend
 from kraft.video.moment import Moment
 from kraft.video.mp4 import Image
-from kraft.video.type import font, wrapped
+from collections.abc import Callable
+from typing import Final, TypeAlias
+from functools import lru_cache
+from pathlib import Path
+import matplotlib
+from PIL import ImageFont
+
 
 BAND: Final = 84
 """Height of the band at the foot, px."""
@@ -109,3 +112,71 @@ def verdict(result: TrialResult) -> tuple[str, str]:
 def _plate() -> tuple[int, int, int, int]:
     red, green, blue, opacity = (round(255 * part) for part in palette.colour(palette.PLATE, OPACITY))
     return red, green, blue, opacity
+
+
+SAMPLE: Final = 34
+ROW: Final = 22
+TYPE: Final = 14
+Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
+
+
+def draw_legend(
+    draw: ImageDraw.ImageDraw, right: int, top: int, top_speed: float, plate: tuple[int, int, int, int]
+) -> None:
+    """A plate with one row for each kind of line; its right and upper edge are given, px, and the top speed, m/s."""
+    rows: list[tuple[str, Sample]] = [
+        ("plan", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.PLAN, 4)),
+        ("predicted", lambda d, x, y: d.rectangle((x, y - 5, x + SAMPLE, y + 5), palette.PREDICTED)),
+        ("contingency", _dashes),
+        ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.QUIET, 1)),
+        (
+            "believed pose",
+            lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=palette.ESTIMATE, width=2),
+        ),
+        (f"driven, 0 to {top_speed:.2g} m/s", _speeds),
+    ]
+    width = SAMPLE + 34 + int(max(font(TYPE).getlength(name) for name, _ in rows))
+    left = right - width
+    draw.rounded_rectangle((left, top, right, top + ROW * len(rows) + 14), 8, fill=plate)
+    for row, (name, sample) in enumerate(rows):
+        middle = top + 18 + ROW * row
+        sample(draw, left + 12, middle)
+        draw.text((left + 22 + SAMPLE, middle), name, palette.TEXT, font(TYPE), "lm")
+
+
+def _dashes(draw: ImageDraw.ImageDraw, x: int, y: int) -> None:
+    for k in range(3):
+        draw.line((x + 13 * k, y, x + 13 * k + 7, y), palette.CONTINGENCY, 4)
+
+
+def _speeds(draw: ImageDraw.ImageDraw, x: int, y: int) -> None:
+    for k, shade in enumerate(palette.speed_colours(np.linspace(0.0, 1.0, SAMPLE + 1), 1.0)):
+        red, green, blue = (round(255 * float(part)) for part in shade[:3])
+        draw.line((x + k, y - 2, x + k, y + 2), (red, green, blue))
+
+
+@lru_cache
+def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The font at a size in px."""
+    file = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / file), size)
+
+
+def wrapped(text: str, size: int, width: int, lines: int) -> list[str]:
+    """The text in at most `lines` lines of at most `width` px; what does not fit is cut, with an ellipsis."""
+    found: list[str] = []
+    words = text.split()
+    while words and len(found) < lines:
+        count = next((k for k in range(len(words), 1, -1) if _fits(" ".join(words[:k]), size, width)), 1)
+        found.append(" ".join(words[:count]))
+        words = words[count:]
+    if words or (found and not _fits(found[-1], size, width)):
+        last = found[-1]
+        while last and not _fits(f"{last}…", size, width):
+            last = last[:-1]
+        found[-1] = f"{last.rstrip()}…"
+    return found
+
+
+def _fits(text: str, size: int, width: int) -> bool:
+    return font(size).getlength(text) <= width

@@ -5,17 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
-
 from kraft.driving.messages import Cycle
 from kraft.scenario import Bounds
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
-from kraft.video.available import check_video
+from kraft.video.gl import check_video
 from kraft.video.gl import offscreen_context
 from kraft.video.moment import Chronicle
 from kraft.video.mp4 import Mp4Writer
 from kraft.video.overlay import BAND, Overlay
 from kraft.video.stage import Stage
+import io
+import numpy as np
+from PIL import Image as Pillow
+from kraft.files import write_whole
+from kraft.trial.result import Step, TrialSpec
+from kraft.trial.trial import run_trial
+from kraft.video.mp4 import Image
+
 
 FPS: Final = 30
 SIZE: Final = (1280, 720)
@@ -93,3 +100,41 @@ def map_width(bounds: Bounds) -> int:
     short, long = sorted((bounds.x[1] - bounds.x[0], bounds.y[1] - bounds.y[0]))
     wanted = SIZE[1] * (short + 0.24) / (long + 0.24)
     return 2 * round(min(max(wanted, 220), SIZE[0] / 2.4) / 2)
+
+
+class _Taken(Exception):  # noqa: N818 - it ends the drive, nothing is wrong
+    pass
+
+
+def write_still(path: Path, spec: TrialSpec, time: float) -> None:
+    """Drive until `time` (s) and write what is to be seen then, as PNG; nothing if the trial ends before.
+
+    Raises:
+        InputError: if the file cannot be written.
+        MissingDependency: if nothing can be drawn without a window here.
+    """
+    side, chronicle = map_width(spec.scenario.bounds), Chronicle(spec)
+    gl = offscreen_context(*SIZE)
+
+    def look(world: World, step: Step) -> None:
+        moment = chronicle.on_step(world, step)
+        if world.time >= time - 1e-6:
+            stage = Stage(world, spec, SIZE, side, BAND)
+            write_whole(path, _png(Overlay(spec, SIZE, side).over(stage.picture(moment), moment)))
+            stage.close()
+            raise _Taken
+
+    try:
+        run_trial(spec, chronicle.on_cycle, look, keep_trees=True)
+    except _Taken:
+        pass
+    finally:
+        gl.free()
+
+
+def _png(picture: Image) -> bytes:
+    """In colours rounded to steps of 4 of 255: smaller, and the eye sees no difference."""
+    rounded = np.minimum((picture.astype(np.int16) + 2) // 4 * 4, 255).astype(np.uint8)
+    content = io.BytesIO()
+    Pillow.fromarray(rounded).save(content, "PNG", optimize=True)
+    return content.getvalue()
