@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from kraft.logs.log import Log, Part
-from kraft.sysid.motion import Motion
+from kraft.sysid.dynamics import Motion
 from kraft.sysid.parameters import vehicle_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix

@@ -24,11 +24,10 @@ from kraft.files import write_whole
 from kraft.recording.request import Request as RecordRequest
 from kraft.recording.request import carry_out as record
 from kraft.sysid.options import Options
-from kraft.sysid.record import record_of
 from kraft.sysid.report import parameter_table, prediction_table
 from kraft.sysid.request import Identified, Request
 from kraft.sysid.request import carry_out as identify
-from kraft.sysid.vehicle_file import vehicle_text
+from kraft.sysid.vehicle_file import record_of, vehicle_text
 from kraft.vehicles.config import load_vehicle_config
 
 MODELS = ("mushr", "mushr-lag", "mushr-drive")

@@ -47,7 +47,7 @@ def json_content(planned: Planned) -> dict[str, Any]:
 def table_rows(planned: Planned) -> list[tuple[str, str]]:
     """Label and value of each line of the table that a person reads."""
     result, plan, progress = planned.result, planned.result.plan, planned.result.progress
-    rows = [("scenario", planned.task.name), ("vehicle", _vehicle(planned))]
+    rows = [("scenario", planned.task.name), ("vehicle", _vehicle_text(planned))]
     rows.append(("result", _outcome(result)))
     if plan is not None:
         rows.append(("plan", f"{plan.cost:.2f} s in {counted(len(plan.durations), 'edge')}"))
@@ -87,7 +87,7 @@ def notes(result: PlanResult) -> dict[str, str]:
     return {**found, "iterations": f"{result.progress.iterations:,}", "nodes": f"{result.progress.nodes:,}"}
 
 
-def _vehicle(planned: Planned) -> str:
+def _vehicle_text(planned: Planned) -> str:
     values = ", ".join(f"{name} {value:g}" for name, value in planned.vehicle.parameters.items())
     return f"{planned.vehicle.name} ({values})" if values else planned.vehicle.name
 

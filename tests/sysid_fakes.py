@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kraft.logs.log import Log, Part, Source
-from kraft.sysid.forecast import Forecast, Predicted
-from kraft.sysid.holdout import Split
-from kraft.sysid.prediction import Window
+from kraft.sysid.data import Split
+from kraft.sysid.prediction import Forecast, Predicted, Window
 from kraft.sysid.result import Estimated, Identification, LogFit, PartFit
 from kraft.sysid.settings import Noise
 

@@ -13,7 +13,7 @@ import pytest
 
 from kraft.sysid import compilation, pace
 from kraft.sysid import request as module
-from kraft.sysid.extras import moves
+from kraft.sysid.parameters import moves
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 

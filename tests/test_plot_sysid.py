@@ -15,7 +15,7 @@ from kraft.plot.style import look
 from kraft.plot.sysid import compose, plot_identification
 from kraft.plot.sysid_logs import compose_logs, plot_logs, speeds, telling
 from kraft.plot.sysid_panels import growth, typical
-from kraft.sysid.holdout import Split
+from kraft.sysid.data import Split
 from kraft.sysid.result import Identification
 from kraft.vehicles.load import load_vehicle
 

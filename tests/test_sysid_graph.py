@@ -12,18 +12,16 @@ from benchmarks.synthetic_logs import synthetic_logs
 from benchmarks.sysid import NOISE, TRUTH
 from kraft.errors import Defect
 from kraft.logs.log import Log, Part
-from kraft.sysid.assembly import assemble, starting_point
 from kraft.sysid.chains import between, whole
+from kraft.sysid.dynamics import Motion
 from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.motion import Motion
-from kraft.sysid.noise_model import noise_model, threshold
+from kraft.sysid.observation import noise_model, threshold
+from kraft.sysid.optimiser import RhoFactors, bounded_step, held_at_bounds
 from kraft.sysid.paper_graph import PaperGraph
 from kraft.sysid.parameters import parameters_of, vehicle_of
-from kraft.sysid.problem import Point, Problem
-from kraft.sysid.rest import begins_at_rest
-from kraft.sysid.rho_graph import RhoFactors, bounded_step, held_at_bounds
+from kraft.sysid.problem import Point, Problem, assemble, starting_point
 from kraft.sysid.settings import Settings
-from kraft.sysid.smoothing import measured_noise, smoothed
+from kraft.sysid.smoothing import begins_at_rest, measured_noise, smoothed
 from kraft.sysid.start import Search, smooth
 from kraft.sysid.uncertainty import uncertainty
 from kraft.vehicles.config import load_vehicle_config

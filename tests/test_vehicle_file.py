@@ -12,14 +12,18 @@ from sysid_fakes import estimated, fake_identification, fake_log, fake_predicted
 
 from kraft.config import bundled
 from kraft.errors import InputError
-from kraft.sysid.comparison import no_better
-from kraft.sysid.forecast import Forecast
-from kraft.sysid.holdout import Split, split
-from kraft.sysid.record import record_of
+from kraft.sysid.data import Split, split
+from kraft.sysid.prediction import Forecast, no_better, objections
 from kraft.sysid.result import Estimated
-from kraft.sysid.subject import Subject, load_subject
-from kraft.sysid.vehicle_file import check_target, identified, vehicle_text, write_vehicle
-from kraft.sysid.verdict import objections
+from kraft.sysid.vehicle_file import (
+    Subject,
+    check_target,
+    identified,
+    load_subject,
+    record_of,
+    vehicle_text,
+    write_vehicle,
+)
 from kraft.vehicles.config import Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main

@@ -23,13 +23,11 @@ from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
-from kraft.video.gl import check_video, check_view
-from kraft.video.gl import offscreen_context
+from kraft.video.gl import check_video, check_view, offscreen_context
 from kraft.video.mp4 import Image, Mp4Writer
-from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width
-from kraft.video.smooth import smoothed
-from kraft.video.recorder import write_still
 from kraft.video.overlay import font, wrapped
+from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width, write_still
+from kraft.video.smooth import smoothed
 
 ROOT = Path(__file__).resolve().parent.parent
 SECONDS = 0.4

@@ -18,11 +18,10 @@ from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialSpec
 from kraft.vehicles.load import load_vehicle
-from kraft.video.stage import ROOF, SOLID, ChaseCamera, map_aim
-from kraft.video.pen import resampled
 from kraft.video.drawing import EDGES_MAX, draw_cycle
 from kraft.video.moment import Chronicle
-from kraft.video.pen import LINE, Pen
+from kraft.video.pen import LINE, Pen, resampled
+from kraft.video.stage import ROOF, SOLID, ChaseCamera, map_aim
 from ompl_ext.plan import TreeView
 
 BLUE = (0.0, 0.0, 1.0, 1.0)

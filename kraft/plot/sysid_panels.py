@@ -21,8 +21,7 @@ from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
-    from kraft.sysid.forecast import Forecast
-    from kraft.sysid.prediction import Window
+    from kraft.sysid.prediction import Forecast, Window
 
 ROW: Final = 0.215
 BAR: Final = 0.75

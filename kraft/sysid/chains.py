@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kraft.sysid.rest import begins_at_rest
+from kraft.sysid.smoothing import begins_at_rest
 from ompl_ext.arrays import Floats, Ints, Matrix
 
 if TYPE_CHECKING:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from kraft.sysid.manoeuvres import lacking
 from kraft.sysid.optimiser import Optimum
-from kraft.sysid.problem import Problem
-from kraft.sysid.residuals import residual_ratio
+from kraft.sysid.parameters import Parameters
+from kraft.sysid.problem import Problem, residual_ratio
 from kraft.sysid.result import AT_BOUND, correlations
 from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
@@ -223,3 +223,35 @@ def _ranks(values: Floats) -> Floats:
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     ranks: Floats = (np.cumsum(counts) - 0.5 * counts)[inverse]
     return ranks
+
+
+_TURNS: Final = "arcs to the left and to the right, of several radii"
+_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
+_LEVELS: Final = "stretches at several constant throttles, low ones too"
+_CHANGES: Final = "sudden changes of the commands while driving"
+_KNOWN: Final = {
+    "L": _TURNS,
+    "phi_diff": _TURNS,
+    "v_delta": _LEVELS,
+    "tau": _STEPS,
+    "u_0": _LEVELS,
+    "delay": _CHANGES,
+    "friction": _STEPS,
+    "dead_band_throttle": _LEVELS,
+    "dead_band_steering": _TURNS,
+    "lever": _TURNS,
+    "side": _TURNS,
+    "yaw_offset": _TURNS,
+}
+
+
+def lacking(parameters: Parameters, *names: str) -> str:
+    """The manoeuvres that would show some parameters, for a sentence."""
+    controls = ", ".join(parameters.vehicle.controls)
+    general = f"steps of each command ({controls}) one at a time, at several levels and of both signs"
+    found = dict.fromkeys(_of(name, general) for name in names)
+    return " and ".join(found)
+
+
+def _of(name: str, general: str) -> str:
+    return _CHANGES if name.startswith(("delay_", "lag_")) else _KNOWN.get(name, general)

@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 
 from kraft.logs.log import Part
-from kraft.sysid.assembly import assemble, starting_point
 from kraft.sysid.chains import whole
 from kraft.sysid.elimination import is_cached
 from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.noise_model import noise_model
+from kraft.sysid.observation import noise_model
 from kraft.sysid.parameters import parameters_of
+from kraft.sysid.problem import assemble, starting_point
 from kraft.sysid.settings import Noise, Settings
 from kraft.sysid.start import smooth
 from ompl_ext.jit import cache_root

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kraft.sysid.elimination import Eliminated, Graph, allocate, back_substitute, eliminate
+from kraft.sysid.optimiser import RhoFactors
 from kraft.sysid.problem import Point, Problem
-from kraft.sysid.rho_graph import RhoFactors
 from ompl_ext.arrays import Floats
 
 

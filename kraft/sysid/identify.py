@@ -9,21 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kraft.sysid.assembly import assemble, starting_point
 from kraft.sysid.chains import whole
-from kraft.sysid.checks import Case, warnings_of
+from kraft.sysid.checks import Case, at_bound, unidentified, warnings_of
+from kraft.sysid.data import screened, usable_logs
+from kraft.sysid.dynamics import Motion
 from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.input import screened, usable_logs
-from kraft.sysid.noise_model import NoiseModel, noise_model
-from kraft.sysid.optimiser import Linearised, Optimum, Watch, optimise, unwatched
+from kraft.sysid.observation import NoiseModel, noise_model
+from kraft.sysid.optimiser import Linearised, Optimum, Watch, held_at_bounds, optimise, unwatched
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
-from kraft.sysid.problem import Point, Problem
-from kraft.sysid.reporting import identification
-from kraft.sysid.residuals import residual_ratio
-from kraft.sysid.result import Identification
-from kraft.sysid.rho_graph import held_at_bounds
-from kraft.sysid.selection import asked_for, choice, shown, to_try
-from kraft.sysid.setting_checks import check_free, check_settings
+from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
+from kraft.sysid.result import Estimated, Identification, LogFit, PartFit
+from kraft.sysid.selection import asked_for, check_free, check_settings, choice, shown, to_try
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.start import Search, Smooth, smooth
@@ -34,6 +30,7 @@ from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
+
 
 TYPICAL = 1.5
 """Residuals by this factor larger or smaller than the noise lets expect set the threshold of the robust loss."""
@@ -167,3 +164,105 @@ class _Task:
         from kraft.sysid.paper_graph import PaperGraph
 
         return PaperGraph(problem)
+
+
+SECONDS, STEP = 3.0, 0.02
+SHARE = 0.1
+"""Of the full steering: a gentle turn."""
+
+
+def ahead_of_axle(parameters: Parameters, motion: Motion, rho: Floats) -> float | None:
+    """Distance of the model's point ahead of its rear axle, m; None for a vehicle without steering.
+
+    In a steady turn a point b ahead of the axle moves sideways with b times the turning rate.
+    """
+    vehicle = parameters.vehicle
+    controls = list(vehicle.controls)
+    if "steering" not in controls or vehicle.index("theta") < 0:
+        return None
+    control = np.maximum(vehicle.control_bounds[:, 1], 0.0)
+    control[controls.index("steering")] *= SHARE
+    steps = round(SECONDS / STEP)
+    states = motion.simulate(
+        np.zeros((1, motion.nx)),
+        np.tile(control, (steps, 1, 1)),
+        parameters.model_values(rho)[None],
+        np.array([STEP]),
+    )[-2:, 0]
+    dx, dy, turn = np.diff(states, axis=0)[0][[vehicle.index(name) for name in ("x", "y", "theta")]]
+    middle = states[0, vehicle.index("theta")] + 0.5 * turn
+    sideways = dy * np.cos(middle) - dx * np.sin(middle)
+    return float(sideways / turn) if abs(turn) > 1e-6 else None
+
+
+def identification(case: Case, warnings: tuple[str, ...], notes: tuple[str, ...]) -> Identification:
+    """The result."""
+    p, noise = case.problem.parameters, case.problem.noise
+    vehicle, rho = p.vehicle, case.optimum.point.rho
+    axle = ahead_of_axle(p, case.problem.dynamics.motion, rho)
+    lever = float(rho[k]) if (k := p.extra("lever")) >= 0 else 0.0
+    return Identification(
+        model=vehicle.name,
+        parameters=_estimated(case),
+        extras=p.extras,
+        names=tuple(case.names),
+        covariance=case.uncertain.covariance,
+        interval=case.uncertain.kind,
+        graph_covariance=case.uncertain.graph,
+        unidentified=unidentified(case),
+        converged=case.optimum.converged,
+        iterations=case.iterations,
+        cost=case.optimum.cost,
+        noise=noise.noise,
+        noise_measured=case.noise_measured,
+        process={name: float(value) for name, value in zip(vehicle.state, noise.process, strict=True)},
+        warnings=warnings,
+        notes=notes,
+        logs=_log_fits(case),
+        rear_axle=None if axle is None else axle + lever,
+    )
+
+
+def _estimated(case: Case) -> dict[str, Estimated]:
+    p, rho = case.problem.parameters, case.optimum.point.rho
+    std: Floats = np.zeros(len(rho))
+    std[p.free] = case.uncertain.std
+    half, bounds = case.uncertain.quantile * std, at_bound(case)
+    return {
+        number.name: Estimated(
+            value=float(rho[k]),
+            std=float(std[k]),
+            ci95=(max(float(rho[k] - half[k]), number.min), min(float(rho[k] + half[k]), number.max)),
+            unit=number.unit,
+            description=number.description,
+            initial=number.value,
+            min=number.min,
+            max=number.max,
+            frozen=not p.free[k],
+            at_bound=number.name in bounds,
+        )
+        for k, number in enumerate(p.numbers)
+    }
+
+
+def _log_fits(case: Case) -> tuple[LogFit, ...]:
+    problem, point, chains = case.problem, case.optimum.point, case.problem.chains
+    fitted = problem.observation.predict(problem.between(point.states), point.rho)
+    weights = problem.noise.weights(problem.pose_residuals(point))
+    parts: list[list[PartFit]] = [[] for _ in case.logs]
+    step, pose = 0, 0
+    for c, stretch in enumerate(chains.stretches):
+        count = len(stretch.part.pose_times[stretch.poses])
+        parts[stretch.log].append(
+            PartFit(
+                times=stretch.times,
+                states=point.states[chains.first[c] : chains.first[c + 1]],
+                controls=point.controls[step : step + stretch.steps],
+                pose_times=stretch.part.pose_times[stretch.poses],
+                poses=stretch.part.poses[stretch.poses],
+                fitted=fitted[pose : pose + count],
+                weights=weights[pose : pose + count],
+            )
+        )
+        step, pose = step + stretch.steps, pose + count
+    return tuple(LogFit(name, tuple(found)) for name, found in zip(case.logs, parts, strict=True))

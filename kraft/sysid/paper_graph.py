@@ -15,8 +15,8 @@ import gtsam
 import numpy as np
 
 from kraft.errors import Defect
+from kraft.sysid.optimiser import RHO, RhoFactors
 from kraft.sysid.problem import Point, Problem
-from kraft.sysid.rho_graph import RHO, RhoFactors
 from ompl_ext.arrays import Floats, Matrix
 
 Jacobians = list[Matrix] | None

@@ -12,7 +12,7 @@ from kraft.logs.discover import discover
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import UnfitError, read_logs
-from kraft.sysid.input import screened
+from kraft.sysid.data import screened
 
 Say = Callable[[str], None]
 HARMLESS: Final = {

@@ -13,21 +13,17 @@ from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
 from kraft.sysid.compilation import ensure_compiled
-from kraft.sysid.extras import moves
-from kraft.sysid.forecast import Predicted, predicted
-from kraft.sysid.holdout import Split, split
+from kraft.sysid.data import Split, split
 from kraft.sysid.identify import identify
 from kraft.sysid.options import Options, settings_of
 from kraft.sysid.pace import Pace
+from kraft.sysid.parameters import moves
+from kraft.sysid.prediction import Predicted, objections, predicted
 from kraft.sysid.reading import Say, explain, read
-from kraft.sysid.record import record_of
 from kraft.sysid.result import Identification
-from kraft.sysid.selection import not_sought
-from kraft.sysid.setting_checks import check_free, check_settings
+from kraft.sysid.selection import check_free, check_settings, not_sought
 from kraft.sysid.settings import Settings
-from kraft.sysid.subject import Subject, load_subject
-from kraft.sysid.vehicle_file import check_target, write_vehicle
-from kraft.sysid.verdict import objections
+from kraft.sysid.vehicle_file import Subject, check_target, load_subject, record_of, write_vehicle
 
 MODEL: Final = "mushr-lag"
 

@@ -36,8 +36,8 @@ class Settings:
     values: Mapping[str, float] = field(default_factory=dict)
     """nominal values in place of the vehicle's, for parameters and extras"""
     extras: Extras = "auto"
-    """parameters beside the model's own (`kraft.sysid.extras`): those that the data show, the same without those that
-    belong to the motion, which planning does not know, those named, or none"""
+    """parameters beside the model's own (`kraft.sysid.parameters`): those that the data show, the same without those
+    that belong to the motion, which planning does not know, those named, or none"""
     graph: Literal["fast", "paper"] = "fast"
     """the factor graph with states and controls eliminated in compiled code, or every factor explicit"""
     step: float = 0.05

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import norm, t
 
-from kraft.sysid.rho_graph import RhoFactors
+from kraft.sysid.optimiser import RhoFactors
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 LEAST_LOGS = 5

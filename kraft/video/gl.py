@@ -5,15 +5,14 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import sys
 import warnings
 from ctypes.util import find_library
-from typing import Any, Final
-from kraft.errors import MissingDependency
-import sys
 from pathlib import Path
+from typing import Any, Final
+
 from kraft.errors import InputError, MissingDependency
 from kraft.files import check_writable
-
 
 BACKENDS: Final = ("egl", "osmesa", "glfw")
 ADVICE: Final = (

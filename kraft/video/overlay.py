@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, TypeAlias
+
+import matplotlib
 import numpy as np
 from PIL import Image as Pillow
-from PIL import ImageDraw
+from PIL import ImageDraw, ImageFont
+
 from kraft.driving.messages import Kind
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.video import palette
 from kraft.video.moment import Moment
 from kraft.video.mp4 import Image
-from collections.abc import Callable
-from typing import Final, TypeAlias
-from functools import lru_cache
-from pathlib import Path
-import matplotlib
-from PIL import ImageFont
-
 
 BAND: Final = 84
 """Height of the band at the foot, px."""

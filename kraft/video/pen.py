@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from typing import Any, Final, TypeAlias
+
 import mujoco
 import numpy as np
+
 from kraft.simulation.surface import Surface
 from ompl_ext.arrays import Floats, Matrix
-
 
 Colour: TypeAlias = tuple[float, float, float, float]
 

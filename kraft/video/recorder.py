@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
+
+import numpy as np
+from PIL import Image as Pillow
+
 from kraft.driving.messages import Cycle
+from kraft.files import write_whole
 from kraft.scenario import Bounds
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
-from kraft.video.gl import check_video
-from kraft.video.gl import offscreen_context
+from kraft.trial.trial import run_trial
+from kraft.video.gl import check_video, offscreen_context
 from kraft.video.moment import Chronicle
-from kraft.video.mp4 import Mp4Writer
+from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import BAND, Overlay
 from kraft.video.stage import Stage
-import io
-import numpy as np
-from PIL import Image as Pillow
-from kraft.files import write_whole
-from kraft.trial.result import Step, TrialSpec
-from kraft.trial.trial import run_trial
-from kraft.video.mp4 import Image
-
 
 FPS: Final = 30
 SIZE: Final = (1280, 720)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
+
 import mujoco
 import numpy as np
+
 from kraft.driving.messages import Cycle
+from kraft.scenario import Bounds
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.result import TrialSpec
@@ -17,9 +21,6 @@ from kraft.video.mp4 import Image
 from kraft.video.pen import Pen
 from kraft.video.smooth import smoothed
 from ompl_ext.arrays import Floats
-from dataclasses import dataclass
-from kraft.scenario import Bounds
-
 
 GEOMS_MAX: Final = 12_000
 NEAR, FAR = 0.05, 60.0

@@ -16,12 +16,12 @@ from kraft.driving.messages import Cycle
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
-from kraft.video.gl import check_view
-from kraft.video.stage import AHEAD, DISTANCE, LOWEST
 from kraft.video.drawing import draw_cycle, draw_moment
+from kraft.video.gl import check_view
 from kraft.video.moment import Chronicle, Moment
 from kraft.video.overlay import verdict
 from kraft.video.pen import Pen
+from kraft.video.stage import AHEAD, DISTANCE, LOWEST
 
 HOLD: Final = 2.0
 """How long the end is shown, s."""
