@@ -10,10 +10,10 @@ from benchmarks.effort import Effort
 from benchmarks.report import Row, Target, row
 from kraft.logs.log import Log
 from kraft.logs.reader import read_logs
-from kraft.recording.request import Request, carry_out
 from kraft.sysid import Settings, identify, prediction_errors
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
+from kraft_cli.work.record import Request, carry_out
 
 NOMINAL = {"mushr": dict(MUSHR.parameters), "mushr-lag": dict(MUSHR_LAG.parameters)}
 AFTER = 2.0  # s

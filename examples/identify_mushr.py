@@ -21,14 +21,13 @@ from pathlib import Path
 
 from kraft.config import bundled
 from kraft.files import write_whole
-from kraft.recording.request import Request as RecordRequest
-from kraft.recording.request import carry_out as record
-from kraft.sysid.options import Options
-from kraft.sysid.report import parameter_table, prediction_table
-from kraft.sysid.request import Identified, Request
-from kraft.sysid.request import carry_out as identify
 from kraft.sysid.vehicle_file import record_of, vehicle_text
 from kraft.vehicles.config import load_vehicle_config
+from kraft_cli.work.record import Request as RecordRequest
+from kraft_cli.work.record import carry_out as record
+from kraft_cli.work.sysid import Identified, Options, Request
+from kraft_cli.work.sysid import carry_out as identify
+from kraft_cli.work.sysid_report import parameter_table, prediction_table
 
 MODELS = ("mushr", "mushr-lag", "mushr-drive")
 

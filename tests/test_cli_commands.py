@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from kraft import environment
 from kraft.config import bundled
-from kraft.environment import REQUIRED, Finding
 from kraft.scenario.planning import PLANNERS
 from kraft_cli.main import main
+from kraft_cli.work import doctor as environment
+from kraft_cli.work.doctor import REQUIRED, Finding
 
 ROOT = Path(__file__).resolve().parent.parent
 GOOD = """name: x

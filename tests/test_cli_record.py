@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from kraft.recording import request
 from kraft.recording.recorder import Recorder
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
+from kraft_cli.work import record as request
 
 ROOT = Path(__file__).resolve().parent.parent
 FILES = {"commands.csv", "poses.csv", "truth.csv", "manifest.json"}

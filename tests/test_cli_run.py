@@ -12,13 +12,12 @@ import pytest
 
 from kraft.driving.method import load_method
 from kraft.evaluation.row import digest
-from kraft.run_report import cycle_line, outcome_text
-from kraft.run_request import Request, carry_out
 from kraft.scenario import load_scenario
 from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
+from kraft_cli.work.run import Request, carry_out, cycle_line, outcome_text
 
 ROOT = Path(__file__).resolve().parent.parent
 KEYS = {

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kraft.sysid import compilation, pace
-from kraft.sysid import request as module
+from kraft.sysid import compilation
 from kraft.sysid.parameters import moves
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
+from kraft_cli.work import sysid as module
+from kraft_cli.work import sysid as pace
 
 ROOT = Path(__file__).resolve().parent.parent
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}

@@ -16,8 +16,8 @@ from kraft.logs.discover import Candidate, each_once
 from kraft.logs.log import Log
 from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
 from kraft.logs.reader import read_logs
-from kraft.run_folder import _step_heading
 from kraft.vehicles.load import load_vehicle
+from kraft_cli.work.run_folder import _step_heading
 
 MADE = drive()
 WIDE = wide_columns(np.arange(0.025, 5.9, 0.025), MADE)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from log_fixtures import Bag, drive, nanoseconds, wide_columns, write_table, write_wide
 
-from kraft.checking import check_file
 from kraft.errors import InputError
 from kraft.logs.guess import guess_commands
 from kraft.logs.log import Log
 from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import CONTROLS, heading, read_logs, unfit
 from kraft.logs.table import Table
+from kraft_cli.work.validate import check_file
 
 MADE = drive()
 TIMES = np.arange(0.025, 5.9, 0.025)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from kraft.checking import check_file
 from kraft.config import bundled
 from kraft.driving.method import Filter, Kinodynamic, Latest, load_method
 from kraft.errors import InputError
+from kraft_cli.work.validate import check_file
 
 GOOD = """name: mine
 title: Mine

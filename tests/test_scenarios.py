@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from kraft import json_schema
 from kraft.config import bundled
 from kraft.errors import InputError
 from kraft.scenario import (
@@ -29,6 +28,7 @@ from kraft.scenario import (
     parse_scenario,
 )
 from kraft.scenario.planning import DEFAULT_ITERATIONS, Planning, Safety
+from kraft_cli.work import json_schema
 
 PAPER = ("boxes", "boxes-real", "bump", "movable", "slip", "slope", "turns", "turns-real")
 TURNS = {((0.5, 1.5), (1.0, 1.0)), ((1.5, 3.5), (1.0, 1.0))}
@@ -135,7 +135,7 @@ def test_a_bundled_scene_names_its_schema_for_editors(name: str) -> None:
 
 def test_the_committed_schemas_are_up_to_date() -> None:
     for path, model in json_schema.files().items():
-        assert path.read_text(encoding="utf-8") == json_schema.text(model), "run python -m kraft.json_schema"
+        assert path.read_text(encoding="utf-8") == json_schema.text(model), "run python -m kraft_cli.work.json_schema"
         assert json.loads(path.read_text(encoding="utf-8"))["additionalProperties"] is False
 
 

@@ -16,7 +16,7 @@ def doctor(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
     """Check Python, packages, processor, kernel cache and rendering."""
-    from kraft.environment import examine
+    from kraft_cli.work.doctor import examine
 
     terminal: Terminal = context.obj
     findings = examine()

@@ -45,8 +45,8 @@ def eval_(
     json: Json = False,
 ) -> ExitStatus:
     """Run methods in scenarios many times and compare them; collisions are results, not errors."""
-    from kraft.evaluation.request import Request, carry_out, complete, resume_command
     from kraft_cli.progress import Interrupts, Progress
+    from kraft_cli.work.evaluate import Request, carry_out, complete, resume_command
 
     terminal: Terminal = context.obj
     request = complete(

@@ -45,9 +45,8 @@ def plan(
     json: Json = False,
 ) -> ExitStatus:
     """Plan a scenario and show the result; it ends with 1 if no plan reaches the goal."""
-    from kraft.plan_report import json_content, table_rows
-    from kraft.plan_request import Request, carry_out
     from kraft_cli.tables import show_rows
+    from kraft_cli.work.plan import Request, carry_out, json_content, table_rows
 
     terminal: Terminal = context.obj
     request = Request(scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after)

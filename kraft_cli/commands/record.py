@@ -11,7 +11,7 @@ from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from kraft.recording.request import Recorded
+    from kraft_cli.work.record import Recorded
 
 Scenario = Annotated[str, typer.Argument(metavar="[SCENARIO]", help="A bundled name or the path of a file.")]
 Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
@@ -29,8 +29,8 @@ def record(
     json: Json = False,
 ) -> ExitStatus:
     """Drive manoeuvres without feedback in simulation and write what was commanded and seen, for kraft sysid."""
-    from kraft.recording.request import Request, carry_out
     from kraft.text import counted
+    from kraft_cli.work.record import Request, carry_out
 
     terminal: Terminal = context.obj
     done: list[Recorded] = []

@@ -35,12 +35,11 @@ def run(
     json: Json = False,
 ) -> ExitStatus:
     """Drive a scenario once in simulation; it ends with 1 if the goal is not reached."""
-    from kraft.run_folder import SCHEMA
-    from kraft.run_report import cycle_line, json_content, table_rows
-    from kraft.run_request import Request, carry_out
     from kraft.trial.result import Outcome
-    from kraft.watching import Wanted
     from kraft_cli.tables import show_rows
+    from kraft_cli.work.run import Request, carry_out, cycle_line, json_content, table_rows
+    from kraft_cli.work.run_folder import SCHEMA
+    from kraft_cli.work.watching import Wanted
 
     terminal: Terminal = context.obj
     request = Request(scenario, method, vehicle, seed, out, Wanted(video, view, plot))

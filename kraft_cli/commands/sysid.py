@@ -11,7 +11,7 @@ from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from kraft.sysid.request import Identified
+    from kraft_cli.work.sysid import Identified
 
 Logs = Annotated[list[Path], typer.Argument(metavar="LOGS...", help="Folders and files with logs.")]
 Model = Annotated[
@@ -63,9 +63,8 @@ def sysid(
     json: Json = False,
 ) -> ExitStatus:
     """Identify a vehicle's parameters from logs; it ends with 1 if the logs do not show them."""
-    from kraft.sysid.options import Options
-    from kraft.sysid.report import SCHEMA, json_content
-    from kraft.sysid.request import Request, carry_out
+    from kraft_cli.work.sysid import Options, Request, carry_out
+    from kraft_cli.work.sysid_report import SCHEMA, json_content
 
     terminal: Terminal = context.obj
     options = Options(tuple(freeze or ()), extras, graph, pose_noise, tuple(param or ()))
@@ -96,7 +95,7 @@ def _tell(terminal: Terminal, done: Identified) -> None:
 
 
 def _show(terminal: Terminal, done: Identified) -> None:
-    from kraft.sysid.report import parameter_table, prediction_table, remarks
+    from kraft_cli.work.sysid_report import parameter_table, prediction_table, remarks
 
     for heading, rows in (parameter_table(done), prediction_table(done)):
         terminal.table(heading, rows)

@@ -19,8 +19,8 @@ def validate(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
     """Check scenario, vehicle, method, map, log mapping and plan files and show every problem of each."""
-    from kraft.checking import check_file
     from kraft.text import counted
+    from kraft_cli.work.validate import check_file
 
     terminal: Terminal = context.obj
     checked = [check_file(file) for file in files]

@@ -1,6 +1,6 @@
 """JSON Schemas of the configuration files, for editors.
 
-``python -m kraft.json_schema`` writes them beside the bundled files; each of those names its schema in its
+``python -m kraft_cli.work.json_schema`` writes them beside the bundled files; each of those names its schema in its
 first line, so that editors complete and check it while one types.
 """
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from kraft.sysid.request import Identified
 from kraft.sysid.result import Estimated, PredictionErrors
 from kraft.text import counted
+from kraft_cli.work.sysid import Identified
 
 SCHEMA: Final = "kraft.sysid/1"
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
