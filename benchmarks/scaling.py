@@ -14,10 +14,10 @@ from benchmarks.effort import Effort
 from benchmarks.machine import resident_bytes
 from benchmarks.report import Report, Row, Target, number, row
 from benchmarks.scenes import SCENES, Scene, endless, scene
-from ompl_ext import kernel_types as at
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.specialise import kernels
 from ompl_ext.query import edges_to_retain, make_lanes
 from ompl_ext.solver import Dirt
-from ompl_ext.specialise import kernels
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 SMALL, LARGE = SIZES[0], SIZES[-1]

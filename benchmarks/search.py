@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ompl_ext import kernel_types as at
 from ompl_ext.compiled_search import CompiledSearch
+from ompl_ext.kernels import kernel_types as at
 from ompl_ext.planner import DIRT
 
 

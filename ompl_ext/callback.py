@@ -1,7 +1,7 @@
-"""DIRT over OMPL's callbacks: the source of `ompl_ext.dirt`, for any control space.
+"""DIRT over OMPL's callbacks: the source of `ompl_ext.kernels.dirt`, for any control space.
 
 States stay OMPL's own; the tree's arrays hold their numbers in a list.  The algorithm runs compiled and calls back for
-edges and SAFETY (`ompl_ext.callback_kernel`).
+edges and SAFETY (`ompl_ext.kernels.callback_kernel`).
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 from ompl import base as ob
 from ompl import control as oc
 
-from ompl_ext import callback_kernel
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.configuration import Bounds, Configuration, ControlLayout, goal_configuration, state_reader
-from ompl_ext.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
+from ompl_ext.kernels import callback_kernel
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
+from ompl_ext.kernels.rng import generator
+from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset
 from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
-from ompl_ext.rng import generator
-from ompl_ext.tree_memory import add_root, new_tree, path_to, prune, reset
 
 PRUNE_EVERY = 1024  # iterations
 
@@ -111,7 +111,7 @@ class CallbackSearch:
         )
 
     def count(self, which: int) -> int:
-        """A number of `ompl_ext.kernel_types.Tree.count`."""
+        """A number of `ompl_ext.kernels.kernel_types.Tree.count`."""
         return int(self._tree.count[which])
 
     def infeasible(self) -> bool:

@@ -77,7 +77,7 @@ class CompiledSearch:
         self.dirt.grow(stop=stop)
 
     def count(self, which: int) -> int:
-        """A number of `ompl_ext.kernel_types.Tree.count`."""
+        """A number of `ompl_ext.kernels.kernel_types.Tree.count`."""
         return int(self.dirt.tree_arrays.count[which])
 
     def best(self) -> tuple[int, bool]:

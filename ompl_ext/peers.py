@@ -11,10 +11,10 @@ from ompl import control as oc
 from ompl import util as ou
 
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.query import Goal, Safety, Settings
-from ompl_ext.specialise import kernels
 from ompl_ext.system import SimpleSetup, simple_setup
 from ompl_ext.validity import SafetyValidityChecker
 from ompl_ext.vehicle import Vehicle

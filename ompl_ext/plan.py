@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Ints, Matrix
-from ompl_ext.kernel_types import Tree
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.kernel_types import Tree
 
 
 @dataclass(frozen=True)

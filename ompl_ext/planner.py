@@ -16,11 +16,11 @@ from ompl import base as ob
 from ompl import control as oc
 from ompl import util as ou
 
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.callback import CallbackSearch, CallbackSettings
 from ompl_ext.compiled_search import CompiledSearch
 from ompl_ext.configuration import Bounds, Configuration, ControlLayout, default_configuration
+from ompl_ext.kernels import kernel_types as at
 from ompl_ext.parameters import DIRT_PARAMETERS, ParamSet, Value
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.system import PlanarGoal

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats
-from ompl_ext.clearance import clearance_field, cover
-from ompl_ext.costtogo import cost_to_go
-from ompl_ext.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.clearance import clearance_field, cover
+from ompl_ext.kernels.costtogo import cost_to_go
+from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 

@@ -10,17 +10,17 @@ from functools import cached_property
 
 import numpy as np
 
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.costtogo import UNREACHABLE
 from ompl_ext.exact import ExactClearance
-from ompl_ext.kernel_types import LANE_WIDTH, Problem
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.costtogo import UNREACHABLE
+from ompl_ext.kernels.kernel_types import LANE_WIDTH, Problem
+from ompl_ext.kernels.rng import generator
+from ompl_ext.kernels.specialise import kernels
+from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem
-from ompl_ext.rng import generator
-from ompl_ext.specialise import kernels
-from ompl_ext.tree_memory import add_root, new_tree, path_to, prune, reset
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between looks at the clock until a solution is found

@@ -13,9 +13,9 @@ from ompl import base as ob
 from ompl import control as oc
 
 from ompl_ext.arrays import Floats
+from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Goal, Safety
-from ompl_ext.specialise import kernels
 from ompl_ext.validity import SafetyValidityChecker
 from ompl_ext.vehicle import Vehicle
 

@@ -19,8 +19,8 @@ from kernel_fixtures import (
     random_workspace,
 )  # fmt: skip
 
-from ompl_ext.clearance import clearance_field, cover
 from ompl_ext.exact import ExactClearance
+from ompl_ext.kernels.clearance import clearance_field, cover
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.query import Settings
 from ompl_ext.solver import Dirt

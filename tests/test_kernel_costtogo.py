@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_fixtures import BENCHMARK, NO_SAFETY, random_workspace
 
-from ompl_ext.clearance import ClearanceField, clearance_field
-from ompl_ext.costtogo import UNREACHABLE, CostToGo, cost_to_go, seconds_to_goal
+from ompl_ext.kernels.clearance import ClearanceField, clearance_field
+from ompl_ext.kernels.costtogo import UNREACHABLE, CostToGo, cost_to_go, seconds_to_goal
 from ompl_ext.obstacles import Circle, OccupancyGrid, Workspace, box
 from ompl_ext.query import Goal, make_problem
 from ompl_ext.query import Settings as PlannerSettings

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ompl_ext.rng import fill_uniform, generator, uniform
+from ompl_ext.kernels.rng import fill_uniform, generator, uniform
 
 MASK = 2**64 - 1
 PINNED = {

@@ -10,12 +10,12 @@ from kernel_fixtures import DEFAULT, GOAL, START, TURNS, Array, turns
 from numpy.typing import NDArray
 
 from kraft.vehicles.benchmark import BENCHMARK
-from ompl_ext import kernel_types as at
-from ompl_ext.kernel_types import Tree
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.kernel_types import Tree
+from ompl_ext.kernels.tree import closed_radius, nearest_better, select
+from ompl_ext.kernels.tree_memory import prune
 from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import Dirt
-from ompl_ext.tree import closed_radius, nearest_better, select
-from ompl_ext.tree_memory import prune
 
 RESOLUTION = Settings().resolution
 SETTINGS = [Settings(), Settings(blossom=4, insertions=3), Settings(child_extension=False, heading_weight=0.3)]

@@ -28,7 +28,7 @@ from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR_DRIVE
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.specialise import kernels
+from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 EXTRAS = ("delay", "delay_steering", "lag_throttle", "lag_steering", "friction", "dead_band_throttle",

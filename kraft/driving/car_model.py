@@ -15,7 +15,7 @@ import numpy as np
 
 from kraft.errors import InputError
 from ompl_ext.arrays import Floats
-from ompl_ext.specialise import kernels
+from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Vehicle
 
 STEP: Final = 0.05

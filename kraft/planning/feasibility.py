@@ -17,11 +17,11 @@ from kraft.planning.workspace import (
     workspace_of,
 )
 from kraft.scenario import Task
-from ompl_ext import costtogo
-from ompl_ext import kernel_types as at
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
-from ompl_ext.kernel_types import Problem
+from ompl_ext.kernels import costtogo
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.obstacles import Obstacle, Workspace
 from ompl_ext.query import make_problem
 from ompl_ext.vehicle import Footprint, Vehicle

@@ -14,7 +14,7 @@ import numpy as np
 
 from kraft.sysid.parameters import Parameters, speed_index
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.specialise import step_kernels
+from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
 
 BREAKAWAY = 0.05

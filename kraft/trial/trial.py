@@ -1,7 +1,7 @@
 """One trial: a robot with a model of itself drives in a world that is different.
 
 `run_trial` is the main path of the package; read it, then `kraft.driving.replanner.Replanner.step`, then
-`ompl_ext.dirt`.
+`ompl_ext.kernels.dirt`.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from numba.core.errors import NumbaError
 from kraft.errors import Diagnostic, InputError
 from kraft.text import counted
 from ompl_ext.interrupts import interrupts_between_passes
-from ompl_ext.specialise import is_cached
+from ompl_ext.kernels.specialise import is_cached
 from ompl_ext.vehicle import Vehicle
 
 _LINE_MAX = 160  # characters of numba's explanation that are worth repeating

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from ompl_ext.specialise import is_cached, vehicle_cache_folder
+from ompl_ext.kernels.specialise import is_cached, vehicle_cache_folder
 from ompl_ext.vehicle import Vehicle
 
 

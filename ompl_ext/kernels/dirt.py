@@ -1,8 +1,8 @@
-"""DIRT, the tree planner of Algorithm 1, over the arrays of `ompl_ext.kernel_types`.
+"""DIRT, the tree planner of Algorithm 1, over the arrays of `ompl_ext.kernels.kernel_types`.
 
 Littlefield and Bekris, Efficient and asymptotically optimal kinodynamic motion planning via dominance-informed
 regions, IROS 2018.  The vehicle comes in as three functions (propagate, check, safe): a compiled vehicle's
-(`ompl_ext.lanes`), or ones that call back into Python (`ompl_ext.callback_kernel`).
+(`ompl_ext.kernels.lanes`), or ones that call back into Python (`ompl_ext.kernels.callback_kernel`).
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import math
 from collections.abc import Callable
 
 from ompl_ext.arrays import Floats, int64
-from ompl_ext.costtogo import UNREACHABLE
-from ompl_ext.jit import inlined, part
-from ompl_ext.kernel_types import (
+from ompl_ext.kernels.costtogo import UNREACHABLE
+from ompl_ext.kernels.jit import inlined, part
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
     ASK_SAFETY,
     AT_GOAL,
     BEST,
@@ -56,9 +56,9 @@ from ompl_ext.kernel_types import (
     Problem,
     Retained,
     Tree,
-)  # fmt: skip
-from ompl_ext.rng import uniform
-from ompl_ext.tree import add_to_indices, closed_radius, distance_squared, select
+)
+from ompl_ext.kernels.rng import uniform
+from ompl_ext.kernels.tree import add_to_indices, closed_radius, distance_squared, select
 from ompl_ext.trigonometry import cos, sin
 
 DETOURS = 4  # candidates added by a visit that explores, or that finds no candidate nearer to the goal

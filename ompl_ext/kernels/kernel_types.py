@@ -65,7 +65,7 @@ OPTIONS = 6
 
 
 class Lanes(NamedTuple):
-    """Working memory of a batch of edges, lane-major; see `ompl_ext.lanes`."""
+    """Working memory of a batch of edges, lane-major; see `ompl_ext.kernels.lanes`."""
 
     control: Floats
     duration: Floats

@@ -19,8 +19,8 @@ from __future__ import annotations
 import math
 
 from ompl_ext.arrays import Floats, int64
-from ompl_ext.jit import compiled, inlined, part
-from ompl_ext.kernel_types import (
+from ompl_ext.kernels.jit import compiled, inlined, part
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CELL_NEXT,
     LEVEL_COLUMNS,
     LEVEL_COUNT,
@@ -34,8 +34,8 @@ from ompl_ext.kernel_types import (
     VISITS,
     F,
     Tree,
-)  # fmt: skip
-from ompl_ext.rng import uniform
+)
+from ompl_ext.kernels.rng import uniform
 
 BLOCK = 8  # cells along a block's side
 NODES_AT_FULL_RESOLUTION = 100_000.0

@@ -1,7 +1,7 @@
 """Integrate a batch of candidate edges as vector lanes, and check them: the planner's innermost loop.
 
-`ompl_ext.specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported
-by itself.  Lane i of component c stands at index c * WIDTH + i of a flat array: constant strides inside one array
+`specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported by
+itself.  Lane i of component c stands at index c * WIDTH + i of a flat array: constant strides inside one array
 are what lets LLVM prove the lanes independent and vectorise the loop over them.
 """
 
@@ -11,12 +11,12 @@ import math
 
 from numba import types
 
-from ompl_ext import dirt
 from ompl_ext.arrays import Floats, Matrix32, int64
-from ompl_ext.clearance import pose_slack
-from ompl_ext.costtogo import UNREACHABLE, seconds_to_goal
-from ompl_ext.jit import compiled, inlined, part
-from ompl_ext.kernel_types import (
+from ompl_ext.kernels import dirt
+from ompl_ext.kernels.clearance import pose_slack
+from ompl_ext.kernels.costtogo import UNREACHABLE, seconds_to_goal
+from ompl_ext.kernels.jit import compiled, inlined, part
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKE_STEP,
     BRAKE_STEPS,
     CYCLE,
@@ -44,10 +44,10 @@ from ompl_ext.kernel_types import (
     Problem,
     Retained,
     Tree,
-)  # fmt: skip
-from ompl_ext.specialise import take_target, vehicle_cache_folder
+)
+from ompl_ext.kernels.specialise import take_target, vehicle_cache_folder
+from ompl_ext.kernels.unroll import per_component, store_components, total_of_components
 from ompl_ext.trigonometry import cos, sin
-from ompl_ext.unroll import per_component, store_components, total_of_components
 
 Values = tuple[float, ...]
 

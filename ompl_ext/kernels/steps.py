@@ -1,8 +1,8 @@
 """Many steps of a vehicle's model at once, with or without their derivatives: for identifying and predicting.
 
-`ompl_ext.specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported
-by itself.  As in `ompl_ext.lanes`, lane i of component c stands at index c * WIDTH + i of a flat working block, so that
-LLVM vectorises the loop over lanes; here every lane has a state, a control, parameters and a step of its own.
+`specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported by
+itself.  As in `lanes`, lane i of component c stands at index c * WIDTH + i of a flat working block, so that LLVM
+vectorises the loop over lanes; here every lane has a state, a control, parameters and a step of its own.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from __future__ import annotations
 from numba import types
 
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.jit import compiled, inlined, part
-from ompl_ext.kernel_types import LANE_WIDTH
-from ompl_ext.specialise import take_target, vehicle_cache_folder
-from ompl_ext.unroll import per_component, store_components
+from ompl_ext.kernels.jit import compiled, inlined, part
+from ompl_ext.kernels.kernel_types import LANE_WIDTH
+from ompl_ext.kernels.specialise import take_target, vehicle_cache_folder
+from ompl_ext.kernels.unroll import per_component, store_components
 
 Values = tuple[float, ...]
 

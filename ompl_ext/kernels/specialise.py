@@ -1,6 +1,6 @@
 """Make the compiled kernels of a vehicle: a module executed with the vehicle's functions as its globals.
 
-The planner's kernels are those of `ompl_ext.lanes`; `ompl_ext.steps` has the model's steps alone, for identification.
+The planner's kernels are those of `lanes`; `steps` has the model's steps alone, for identification.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from types import ModuleType
 
 from ompl_ext.arrays import Floats, Matrix, Matrix32
 from ompl_ext.interrupts import interrupts_between_passes
-from ompl_ext.jit import cache_folder
-from ompl_ext.kernel_types import Lanes, Problem, Retained, Tree
+from ompl_ext.kernels.jit import cache_folder
+from ompl_ext.kernels.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.vehicle import Vehicle
 
 _target: list[Vehicle] = []
@@ -26,7 +26,7 @@ _steps: dict[str, StepKernels] = {}
 
 @dataclass(frozen=True)
 class VehicleKernels:
-    """Compiled functions of one vehicle, see `ompl_ext.lanes`."""
+    """Compiled functions of one vehicle, see `ompl_ext.kernels.lanes`."""
 
     grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int], None]
     edge: Callable[[Problem, Lanes, float], None]
@@ -37,7 +37,7 @@ class VehicleKernels:
 
 @dataclass(frozen=True)
 class StepKernels:
-    """Compiled steps of one vehicle's model, see `ompl_ext.steps`; `block` is the length of the working block."""
+    """Compiled steps of one vehicle's model, see `steps`; `block` is the length of the working block."""
 
     linearise: Callable[[Matrix, Matrix, Floats, Floats, Floats, Floats, Matrix, Floats], None]
     simulate: Callable[[Matrix, Floats, Matrix, Floats, Floats, Floats], None]
@@ -47,7 +47,7 @@ class StepKernels:
 def take_target() -> Vehicle:
     """The vehicle that a module is being executed for."""
     if not _target:
-        raise ImportError("this module is executed once per vehicle; call ompl_ext.specialise.kernels(vehicle)")
+        raise ImportError("this module is executed once per vehicle; call ompl_ext.kernels.specialise.kernels(vehicle)")
     return _target[-1]
 
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from ompl_ext.arrays import Bools, Ints, Words
-from ompl_ext.jit import compiled
-from ompl_ext.kernel_types import (
+from ompl_ext.kernels.jit import compiled
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
     BEST,
     CLOSEST,
@@ -29,8 +29,8 @@ from ompl_ext.kernel_types import (
     F,
     Lanes,
     Tree,
-)  # fmt: skip
-from ompl_ext.tree import BLOCK, list_node
+)
+from ompl_ext.kernels.tree import BLOCK, list_node
 
 REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)

@@ -1,4 +1,4 @@
-"""The kernel of DIRT over callbacks: `ompl_ext.dirt`, compiled, with three functions that call back into Python.
+"""The kernel of DIRT over callbacks: `dirt` compiled with three functions that call back into Python.
 
 A ctypes function is to numba a pointer that compiled code can call.  Python is then entered once for a blossom instead
 of once for every step of the algorithm, each of which would have to unpack the tree's arrays.
@@ -15,10 +15,10 @@ from typing import Any
 import numba
 from numba import types
 
-from ompl_ext import dirt
 from ompl_ext.arrays import Floats, int64
-from ompl_ext.jit import compiled, part
-from ompl_ext.kernel_types import FULL, LANES, PROBLEM, RETAINED_EDGES, TREE, Lanes, Problem, Retained, Tree
+from ompl_ext.kernels import dirt
+from ompl_ext.kernels.jit import compiled, part
+from ompl_ext.kernels.kernel_types import FULL, LANES, PROBLEM, RETAINED_EDGES, TREE, Lanes, Problem, Retained, Tree
 
 PROPAGATE = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64)  # from a state's place, so many lanes
 SAFE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_double)  # a lane whose edge begins at a time (s)
