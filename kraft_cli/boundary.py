@@ -15,7 +15,7 @@ from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeR
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
-from ompl_ext.kernels.cache_error import CacheError
+from ompl_ext.cache_error import CacheError
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What writing fails with when it is the disk's fault."""

@@ -8,7 +8,7 @@ arithmetic they also give the same bits on every machine.  Absolute error is bel
 
 from __future__ import annotations
 
-from ompl_ext.kernels.jit import inlined
+from ompl_ext.jit import inlined
 
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds a double to the nearest integer
 _TWO_OVER_PI = 0.6366197723675814

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ompl_ext.arrays import Floats
-from ompl_ext.kernels.fingerprint import fingerprint
-from ompl_ext.kernels.jit import inlined
+from ompl_ext.fingerprint import fingerprint
+from ompl_ext.jit import inlined
 
 MOST_MANOEUVRES = 32  # they are rolled out together as lanes
 derivative = inlined  # the decorator that a vehicle's functions carry

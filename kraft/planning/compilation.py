@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 
 from ompl_ext.interrupts import interrupts_between_passes
+from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.kernels.clearance import clearance_field
 from ompl_ext.kernels.costtogo import cost_to_go
-from ompl_ext.kernels.jit import cache_folder, cache_root
 from ompl_ext.kernels.specialise import is_cached, kernels
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal

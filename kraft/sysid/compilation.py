@@ -16,7 +16,7 @@ from kraft.sysid.parameters import parameters_of
 from kraft.sysid.problem import assemble, starting_point
 from kraft.sysid.settings import Noise, Settings
 from kraft.sysid.start import smooth
-from ompl_ext.kernels.jit import cache_root
+from ompl_ext.jit import cache_root
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from kraft.sysid.chains import Chains
 from ompl_ext.arrays import Floats, Ints, Matrix
-from ompl_ext.kernels.jit import cache_folder, compiled, part
+from ompl_ext.jit import cache_folder, compiled, part
 
 TINY = 1e-12
 """Added to each state's information, so that a component that nothing depends on does no harm."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ompl_ext.kernels.jit import compiled
+from ompl_ext.jit import compiled
 
 Image = NDArray[np.uint8]
 

@@ -98,7 +98,7 @@ def _processor() -> Finding:
 
 def _cache() -> Finding:
     """Where compiled kernels are kept, and whether they can be."""
-    from ompl_ext.kernels.jit import cache_root
+    from ompl_ext.jit import cache_root
 
     folder = cache_root().absolute()
     try:

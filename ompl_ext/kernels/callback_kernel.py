@@ -16,8 +16,8 @@ import numba
 from numba import types
 
 from ompl_ext.arrays import Floats, int64
+from ompl_ext.jit import compiled, part
 from ompl_ext.kernels import dirt
-from ompl_ext.kernels.jit import compiled, part
 from ompl_ext.kernels.kernel_types import FULL, LANES, PROBLEM, RETAINED_EDGES, TREE, Lanes, Problem, Retained, Tree
 
 PROPAGATE = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64)  # from a state's place, so many lanes

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32
-from ompl_ext.kernels.jit import compiled, inlined
+from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.kernel_types import DISC_RADIUS, GRID_INVERSE, GRID_X, GRID_Y, REACH, Maps, Problem
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.vehicle import Footprint

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Floats32, Ints32
+from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.clearance import ClearanceField
-from ompl_ext.kernels.jit import compiled, inlined
 from ompl_ext.kernels.kernel_types import GRID_INVERSE, GRID_X, GRID_Y, Problem
 
 UNREACHABLE = 1e9  # seconds; finite, so that interpolation and sorting stay well defined

@@ -11,8 +11,8 @@ import math
 from collections.abc import Callable
 
 from ompl_ext.arrays import Floats, int64
+from ompl_ext.jit import inlined, part
 from ompl_ext.kernels.costtogo import UNREACHABLE
-from ompl_ext.kernels.jit import inlined, part
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     ASK_SAFETY,
     AT_GOAL,

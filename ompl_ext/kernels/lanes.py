@@ -12,10 +12,10 @@ import math
 from numba import types
 
 from ompl_ext.arrays import Floats, Matrix32, int64
+from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels import dirt
 from ompl_ext.kernels.clearance import pose_slack
 from ompl_ext.kernels.costtogo import UNREACHABLE, seconds_to_goal
-from ompl_ext.kernels.jit import compiled, inlined, part
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKE_STEP,
     BRAKE_STEPS,

@@ -15,7 +15,7 @@ from types import ModuleType
 
 from ompl_ext.arrays import Floats, Matrix, Matrix32
 from ompl_ext.interrupts import interrupts_between_passes
-from ompl_ext.kernels.jit import cache_folder
+from ompl_ext.jit import cache_folder
 from ompl_ext.kernels.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.vehicle import Vehicle
 

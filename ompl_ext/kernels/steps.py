@@ -10,7 +10,7 @@ from __future__ import annotations
 from numba import types
 
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.kernels.jit import compiled, inlined, part
+from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.kernel_types import LANE_WIDTH
 from ompl_ext.kernels.specialise import take_target, vehicle_cache_folder
 from ompl_ext.kernels.unroll import per_component, store_components

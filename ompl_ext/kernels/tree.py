@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 from ompl_ext.arrays import Floats, int64
-from ompl_ext.kernels.jit import compiled, inlined, part
+from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CELL_NEXT,
     LEVEL_COLUMNS,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ompl_ext.arrays import Bools, Ints, Words
-from ompl_ext.kernels.jit import compiled
+from ompl_ext.jit import compiled
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
     BEST,

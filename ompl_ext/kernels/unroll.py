@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ompl_ext.kernels.jit import inlined
+from ompl_ext.jit import inlined
 
 
 def per_component(arguments: str, item: str, count: int) -> Callable[..., Any]:

@@ -25,7 +25,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.registry import CPUDispatcher
 
-from ompl_ext.kernels.cache_error import CacheError
+from ompl_ext.cache_error import CacheError
 
 _njit: Any = numba.njit  # its stubs know neither `_nrt` nor the configuration
 _config: Any = numba.config
@@ -52,7 +52,7 @@ def cache_root() -> Path:
 def source_hash() -> str:
     """Hash over every source file of this package and the versions that shape the machine code."""
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
-    package = Path(__file__).parent.parent
+    package = Path(__file__).parent
     for path in sorted(package.rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
