@@ -19,15 +19,56 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Code(StrEnum):
+    """What kind of problem a diagnostic reports.  Programs and tests decide by the code, never by the text."""
+
+    SYNTAX = "syntax"
+    """the file does not have the format that its kind has"""
+    TYPE = "type"
+    """a value of another type"""
+    VALUE = "value"
+    """a value of the right type that is not allowed"""
+    UNKNOWN = "unknown"
+    """a key, parameter, column or name that does not exist"""
+    MISSING = "missing"
+    """something that has to be given is not"""
+    DUPLICATE = "duplicate"
+    """something is given twice"""
+    CONFLICT = "conflict"
+    """things that are allowed, but not together"""
+    MISMATCH = "mismatch"
+    """a file or a result of something else than what it is used for"""
+    NOT_FOUND = "not-found"
+    """there is no such file, folder, module or bundled name"""
+    UNREADABLE = "unreadable"
+    """it is there and cannot be read"""
+    UNWRITABLE = "unwritable"
+    """nothing can be written there"""
+    EXISTS = "exists"
+    """something is there that must not be replaced"""
+    GEOMETRY = "geometry"
+    """poses, shapes or places that do not go together in the scene"""
+    CODE = "code"
+    """a user's Python code fails or returns something else than it should"""
+    DATA = "data"
+    """logs that cannot be used, or show too little"""
 
 
 @dataclass(frozen=True)
 class Diagnostic:
     """One problem in one place; prints as ``FILE:LINE:COLUMN: path.to.key: problem; expected``.
 
-    ``line`` and ``column`` count from 1. Both are None when the problem is the file itself, the column alone when
-    it is a whole row.
-    ``path`` is empty when the problem is not at a key.
+    Attributes:
+        file: the file, name or argument that is wrong.
+        problem: what is wrong with it.
+        expected: what to give instead.
+        line, column: from 1; both None when the problem is the file itself, the column alone when it is a whole row.
+        path: the key that is wrong; empty when the problem is not at a key.
+        code: what kind of problem it is.
+        argument: whether `file` is the name of a function's argument; the command line prints the option for it.
     """
 
     file: str
@@ -36,6 +77,8 @@ class Diagnostic:
     line: int | None = None
     column: int | None = None
     path: str = ""
+    code: Code = Code.VALUE
+    argument: bool = False
 
     @property
     def place(self) -> str:
@@ -62,9 +105,14 @@ class InputError(KraftError):
         super().__init__(self.diagnostics)
 
     @classmethod
-    def of(cls, subject: str, problem: str, expected: str) -> InputError:
-        """Make the error for a single problem of ``subject`` (a file, a name, an option) as a whole."""
-        return cls([Diagnostic(subject, problem, expected)])
+    def of(cls, subject: str, problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
+        """Make the error for a single problem of ``subject`` (a file or a name) as a whole."""
+        return cls([Diagnostic(subject, problem, expected, code=code)])
+
+    @classmethod
+    def of_argument(cls, name: str, problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
+        """Make the error for a single problem of the argument ``name`` of a function."""
+        return cls([Diagnostic(name, problem, expected, code=code, argument=True)])
 
     def __str__(self) -> str:
         return "\n".join(str(d) for d in self.diagnostics)

@@ -3,7 +3,7 @@
 The C library's functions are opaque calls that keep LLVM from vectorising the loop over lanes.  These are
 polynomials without branches or table look-ups, so sixteen candidate edges are integrated together; being plain IEEE
 arithmetic they also give the same bits on every machine.  Absolute error is below 1e-11 for |x| < 1000 rad
-(`sin`, `cos`) and below 1e-9 (`atan`); `tests/test_kernel_trigonometry.py` measures it.
+(`sin`, `cos`) and below 1e-9 (`atan`); `tests/ompl_ext/test_kernel_trigonometry.py` measures it.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from kraft.errors import Diagnostic
+from kraft.errors import Code, Diagnostic
 
 KeyPath: TypeAlias = tuple[str | int, ...]
 """Keys and list indices from the root: ``("obstacles", 1, "box")`` is written ``obstacles[1].box``."""
@@ -64,10 +64,12 @@ class Source:
                     return table[parts[:end]]
         return None
 
-    def diagnostic(self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False) -> Diagnostic:
+    def diagnostic(
+        self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False, code: Code = Code.VALUE
+    ) -> Diagnostic:
         """Make a diagnostic at the value of ``path`` (or at the key itself, for a key that is wrong)."""
         parts = parse_path(path) if isinstance(path, str) else path
         position = self.keys.get(parts) if at_key else None
         position = position or self.where(parts)
         line, column = (position.line, position.column) if position else (None, None)
-        return Diagnostic(self.file, problem, expected, line, column, format_path(parts))
+        return Diagnostic(self.file, problem, expected, line, column, format_path(parts), code)

@@ -1,0 +1,205 @@
+"""`kraft validate`, `kraft list` and `kraft doctor`."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from support.paths import ROOT
+
+from kraft.config import bundled
+from kraft.scenario.planning import PLANNERS
+from kraft_cli.main import main
+from kraft_cli.work import doctor as environment
+from kraft_cli.work.doctor import REQUIRED, Finding
+
+GOOD = """name: x
+bounds: {x: [0, 4], y: [0, 4]}
+start: {x: 1, y: 1, heading_deg: 0}
+goal: {center: [3, 3], radius: 1}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.yaml").write_text(GOOD)
+    (tmp_path / "bad.yaml").write_text(GOOD.replace("radius: 1", "radius: 0") + "colour: red\n")
+    (tmp_path / "car.yaml").write_text("name: car\nmodel: x\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n")
+    return tmp_path
+
+
+def test_valid_files_are_said_to_be_what_they_are(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "good.yaml", str(bundled.folder("vehicle") / "mushr.yaml")]) == 0
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0] == "good.yaml: valid scenario"
+    assert out.splitlines()[1].endswith("mushr.yaml: valid vehicle")
+    assert err == ""
+
+
+def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", *bundled.names("scenario"), *bundled.names("vehicle")]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_all_problems_of_all_files_are_shown(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "bad.yaml", "good.yaml", "car.yaml", "none.yaml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == "good.yaml: valid scenario\n"
+    assert [line.split(";")[0] for line in err.splitlines()] == [
+        "bad.yaml:4:32: goal.radius: is the number 0",
+        "bad.yaml:5:1: colour: unknown key",
+        "car.yaml:2:8: model: is 'x'",
+        "none.yaml: there is no such file",
+        "4 problems in 3 files",
+    ]
+
+
+def test_quiet_leaves_only_the_problems(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "-q", "bad.yaml"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_validate_prints_one_json_object(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "--json", "good.yaml", "bad.yaml"]) == 2
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert err == ""
+    assert content["schema"] == "kraft.validate/1"
+    assert [(f["file"], f["kind"], f["valid"]) for f in content["files"]] == [
+        ("good.yaml", "scenario", True),
+        ("bad.yaml", "scenario", False),
+    ]
+    first = content["files"][1]["problems"][0]
+    assert (first["line"], first["column"], first["path"]) == (4, 32, "goal.radius")
+
+
+@pytest.mark.parametrize("what", ["scenarios", "vehicles", "planners"])
+def test_lists_name_and_describe_what_there_is(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", what]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main(["list", what, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["schema"], content["kind"]) == ("kraft.list/1", what)
+    assert all(item["description"] for item in content["items"])
+    assert [line.split()[0] for line in lines[1:]] == [item["name"] for item in content["items"]]
+
+
+def test_methods_are_what_the_folder_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "methods", "--json"]) == 0
+    items = json.loads(capsys.readouterr().out)["items"]
+    assert tuple(item["name"] for item in items) == bundled.names("method")
+
+
+def test_the_planners_listed_are_those_a_scenario_may_name() -> None:
+    from typing import get_args
+
+    from kraft.scenario.planning import Planning
+
+    assert get_args(Planning.model_fields["planner"].annotation) == tuple(PLANNERS)
+
+
+def test_every_mistake_of_a_vehicle_file_comes_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "configs/vehicles/mushr.yaml").read_text()
+    text = re.sub(r"L: \{value: [\d.]+", "L: {value: 9", text).replace("{length:", "{lenght:")
+    (folder / "car.yaml").write_text(text.replace("top_speed: v_delta", "top_speed: vdelta"))
+    assert main(["validate", "car.yaml"]) == 2
+    *problems, _ = capsys.readouterr().err.splitlines()
+    assert [line.split(": ", 1)[1] for line in problems] == [
+        "parameters.L.value: is 9, above max; expected at most 0.6",
+        "footprint.lenght: unknown key; did you mean 'length'?",
+        "top_speed: is the text 'vdelta'; expected a number in m/s, of at most 100, or the name of a parameter",
+    ]
+
+
+def test_plan_files_are_checked_as_such_and_other_files_of_kraft_are_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", "turns", "--iterations", "3000", "--out", "plans"]) == 0
+    capsys.readouterr()
+    assert main(["validate", "plans/plan.json"]) == 0
+    assert capsys.readouterr().out == "plans/plan.json: valid plan\n"
+    content = json.loads((folder / "plans/plan.json").read_text())
+    (folder / "bad.json").write_text(json.dumps({**content, "durations": "long"}))
+    assert main(["validate", "bad.json"]) == 2
+    assert "bad.json: durations: " in capsys.readouterr().err
+    (folder / "manifest.json").write_text(json.dumps({"schema": "kraft.eval-manifest/1", "trials": 3}))
+    assert main(["validate", "manifest.json"]) == 2
+    assert (
+        capsys.readouterr()
+        .err.splitlines()[0]
+        .startswith(
+            "manifest.json:1:12: schema: is a file that kraft wrote, kraft.eval-manifest/1; expected a scenario, "
+        )
+    )
+
+
+def test_the_doctor_looks_at_every_required_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = {re.split(r"[<>=!~\[; ]", requirement)[0] for requirement in project["dependencies"]}
+    assert named == set(REQUIRED)
+
+
+def test_the_doctor_ends_with_3_when_something_required_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    findings = [Finding("python", "ok", "3.12"), Finding("gtsam", "missing", "No module named 'gtsam'")]
+    monkeypatch.setattr(environment, "examine", lambda: findings)
+    assert main(["doctor"]) == 3
+    out, err = capsys.readouterr()
+    assert "No module named 'gtsam'" in out
+    assert err == "error: missing: gtsam\n"
+    assert main(["doctor", "--json"]) == 3
+    assert json.loads(capsys.readouterr().out)["ok"] is False
+
+
+def test_the_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environment, "examine", lambda: [Finding("ray", "note", "not installed")])
+    assert main(["doctor"]) == 0
+
+
+def test_a_package_that_does_not_load_is_missing_with_the_reason() -> None:
+    finding = environment._package("nothing", "there_is_no_such_module")
+    assert finding == Finding("nothing", "missing", "No module named 'there_is_no_such_module'")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+def test_the_doctor_tries_whether_the_cache_can_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("KRAFT_CACHE_DIR", "/proc/c")
+    told = "/proc/c cannot be written; set KRAFT_CACHE_DIR to a folder that can"
+    assert environment._cache() == Finding("kernel cache", "missing", told)
+    monkeypatch.setenv("KRAFT_CACHE_DIR", str(tmp_path / "new"))
+    assert environment._cache().state == "ok"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("backend", ["foo", "glfw"])
+def test_the_doctor_finds_a_way_to_draw_that_draws_nothing(backend: str) -> None:
+    hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "doctor", "--json"],
+        cwd=ROOT, env={**hidden, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    found = {each["subject"]: each for each in json.loads(done.stdout)["findings"]}
+    assert found["rendering"]["state"] == "note"
+    assert f"MUJOCO_GL={backend} cannot draw here, unset it" in found["rendering"]["detail"]
+    assert found["mujoco"]["state"] == ("missing" if backend == "foo" else "ok")
+    assert "defect" not in done.stderr
+
+
+def test_a_simulator_that_does_not_load_is_a_missing_dependency() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "run", "turns"],
+        cwd=ROOT, env={**os.environ, "MUJOCO_GL": "foo"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.splitlines()[-1] == (
+        "error: the simulator, MuJoCo, does not load: invalid value for environment variable MUJOCO_GL: foo; "
+        "unset MUJOCO_GL, which is foo"
+    )

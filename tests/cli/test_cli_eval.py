@@ -1,0 +1,292 @@
+"""`kraft eval`: what it prints, writes and answers, and that nothing wrong gets past it."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import fake_trials
+from support.evaluation import KEYS, kept, room_for
+from support.paths import ROOT
+from support.screen import Screen
+
+from kraft.evaluation import METHODS, SCENARIOS, evaluator, job
+from kraft_cli.main import main
+from kraft_cli.progress import Interrupts, Progress
+from kraft_cli.terminal import Terminal
+
+EVAL = (ROOT / "docs" / "eval.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trials of `driving_fakes` in this process."""
+    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
+    monkeypatch.setattr(job, "TRIAL", "support.fake_trials:quick")
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    assert main(["eval", *arguments, "--json"]) == 0
+    content: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return content
+
+
+def test_real_trials_are_the_same_with_one_worker_and_two(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("turns", "--methods", "kraft,oneshot-openloop", "--trials", "1", "--seed", "3")
+    content = run_json(capsys, *arguments, "--jobs", "2", "--out", "two")
+    run_json(capsys, *arguments, "--jobs", "1", "--out", "one")
+    assert kept(Path("one")) == kept(Path("two"))
+    assert content["schema"] == "kraft.eval/1"
+    assert all(set(result) >= KEYS for result in content["results"])
+    lines = [json.loads(line) for line in Path("one/trials.jsonl").read_text().splitlines()]
+    assert all(line["digest"] and line["seed"] == 3 and line["measured"]["planning_ms"] for line in lines)
+    assert content["results"][0]["planning_ms_p99"] > 0
+    assert content["results"][0]["cycles"] > 5
+
+
+def test_without_arguments_it_runs_six_scenes_and_seven_methods_thirty_times(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = run_json(capsys, "-q")
+    assert [(r["scenario"], r["method"]) for r in content["results"]] == [(s, m) for s in SCENARIOS for m in METHODS]
+    assert {r["trials"] for r in content["results"]} == {content["trials"]} == {30}
+    assert len(SCENARIOS) * len(METHODS) == 42
+    (folder,) = Path("results").iterdir()
+    assert re.fullmatch(r"eval-\d{8}-\d{6}-seed0", folder.name)
+    assert content["folder"] == f"results/{folder.name}"
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary == {key: value for key, value in content.items() if key != "folder"}
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["arguments"] == {
+        "scenarios": list(SCENARIOS), "methods": list(METHODS), "vehicle": None, "trials": 30, "seed": 0,
+        "realtime": False,
+    }  # fmt: skip
+
+
+def test_a_pipe_gets_tables_on_stdout_and_a_line_for_each_trial_on_stderr(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", "turns", "slip", "--methods", "kraft,oneshot-openloop", "--trials", "2", "--out", "o"]) == 0
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0] == "turns"
+    assert re.split(r"  +", out.splitlines()[1])[:5] == ["method", "succ", "coll", "timeout", "T_ex s"]
+    assert "\033" not in out + err
+    lines = err.splitlines()
+    assert lines[0] == "8 trials; results in o"
+    assert all(re.match(rf"{n}/8  \w+ [\w-]+ seed \d: (success|collision|timeout)", lines[n]) for n in range(1, 9))
+    assert lines[-1] == "results in o; to look at: o/report.html"
+
+
+def test_a_terminal_gets_tables_that_fit(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    for width in (50, 80, 160):
+        monkeypatch.setenv("COLUMNS", str(width))
+        out, err = Screen(), Screen()
+        arguments = [
+            "eval",
+            "turns",
+            "--methods",
+            "kraft,cons-replanner-openloop",
+            "--trials",
+            "2",
+            "--out",
+            f"o{width}",
+        ]
+        assert main(arguments, Terminal(out, err)) == 0
+        lines = [re.sub(r"\033\[[\d;?]*[A-Za-z]", "", line) for line in out.getvalue().splitlines()]
+        assert max(len(line) for line in lines[:-1]) <= width
+        assert "KRAFT" in out.getvalue()
+        assert "Cons. Replanner" in out.getvalue()
+        assert ("plan ms" in out.getvalue()) == (width == 160)
+        assert "turns kraft" in err.getvalue()
+
+
+def test_an_existing_folder_is_refused_with_the_command_that_goes_on(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, "turns", "--trials", "1", "--out", "o")
+    assert main(["eval", "turns", "--trials", "1", "--out", "o"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", "o: is there already; expected a new folder, or --out o --resume to go on with it\n")
+
+
+def test_going_on_needs_no_more_than_the_folder(inline: None, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = run_json(
+        capsys, "slip", "--methods", "kraft, oneshot-openloop", "--trials", "3", "--seed", "8", "--out", "o"
+    )
+    path = Path("o/trials.jsonl")
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
+    again = run_json(capsys, "--out", "o", "--resume")
+    for content in (whole, again):
+        del content["wall_s"]
+    assert again == whole
+    assert run_json(capsys, "slip", "--out", "o", "--resume") | {"wall_s": 0} == whole | {"folder": "o", "wall_s": 0}
+    assert main(["eval", "--trials", "30", "--out", "o", "--resume"]) == 2
+    assert "o/manifest.json: trials: was made with 3, now it is 30; expected the same" in capsys.readouterr().err
+
+
+def test_what_is_not_said_when_going_on_comes_from_the_folder_and_what_is_said_is_compared(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, "slip", "turns", "--methods", "kraft", "--trials", "2", "--seed", "3", "--out", "o")
+    before = Path("o/manifest.json").read_bytes()
+    for said in (["--trials", "2"], ["turns", "slip"], ["--seed", "3"], ["--methods", "kraft", "--trials", "2"]):
+        assert main(["eval", "--out", "o", "--resume", *said]) == 0
+    assert "4 trials, 4 of them there already" in capsys.readouterr().err
+    assert main(["eval", "boxes", "slip", "turns", "--out", "o", "--resume", "--seed", "0"]) == 2
+    same = "expected the same, or another --out"
+    assert capsys.readouterr().err.splitlines() == [
+        f"o/manifest.json: seed: was made with 3, now it is 0; {same}",
+        f"o/manifest.json: scenarios.boxes: scenario boxes is not part of it; {same}",
+    ]
+    assert Path("o/manifest.json").read_bytes() == before
+
+
+def test_a_folder_that_does_not_tell_what_was_not_said_is_refused(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, "slip", "--methods", "kraft", "--trials", "1", "--out", "o")
+    path = Path("o/manifest.json")
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "arguments": {"trials": "many", "seed": 0}}))
+    assert main(["eval", "slip", "--out", "o", "--resume"]) == 2
+    told = "o/manifest.json: arguments: does not tell methods, trials; expected what kraft eval writes there"
+    assert capsys.readouterr().err.startswith(told)
+    assert main(["eval", "slip", "--methods", "kraft", "--trials", "1", "--out", "o", "--resume"]) == 0
+
+
+def test_a_failed_trial_ends_with_70_after_everything_else_is_done(
+    inline: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(job, "TRIAL", "support.fake_trials:raises")
+    assert main(["eval", "turns", "--methods", "kraft", "--trials", "3", "--out", "o", "--json"]) == 70
+    out, err = capsys.readouterr()
+    assert json.loads(out)["results"][0]["failed"] == 1
+    assert "turns, kraft, seed 1: failed: ZeroDivisionError: no speed at all (" in err
+    assert "error: 1 of 3 trials failed, which is a defect in kraft" in err
+    assert Path("o/summary.json").exists()
+
+
+def test_a_full_disk_is_explained_with_the_command_that_goes_on(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with room_for(12_000):
+        assert main(["eval", "turns", "--methods", "kraft", "--trials", "60", "--out", "o"]) == 2
+    err = capsys.readouterr().err.splitlines()
+    assert err[-2] == (
+        "every finished trial is kept; to go on: kraft eval turns --trials 60 --methods kraft --out o --resume"
+    )
+    assert err[-1].startswith("o/trials.jsonl: cannot be written: File too large; expected a place")
+
+
+def test_a_disk_that_is_full_at_the_end_is_explained_and_nothing_is_run_again(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["eval", "turns", "--methods", "kraft", "--trials", "30", "--out", "o"]
+    with room_for(20_000):  # enough for everything but the database
+        assert main(arguments) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("o/benchmark.db: cannot be written: ")
+    assert main([*arguments, "--resume"]) == 0
+    assert "30 trials, 30 of them there already" in capsys.readouterr().err
+
+
+def test_realtime_is_recorded_and_counts_missed_deadlines(inline: None, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["eval", "turns", "--methods", "kraft", "--trials", "4", "--realtime", "--out", "o"]
+    assert main(arguments) == 0
+    assert "missed" in capsys.readouterr().out
+    summary = json.loads(Path("o/summary.json").read_text())
+    assert summary["realtime"] is True
+    assert summary["results"][0]["missed_deadlines"] > 0
+
+
+def test_a_method_that_has_no_time_to_plan_by_the_clock_is_refused(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "configs/methods/kraft.yaml").read_text()
+    text = text.replace("mode: replanning", "mode: replanning, lead: 0.85")
+    Path("hasty.yaml").write_text(text)
+    arguments = ["eval", "turns", "--methods", "hasty.yaml", "--trials", "1", "--out", "o"]
+    assert main([*arguments, "--realtime"]) == 2
+    message = r"hasty.yaml:\d+:\d+: planner.lead: leaves no time to plan in by the clock: 0.8 s - 0.85 s; expected less than 0.8\n"
+    assert re.fullmatch(message, capsys.readouterr().err)
+    assert main(arguments) == 0
+
+
+METHOD = "there is no method of this name"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["turn", "--trials", "0"], ["--trials: is 0; expected a number of at least 1",
+            "turn: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)"]),
+        (["--jobs", "0", "--seed", "-1", "--methods", "krft,kraft"], ["--jobs: is 0; expected a number of at least 1",
+            "--seed: is -1; expected a number of at least 0",
+            f"krft: {METHOD}; did you mean 'kraft'? (or the path of a .yaml file)"]),
+        (["--methods", ""], ["--methods: there is an empty name; expected names of methods"]),
+        (["--methods", "kraft,,oneshot-openloop"], ["--methods: there is an empty name; expected names of methods"]),
+        (["turns", "turns"], ["turns: the scenario is given 2 times; expected each name once"]),
+        (["--methods", "kraft,kraft"], ["kraft: the method is given 2 times; expected each name once"]),
+        (["--vehicle", "mushrr"], ["mushrr: there is no vehicle 'mushrr'; did you mean 'mushr'?"]),
+        (["--resume"], ["--resume: is given without --out; expected the folder to go on with"]),
+        (["--resume", "--out", "o"], ["o: there is no such folder; expected that of an earlier kraft eval"]),
+        (["none.yaml"], ["none.yaml: there is no such file; expected the path of a .yaml file or the name of a scenario"]),
+        (["--trials", "x"], ["error: Invalid value for '--trials': "
+            "Input should be a valid integer, unable to parse string as an integer", "try 'kraft eval --help'"]),
+    ],
+)  # fmt: skip
+def test_everything_wrong_is_said_at_once_and_nothing_is_written(
+    arguments: list[str], expected: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["eval", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.splitlines()) == ("", expected)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_start_in_collision_is_found_before_any_trial(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "scenarios/turns.yaml").read_text().replace("start: {x: 1.0, y: -0.5", "start: {x: 0.5, y: 1.5")
+    Path("mine.yaml").write_text(text)
+    assert main(["eval", "mine.yaml", "boxes", "--out", "o"]) == 2
+    assert re.match(r"mine.yaml:\d+:\d+: start: mushr at .* is in collision with 'first box'", capsys.readouterr().err)
+    assert not Path("o").exists()
+
+
+def test_quiet_says_nothing_and_bars_are_only_for_a_terminal(inline: None) -> None:
+    out, err = io.StringIO(), Screen()
+    assert main(["eval", "turns", "--methods", "kraft", "--trials", "1", "--out", "o", "-q"], Terminal(out, err)) == 0
+    assert err.getvalue() == ""
+
+
+def test_the_first_interrupt_is_a_wish_and_handlers_are_as_before_afterwards() -> None:
+    import signal
+
+    before = signal.getsignal(signal.SIGINT)
+    terminal = Terminal(io.StringIO(), io.StringIO())
+    with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
+        assert not progress.stop()
+        signal.raise_signal(signal.SIGINT)
+        assert progress.stop()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_every_option_and_every_key_is_described(inline: None, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["eval", "--help"]) == 0
+    options = set(re.findall(r"(?<![\w-])--[a-z]+", capsys.readouterr().out)) - {"--help"}
+    assert options
+    assert options <= set(re.findall(r"--[a-z]+", EVAL))
+    content = run_json(capsys, "turns", "--methods", "kraft", "--trials", "1", "--out", "o")
+    described = set(re.findall(r"`(\w+)`", EVAL))
+    assert set(content) | set(content["results"][0]) <= described
+    line = json.loads(Path("o/trials.jsonl").read_text())
+    assert set(line) | set(line["measured"]) <= described

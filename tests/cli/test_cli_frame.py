@@ -1,0 +1,209 @@
+"""The frame of the command line: exit codes, streams, and errors that explain themselves."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.paths import ROOT
+from support.screen import Screen
+
+from kraft.errors import (
+    Defect,
+    Diagnostic,
+    InputError,
+    KraftError,
+    MissingAsset,
+    MissingDependency,
+    NegativeResult,
+)
+from kraft.version import VERSION
+from kraft_cli.boundary import guarded
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.main import main
+from kraft_cli.terminal import Terminal
+
+
+def ended_with(error: BaseException, *, traceback: bool = False) -> tuple[ExitStatus, str]:
+    """Exit code and stderr of a command that raises ``error``."""
+
+    def command() -> ExitStatus:
+        raise error
+
+    terminal = Terminal(io.StringIO(), io.StringIO(), traceback=traceback)
+    status = guarded(terminal, command)
+    assert isinstance(terminal.out, io.StringIO)
+    assert terminal.out.getvalue() == ""
+    assert isinstance(terminal.err, io.StringIO)
+    return status, terminal.err.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (InputError.of("x", "is wrong", "expected right"), 2),
+        (MissingDependency("gtsam does not load"), 3),
+        (MissingAsset("no scenarios"), 3),
+        (NegativeResult("no plan found"), 1),
+        (Defect("a plan is in collision"), 70),
+        (KraftError("something else"), 70),
+        (ZeroDivisionError("division by zero"), 70),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_each_kind_of_error_has_its_exit_code_and_no_traceback(error: BaseException, status: int) -> None:
+    code, text = ended_with(error)
+    assert code == status
+    assert text
+    assert "Traceback" not in text
+
+
+def test_causes_are_shown_as_a_chain() -> None:
+    error = MissingDependency("gtsam does not load")
+    error.__cause__ = ImportError("libboost.so is missing")
+    error.__cause__.__cause__ = OSError("no such file")
+    _, text = ended_with(error)
+    assert text.splitlines() == [
+        "error: gtsam does not load",
+        "  caused by: ImportError: libboost.so is missing",
+        "  caused by: OSError: no such file",
+    ]
+
+
+def test_a_traceback_is_shown_when_it_is_asked_for() -> None:
+    _, text = ended_with(ZeroDivisionError("division by zero"), traceback=True)
+    assert "Traceback (most recent call last)" in text
+    assert "raise error" in text
+
+
+def test_every_diagnostic_is_one_line_that_an_editor_can_jump_to() -> None:
+    error = InputError([Diagnostic("b.yaml", "p", "e", 2, 1), Diagnostic("a.yaml", "p", "e", 3, 4, "goal.radius")])
+    _, text = ended_with(error)
+    assert text.splitlines() == ["a.yaml:3:4: goal.radius: p; e", "b.yaml:2:1: p; e"]
+
+
+def test_colour_is_for_a_terminal_that_did_not_refuse_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    screen = Screen()
+    Terminal(err=screen).error("x")
+    assert "\033[" in screen.getvalue()
+    monkeypatch.setenv("NO_COLOR", "1")
+    plain = Screen()
+    Terminal(err=plain).error("x")
+    assert plain.getvalue() == "error: x\n"
+
+
+def test_numbers_that_are_not_json_are_refused() -> None:
+    with pytest.raises(ValueError, match="Out of range float"):
+        Terminal(io.StringIO()).json("kraft.test/1", {"a": float("nan")})
+
+
+@pytest.mark.parametrize(
+    ("argv", "expected"),
+    [
+        (["lst"], "error: No such command 'lst'. Did you mean 'list'?\ntry 'kraft --help'\n"),
+        (["validate", "--jsn", "x"], "error: No such option: --jsn (Possible options: --json)\ntry 'kraft validate --help'\n"),
+        (["validate"], "error: Missing argument 'FILE'.\ntry 'kraft validate --help'\n"),
+        (["list", "vehicle"], "vehicle: cannot be listed; did you mean 'vehicles'?\n"),
+        (["--vision"], "error: No such option: --vision (Possible options: --version)\ntry 'kraft --help'\n"),
+    ],
+)  # fmt: skip
+def test_wrong_usage_ends_with_2_and_a_suggestion(
+    argv: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(argv) == 2
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", expected)
+
+
+def test_without_a_command_the_help_is_shown_and_usage_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("Usage: kraft")
+
+
+def test_help_and_version_are_data(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"kraft {VERSION}\n"
+    assert main(["validate", "--help"]) == 0
+    assert "--json" in capsys.readouterr().out
+
+
+def test_global_flags_mean_the_same_before_and_after_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "methods", "-q"]) == main(["-q", "list", "methods"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_closed_pipe_is_not_an_error() -> None:
+    script = "import sys; from kraft_cli.main import main; sys.exit(main(['list', 'scenarios']))"
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", script], cwd=ROOT, stdout=write, stderr=subprocess.PIPE, check=False
+        )
+    finally:
+        os.close(write)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("buffered", [True, False])
+@pytest.mark.parametrize("argv", [["list", "planners"], ["list", "planners", "--json"], ["--help"], ["run", "--help"]])
+def test_a_full_disk_behind_stdout_is_wrong_input_in_one_line(argv: list[str], buffered: bool) -> None:
+    environment = {**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"}
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "kraft_cli", *argv],
+            cwd=ROOT, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    told = (
+        "stdout: cannot be written: No space left on device; expected a place that can be written, with room for it\n"
+    )
+    assert (done.returncode, done.stderr) == (2, told)
+
+
+def test_a_full_disk_behind_something_else_is_no_defect(capsys: pytest.CaptureFixture[str]) -> None:
+    status, text = ended_with(OSError(errno.ENOSPC, "No space left on device", "cache/kernel.nbc"))
+    assert status == 2
+    assert text.startswith("cache/kernel.nbc: cannot be written: No space left on device; expected ")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+def test_a_cache_that_cannot_be_written_is_explained_in_one_line() -> None:
+    environment = {**os.environ, "KRAFT_CACHE_DIR": "/proc/c"}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "plan", "turns"],
+        cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    told = (
+        r"/proc/c/\S+: the kernel cache cannot be written: .*; expected a place that can, which KRAFT_CACHE_DIR names\n"
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.fullmatch(told, done.stderr)
+
+
+def test_light_commands_do_not_load_heavy_packages() -> None:
+    script = (
+        "import sys; from kraft_cli.main import main\n"
+        "for argv in (['--version'], ['list', 'scenarios'], ['list', 'planners']): assert main(argv) == 0\n"
+        "heavy = {'numba', 'ompl', 'matplotlib', 'mujoco', 'gtsam', 'scipy', 'numpy', 'fcl'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_version_is_that_of_the_project() -> None:
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project.get("version", VERSION) == VERSION

@@ -1,0 +1,294 @@
+"""`kraft plan`: what it prints, writes and answers, and that nothing wrong gets past it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.paths import ROOT
+
+from kraft.planning import compilation as kernel_cache
+from kraft.planning import plan_task as planning
+from kraft.planning.plan_file import read_plan
+from kraft.vehicles.load import load_vehicle
+from kraft_cli.main import main
+from ompl_ext.verify import Verification
+
+SCENE = """name: room
+bounds: {x: [0, 4], y: [0, 4]}
+obstacles:
+  - {name: pillar, box: {center: [2, 2], size: [1, 1]}}
+start: {x: 0.5, y: 0.5, heading_deg: 0}
+goal: {center: [3, 3], radius: 0.3}
+planning: {iterations: 500}
+"""
+KEYS = {
+    "scenario", "planner", "seed", "solved", "cost_s", "first_solution_ms", "first_cost_s", "planning_ms", "iterations",
+    "edges", "edges_per_s", "nodes", "min_clearance_m", "safe", "plan_file",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "room.yaml"
+    path.write_text(SCENE)
+    return path
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 0) -> dict[str, Any]:
+    assert main(["plan", *arguments, "--json"]) == status
+    content: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return content
+
+
+def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[str]) -> None:
+    content = run_json(capsys, "turns", "--iterations", "2000", "--seed", "5")
+    assert content["schema"] == "kraft.plan/1"
+    assert set(content) >= KEYS
+    assert (content["scenario"], content["planner"], content["seed"]) == ("turns", "dirt", 5)
+    assert content["solved"] is content["safe"] is True
+    assert content["iterations"] == 2000
+    assert content["edges"] == 2000 * 32
+    assert content["first_cost_s"] >= content["cost_s"] > 8
+    assert 0 < content["first_solution_ms"] <= content["planning_ms"]
+    assert content["min_clearance_m"] > 0
+    assert content["plan_file"] is None
+
+
+def test_a_person_gets_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "room.yaml"]) == 0
+    out, err = capsys.readouterr()
+    rows = {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in out.splitlines()}
+    assert rows["scenario"] == "room"
+    parameters = load_vehicle("mushr").parameters
+    assert rows["vehicle"] == f"mushr ({', '.join(f'{name} {value:g}' for name, value in parameters.items())})"
+    assert rows["result"] == "solved"
+    assert rows["clearance"].endswith("m at least, verified with FCL")
+    assert {"plan", "first solution", "contingency", "search"} <= set(rows)
+    assert err == ""
+
+
+def test_the_plan_file_is_written_where_asked_and_only_then(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_json(capsys, "room.yaml")
+    assert {p.name for p in tmp_path.iterdir()} == {"room.yaml"}
+    content = run_json(capsys, "room.yaml", "--out", "results/one")
+    assert content["plan_file"] == "results/one/plan.json"
+    assert read_plan(Path(content["plan_file"])).cost == content["cost_s"]
+
+
+def test_two_processes_write_the_same_bytes(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        command = [sys.executable, "-m", "kraft_cli", "plan", "room.yaml", "--seed", "7", "--out", folder, "-q"]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT)])}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "a/plan.json").read_bytes() == (tmp_path / "b/plan.json").read_bytes()
+
+
+def test_planning_continues_from_a_plan_file(capsys: pytest.CaptureFixture[str]) -> None:
+    first = run_json(capsys, "room.yaml", "--out", "first")
+    arguments = ("room.yaml", "--from", "first/plan.json", "--after", "1.5", "--iterations", "1")
+    second = run_json(capsys, *arguments, "--out", "second")
+    assert second["retained"] > 0
+    assert second["cost_s"] == pytest.approx(first["cost_s"] - 1.5)
+    assert json.loads(Path("second/plan.json").read_text())["from"]["file"] == "first/plan.json"
+
+
+def test_a_picture_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("kraft.plot")
+    assert main(["plan", "room.yaml", "--plot", "picture.svg"]) == 0
+    assert "picture.svg" in capsys.readouterr().out
+    assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
+
+
+def test_parameters_replace_those_of_the_vehicle(capsys: pytest.CaptureFixture[str]) -> None:
+    slow = run_json(capsys, "room.yaml", "--param", "v_delta=0.3", "--param", "L=0.25")
+    fast = run_json(capsys, "room.yaml", "--vehicle", "mushr")
+    assert slow["cost_s"] > 1.5 * fast["cost_s"]
+
+
+def test_a_vehicle_of_ones_own_plans_at_full_speed(capsys: pytest.CaptureFixture[str]) -> None:
+    content = run_json(capsys, "turns", "--vehicle", f"{ROOT}/examples/skid_steer.py:VEHICLE", "--iterations", "3000")
+    assert content["solved"] is True
+    assert content["vehicle"] == "skid-steer"
+    assert content["edges_per_s"] > 5e5
+
+
+def test_the_first_run_says_that_it_compiles_and_a_quiet_one_does_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(kernel_cache, "is_cached", lambda _: False)
+    assert main(["plan", "room.yaml"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "compiling the planner and the model of mushr for this machine: once, about 20 s ..."
+    assert lines[1].startswith("compiled in ")
+    assert main(["plan", "room.yaml", "-q"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_no_plan_is_an_answer_with_its_reason_and_code_1(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room.write_text(SCENE.replace("size: [1, 1]", "size: [0.5, 4]"))
+    content = run_json(capsys, "room.yaml", "--out", "out", status=1)
+    assert (content["solved"], content["safe"], content["cost_s"], content["plan_file"]) == (False, False, None, None)
+    assert content["iterations"] == 0
+    assert not Path("out").exists()
+    assert main(["plan", "room.yaml"]) == 1
+    out, err = capsys.readouterr()
+    assert "no plan" in out
+    assert err == "error: the goal is unreachable: no path from the start is wide enough for the footprint\n"
+
+
+def test_the_plan_that_ends_nearest_is_written_and_said_not_to_arrive(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "turns", "--iterations", "3", "--out", "out"]) == 1
+    out, err = capsys.readouterr()
+    assert "not solved; the plan ends nearest to the goal" in out
+    assert err.startswith("error: no plan reaches the goal after 3 iterations")
+    assert read_plan(Path("out/plan.json")).reaches_goal is False
+
+
+def test_a_plan_that_fails_verification_is_a_defect_and_not_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(planning, "verify", lambda *_: Verification(-1.0, None, ("plan: collides",)))
+    assert main(["plan", "room.yaml", "--out", "out"]) == 70
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "the plan of seed 0 fails verification: plan: collides" in err
+    assert not Path("out").exists()
+
+
+COUNT = "expected a number of at least 1 (planning budget in iterations, repeatable; 20000 unless `time` is given)"
+SECONDS = "expected a number greater than 0 (planning budget in wall-clock time, not repeatable, s)"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "error: Missing argument 'SCENARIO'."),
+        (["turn"], "turn: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)"),
+        (["none.yaml"], "none.yaml: there is no such file; "),
+        (["turns", "--iterations", "0"], f"planning budget: iterations: is the number 0; {COUNT}"),
+        (["turns", "--iterations", "-3"], f"planning budget: iterations: is the number -3; {COUNT}"),
+        (["turns", "--iterations", "1.5"], "error: Invalid value for '--iterations': "),
+        (["turns", "--time", "0"], f"planning budget: time: is the number 0; {SECONDS}"),
+        (["turns", "--time", "-1"], f"planning budget: time: is the number -1; {SECONDS}"),
+        (["turns", "--time", "nan"], "planning budget: time: is the number nan; expected a finite number"),
+        (["turns", "--time", "inf"], "planning budget: time: is the number inf; expected a finite number"),
+        (["turns", "--time", "1", "--iterations", "5"], "planning budget: time: both `iterations` and `time` are given; expected one of them"),
+        (["turns", "--seed", "-1"], "error: Invalid value for '--seed': "),
+        (["turns", "--planner", "dirty"], "--planner: is 'dirty'; did you mean 'dirt'?"),
+        (["turns", "--vehicle", "mushrr"], "mushrr: there is no vehicle 'mushrr'; did you mean 'mushr'?"),
+        (["turns", "--param", "L"], "--param: is 'L'; expected name=number"),
+        (["turns", "--param", "L=nan"], "--param: is 'L=nan'; expected name=number"),
+        (["turns", "--param", "L=0.3", "--param", "L=0.4"], "--param: L is given twice; expected it once"),
+        (["turns", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n"),
+        (["turns", "--vehicle", "mushr-lag", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n"),
+        (["turns", "--param", "q=1", "--param", "L=-1"], "--param L: is -1, below min; expected at least 0.15\n--param q: mushr has no such parameter; "),
+        (["turns", "--param", "l=0.3"], "--param l: mushr has no such parameter; did you mean 'L'?"),
+        (["turns", "--plot", "picture.doc"], "picture.doc: the picture's name ends in '.doc'; expected"),
+        (["turns", "--plot", "room.yaml/p.png"], "room.yaml/p.png: cannot be written: "),
+        (["turns", "--out", "room.yaml"], "room.yaml/plan.json: cannot be written: "),
+        (["turns", "--out", "/proc/x"], "/proc/x/plan.json: cannot be written: nothing can be made in /proc ("),
+        (["turns", "--plot", "/proc/x.png"], "/proc/x.png: cannot be written: nothing can be made in /proc ("),
+        (["turns", "--from", "none.json"], "none.json: there is no such file; expected a plan file"),
+        (["turns", "--from", "room.yaml"], "room.yaml:1:1: is not JSON: Expecting value; expected a plan file"),
+        (["turns", "--after", "1"], "--after: is given without --from; expected both or none"),
+    ],
+)  # fmt: skip
+def test_bad_arguments_are_explained_without_planning(
+    arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["plan", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(expected)
+    assert "Traceback" not in err
+    assert {p.name for p in tmp_path.iterdir()} == {"room.yaml"}
+
+
+def test_a_plan_of_another_scenario_is_noted(capsys: pytest.CaptureFixture[str]) -> None:
+    run_json(capsys, "room.yaml", "--out", "out")
+    assert main(["plan", "room.yaml", "--from", "out/plan.json"]) == 0
+    assert "note:" not in capsys.readouterr().err
+    text = Path("out/plan.json").read_text()
+    Path("other.json").write_text(text.replace('"name": "room"', '"name": "hall"'))
+    assert main(["plan", "room.yaml", "--from", "other.json"]) == 0
+    assert capsys.readouterr().err == "note: other.json is a plan of hall, not of room\n"
+
+
+def test_verbose_tells_with_what_it_plans_and_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "room.yaml", "--param", "L=0.3", "--iterations", "500", "--out", "out", "-v"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "scenario room: room.yaml"
+    assert lines[1].startswith("vehicle mushr: L 0.3, ")
+    assert any(re.match(r"kernels (read from|compiled into) .*kernels", line) for line in lines)
+    assert "planner dirt: 500 iterations, seed 0" in lines
+    stages = [line for line in lines if re.search(r" in \d+\.\d{3} s$", line)]
+    assert [line.split(" in ")[0] for line in stages] == [
+        "loaded and checked", "planned, with maps and verification,", "written and drawn",
+    ]  # fmt: skip
+    assert main(["plan", "room.yaml"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_every_place_that_is_taken_is_told_before_planning(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("g.png").mkdir()
+    Path("out/plan.json").mkdir(parents=True)
+    assert main(["plan", "room.yaml", "--plot", "g.png", "--out", "out"]) == 2
+    told = "g.png: is a folder; expected the name of a file\nout/plan.json: is a folder; expected the name of a file\n"
+    assert capsys.readouterr() == ("", told)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("x: 0.5, y: 0.5", "x: 2, y: 2", "room.yaml:5:8: start: mushr at (2, 2) heading 0 deg is in collision with 'pillar'; expected a start that is free and inside the bounds"),
+        ("x: 0.5, y: 0.5", "x: 9, y: 2", "room.yaml:5:12: start.x: the start is out of bounds (x = 9); expected x in [0, 4]"),
+        ("x: 0.5, y: 0.5", "x: .nan, y: 2", "room.yaml:5:12: start.x: .nan is not a finite number; expected a finite number"),
+        ("center: [3, 3]", "center: [2, 2]", "room.yaml:6:16: goal.center: the goal's centre is in collision with 'pillar'; expected a free place"),
+        ("center: [3, 3]", "center: [3, 9]", "room.yaml:6:16: goal.center: the goal's centre is out of bounds (y = 9); expected y in [0, 4]"),
+        ("size: [1, 1]", "size: [1, 0]", "room.yaml:4:52: obstacles[0].box.size[1]: is the number 0; expected a number greater than 0"),
+        ("x: [0, 4]", "x: [4, 0]", "room.yaml:2:13: bounds.x: the interval [4, 0] is empty or inverted; expected [low, high] with low < high"),
+        ("iterations: 500", "iterations: 0", "room.yaml:7:24: planning.iterations: is the number 0; expected a number of at least 1"),
+        ("planning:", "planing:", "room.yaml:7:1: planing: unknown key; did you mean 'planning'?"),
+        ("radius: 0.3", "radius: wide", "room.yaml:6:32: goal.radius: is the text 'wide'; expected a number"),
+        ("iterations: 500}", "iterations: 500}\nvehicle: none.py:CAR", "room.yaml:8:10: vehicle: there is no file none.py; expected the path of a Python file"),
+        ("box: {center: [2, 2], size: [1, 1]}", "map: {file: floor.yaml}", "room.yaml:4:32: obstacles[0].map.file: there is no file floor.yaml; expected the path of a map's YAML file"),
+    ],
+)  # fmt: skip
+def test_a_bad_scenario_is_explained_at_its_place(
+    old: str, new: str, expected: str, room: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert old in SCENE
+    room.write_text(SCENE.replace(old, new, 1))
+    assert main(["plan", "room.yaml", "--out", "out"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(expected)
+    assert not Path("out").exists()
+
+
+def test_validate_finds_what_planning_would(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room.write_text(SCENE.replace("x: 0.5, y: 0.5", "x: 2, y: 2"))
+    assert main(["validate", "room.yaml"]) == 2
+    assert "room.yaml:5:8: start: mushr at (2, 2)" in capsys.readouterr().err
+    (room.parent / "car.yaml").write_text(
+        "name: a\nmodel: none.py:CAR\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n"
+    )
+    assert main(["validate", "car.yaml"]) == 2
+    assert "car.yaml:2:8: model: there is no file" in capsys.readouterr().err
+
+
+def test_a_file_that_is_no_plan_is_not_overwritten(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("out").mkdir()
+    Path("out/plan.json").write_text("{}")
+    assert main(["plan", "room.yaml", "--out", "out"]) == 2
+    assert "out/plan.json: there is a file that is not a plan file" in capsys.readouterr().err
+    assert Path("out/plan.json").read_text() == "{}"

@@ -1,0 +1,146 @@
+"""`kraft record`: logs that appear whole, repeat bit for bit, and are never written over."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import pytest
+from support.paths import ROOT
+
+from kraft.recording.recorder import Recorder
+from kraft.scenario import load_scenario
+from kraft.vehicles.load import load_vehicle
+from kraft_cli.main import main
+from kraft_cli.work import record as request
+
+FILES = {"commands.csv", "poses.csv", "truth.csv", "manifest.json"}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
+
+
+def test_each_run_is_a_folder_with_what_was_driven(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", "--runs", "2", "--seed", "4", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert (content["schema"], content["scenario"], content["seed"], content["folder"]) == (
+        "kraft.record/1", "training", 4, "logs",
+    )  # fmt: skip
+    assert [run["folder"] for run in content["runs"]] == ["logs/run_01", "logs/run_02"]
+    assert [line for line in err.splitlines() if "/2  " in line] == [
+        "1/2  logs/run_01: straight, 20.0 s, 601 poses",
+        "2/2  logs/run_02: left, 20.0 s, 601 poses",
+    ]
+    assert {path.name for path in Path("logs").iterdir()} == {"run_01", "run_02"}
+    run = Recorder(load_scenario("training"), load_vehicle("mushr"), 4).record(2)
+    expected = {"commands": run.commands, "poses": run.poses, "truth": run.truth}
+    headings = {"commands": "t,throttle,steering", "poses": "t,x,y,yaw", "truth": "t,x,y,yaw,speed"}
+    assert {path.name for path in Path("logs/run_02").iterdir()} == FILES
+    for name, rows in expected.items():
+        heading, *lines = csv.reader(Path(f"logs/run_02/{name}.csv").read_text().splitlines())
+        assert ",".join(heading) == headings[name]
+        assert [[float(cell) for cell in line] for line in lines] == rows.tolist()
+    manifest = json.loads(Path("logs/run_02/manifest.json").read_text())
+    assert (manifest["schema"], manifest["run"], manifest["manoeuvre"]) == ("kraft.record/1", 2, "left")
+    assert manifest["arguments"] == {"scenario": "training", "runs": 2, "seed": 4}
+
+
+def test_the_same_seed_writes_the_same_bytes_and_more_runs_keep_the_first(folder: Path) -> None:
+    assert main(["record", "--runs", "1", "--out", "a", "-q"]) == 0
+    assert main(["record", "--runs", "1", "--out", "b", "-q"]) == 0
+    assert main(["record", "--runs", "2", "--out", "c", "-q"]) == 0
+    assert contents(folder / "a") == contents(folder / "b")
+    first, second = contents(folder / "a" / "run_01"), contents(folder / "c" / "run_01")
+    assert first.keys() == second.keys() == FILES
+    assert all(first[name] == second[name] for name in FILES - {"manifest.json"})
+
+
+def test_logs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", "--runs", "1"]) == 0
+    before = contents(folder)
+    capsys.readouterr()
+    assert main(["record", "--runs", "1", "--seed", "1"]) == 2
+    assert capsys.readouterr().err == "logs: is there already; expected a new folder for the logs (--out)\n"
+    assert contents(folder) == before
+
+
+def test_an_interrupt_keeps_the_finished_runs(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = Recorder.record
+
+    def interrupted(self: Recorder, number: int) -> object:
+        if number == 2:
+            raise KeyboardInterrupt
+        return record(self, number)
+
+    monkeypatch.setattr(Recorder, "record", interrupted)
+    assert main(["record", "--runs", "3"]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "stopped; 1 of 3 runs kept in logs"
+    assert {path.name for path in (folder / "logs").iterdir()} == {"run_01"}
+    assert {path.name for path in (folder / "logs" / "run_01").iterdir()} == FILES
+
+
+def test_a_run_that_cannot_be_written_leaves_no_part_of_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("kraft.recording.log_folder.os.rename", full)
+    assert main(["record", "--runs", "1"]) == 2
+    assert "logs/run_01: cannot be written: No space left on device; expected" in capsys.readouterr().err
+    assert list((folder / "logs").iterdir()) == []
+
+
+def test_a_run_that_ends_early_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", "turns", "--runs", "1", "--json"]) == 0
+    out, err = capsys.readouterr()
+    (run,) = json.loads(out)["runs"]
+    assert run["duration_s"] < 20
+    assert run["note"].startswith("stopped after ")
+    assert f"; {run['note']}" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["trainin"], "trainin: there is no scenario of this name; did you mean 'training'?"),
+        (["--runs", "0"], "--runs: is 0; expected a number of at least 1"),
+        (["--seed", "-1"], "--seed: is -1; expected a number of at least 0"),
+        (["--out", "."], ".: is there already; expected a new folder for the logs (--out)"),
+        (["--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
+    ],
+)
+def test_bad_arguments_are_explained_without_driving(
+    arguments: list[str], expected: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(expected)
+    assert list(folder.iterdir()) == []
+
+
+def test_every_option_key_and_default_of_kraft_record_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "docs" / "record.md").read_text(encoding="utf-8")
+    assert main(["record", "--help"]) == 0
+    options = set(re.findall(r"(?<![\w-])--[a-z]+", capsys.readouterr().out)) - {"--help"}
+    assert options
+    assert options <= set(re.findall(r"--[a-z]+", text))
+    assert f"{request.RUNS} by default" in text
+    assert main(["record", "--runs", "1", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    manifest = json.loads(Path("logs/run_01/manifest.json").read_text())
+    keys = {*content, *content["runs"][0], *manifest}
+    assert keys <= set(re.findall(r"`(\w+)`", text))

@@ -1,0 +1,198 @@
+"""`kraft run`: one trial, told cycle by cycle and written as a folder."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.paths import ROOT
+
+from kraft.driving.method import load_method
+from kraft.evaluation.row import digest
+from kraft.scenario import load_scenario
+from kraft.trial.result import TrialSpec
+from kraft.trial.trial import run_trial
+from kraft.vehicles.load import load_vehicle
+from kraft_cli.main import main
+from kraft_cli.work.run import Request, carry_out, cycle_line, outcome_text
+
+KEYS = {
+    "scenario", "method", "seed", "outcome", "t_ex_s", "cycles", "contingencies", "min_clearance_m", "planning_ms_p50",
+    "planning_ms_p99",
+}  # fmt: skip
+SHORT = """name: short
+bounds: {x: [0, 4], y: [0, 4]}
+obstacles:
+  - {name: pillar, box: {center: [2, 2.5], size: [0.5, 0.5]}}
+start: {x: 0.6, y: 1, heading_deg: 0}
+goal: {center: [2.4, 1], radius: 0.4}
+"""
+
+
+@pytest.fixture(autouse=True)
+def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.yaml").write_text(SHORT)
+    return tmp_path / "short.yaml"
+
+
+def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.yaml", "--seed", "4", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["schema"] == "kraft.run/1"
+    assert set(content) >= KEYS
+    assert (content["scenario"], content["method"], content["seed"]) == ("short", "kraft", 4)
+    assert content["outcome"] == "success"
+    assert 1 < content["t_ex_s"] < 20
+    assert 0 < content["planning_ms_p50"] <= content["planning_ms_p99"]
+    assert content["min_clearance_m"] > 0
+    assert content["folder"] is None
+    told = [line for line in err.splitlines() if " m/s " in line]
+    assert len(told) == content["cycles"]
+    assert sum("contingency" in line for line in told) == content["contingencies"]
+    assert not [path for path in Path().iterdir() if path.is_dir()]
+
+
+def test_a_person_gets_a_table_and_quiet_leaves_only_that(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.yaml", "-q"]) == 0
+    out, err = capsys.readouterr()
+    rows = {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in out.splitlines()}
+    assert (rows["scenario"], rows["method"], rows["vehicle"]) == ("short", "KRAFT", "mushr-drive")
+    assert re.fullmatch(r"reached the goal after \d\.\d\d s", rows["result"])
+    assert err == ""
+
+
+def test_the_folder_holds_every_tick_cycle_and_observation(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.yaml", "--seed", "1", "--out", "runs/one", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    folder = Path("runs/one")
+    assert {path.name for path in folder.iterdir()} == {
+        "manifest.json", "steps.csv", "cycles.jsonl", "observations.csv", "result.json",
+    }  # fmt: skip
+    assert json.loads((folder / "result.json").read_text()) == content
+    spec = TrialSpec(load_scenario("short.yaml"), load_method("kraft"), load_vehicle("mushr-drive"), 1)
+    result = run_trial(spec)
+    steps = list(csv.reader((folder / "steps.csv").read_text().splitlines()))
+    assert steps[0] == [
+        "time", "x", "y", "theta", "speed", "estimate_x", "estimate_y", "estimate_theta", "estimate_v",
+        "command_throttle", "command_steering", "cycle",
+    ]  # fmt: skip
+    expected = [[s.time, *s.pose, s.speed, *s.estimate, *s.command, s.cycle] for s in result.steps]
+    assert [[float(cell) for cell in row] for row in steps[1:]] == expected
+    cycles = [json.loads(line) for line in (folder / "cycles.jsonl").read_text().splitlines()]
+    assert [cycle["time"] for cycle in cycles] == [cycle.time for cycle in result.cycles]
+    assert [cycle["reference"]["states"] for cycle in cycles] == [c.reference.states.tolist() for c in result.cycles]
+    seen = list(csv.reader((folder / "observations.csv").read_text().splitlines()))
+    assert seen[0] == ["time", "arrival", "x", "y", "theta"]
+    assert len(seen) == len(result.observations) + 1
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert (manifest["schema"], manifest["seed"]) == ("kraft.run-manifest/1", 1)
+
+
+def test_the_same_seed_drives_the_same_and_another_seed_differently() -> None:
+    def driven(seed: int) -> str:
+        return digest(carry_out(Request("short.yaml", seed=seed), lambda _: None).result)
+
+    assert driven(2) == driven(2) != driven(3)
+
+
+def test_each_cycle_is_told_when_it_is_committed() -> None:
+    told: list[str] = []
+    run = carry_out(
+        Request("short.yaml", "oneshot-openloop"), told.append, lambda cycle: told.append(cycle_line(cycle))
+    )
+    assert told[-len(run.result.cycles) :] == [cycle_line(cycle) for cycle in run.result.cycles]
+    assert re.match(r"  0\.00 s   0\.00 m/s  to goal  \d\.\d\d s  clearance \d\.\d{3} m  plan", told[-1])
+
+
+def test_a_goal_that_is_not_reached_ends_with_1(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short.write_text(SHORT + "trial: {timeout: 1.5, oneshot_timeout: 1.5}\n")
+    assert main(["run", "short.yaml", "--json"]) == 1
+    content = json.loads(capsys.readouterr().out)
+    assert (content["outcome"], content["t_ex_s"]) == ("timeout", pytest.approx(1.5))
+
+
+def test_a_collision_names_what_was_hit(short: Path) -> None:
+    """Blind driving on a floor that steers the car to one side ends at the wall or the box."""
+    text = SHORT.replace("center: [2, 2.5]", "center: [1.9, 1.42]")
+    short.write_text(text + "truth: {vehicle: {steering_offset_deg: 12}}\n")
+    run = carry_out(Request("short.yaml", "oneshot-openloop"), lambda _: None)
+    assert run.result.outcome == "collision"
+    assert outcome_text(run.result).startswith("collision with pillar after ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["short.yaml", "--method", "krft"], "krft: there is no method of this name; did you mean 'kraft'?"),
+        (["shrt"], "shrt: there is no scenario of this name"),
+        (["short.yaml", "--vehicle", "mushrr"], "mushrr: there is no vehicle 'mushrr'; did you mean 'mushr'?"),
+        (["short.yaml", "--seed", "-1"], "--seed: is -1; expected a number of at least 0"),
+        (["short.yaml", "--method", ""], "--method: is empty; expected the name of a method"),
+        (["short.yaml", "--out", "."], ".: is there already; expected a new folder"),
+        (["short.yaml", "--out", "short.yaml/run"], "short.yaml/run: cannot be written: "),
+        (["short.yaml", "--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
+        (["short.yaml", "--video", "/proc/x.mp4", "--plot", "/proc/x.png"], "/proc/x.mp4: cannot be written: nothing"),
+    ],
+)
+def test_bad_arguments_are_explained_without_driving(
+    arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(expected)
+    assert [path.name for path in Path().iterdir()] == ["short.yaml"]
+
+
+def test_verbose_tells_with_what_it_drives_and_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "short.yaml", "-v"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "scenario short: short.yaml"
+    assert lines[1].startswith("method kraft: ")
+    assert lines[2].startswith("replanning, kinodynamic at ")
+    assert lines[3].startswith("vehicle mushr-drive: L ")
+    assert re.fullmatch(r"loaded and checked in \d+\.\d{3} s", lines[6])
+    assert re.fullmatch(r"\d+\.\d{2} s driven in \d+\.\d{3} s", lines[-1])
+
+
+def test_a_goal_that_no_path_leads_to_is_told_before_the_drive(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short.write_text(SHORT.replace("center: [2, 2.5], size: [0.5, 0.5]", "center: [1.5, 2], size: [0.2, 4]"))
+    for command in (["run"], ["eval", "--trials", "1", "--methods", "kraft,oneshot-openloop"]):
+        assert main([*command, "short.yaml", "--out", "out"]) == 1
+        assert capsys.readouterr() == ("", (
+            "short.yaml:6:7: goal: the goal is unreachable: no path from the start is wide enough for the footprint; "
+            "expected a goal that the vehicle can get to\n"
+        ))  # fmt: skip
+        assert not Path("out").exists()
+
+
+def test_every_place_that_is_taken_is_told_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("out", "g.png", "g.mp4"):
+        Path(name).mkdir()
+    assert main(["run", "short.yaml", "--out", "out", "--plot", "g.png", "--video", "g.mp4"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == [
+        "g.mp4: is a folder; expected the name of a file",
+        "g.png: is a folder; expected the name of a file",
+        "out: is there already; expected a new folder",
+    ]
+
+
+def test_every_option_and_key_of_kraft_run_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "docs" / "run.md").read_text(encoding="utf-8")
+    assert main(["run", "--help"]) == 0
+    options = set(re.findall(r"(?<![\w-])--[a-z]+", capsys.readouterr().out)) - {"--help"}
+    assert options
+    assert options <= set(re.findall(r"--[a-z]+", text))
+    content: dict[str, Any] = {}
+    main(["run", "short.yaml", "--out", "o", "--json"])
+    content = json.loads(capsys.readouterr().out)
+    cycle = json.loads(Path("o/cycles.jsonl").read_text().splitlines()[0])
+    assert set(content) | set(cycle) <= set(re.findall(r"`(\w+)`", text))

@@ -1,0 +1,520 @@
+"""`kraft sysid`: from logs to a vehicle that plans and drives, with what is doubtful said and nothing doubtful written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.paths import ROOT
+
+from kraft.sysid import compilation
+from kraft.sysid.parameters import moves
+from kraft.vehicles.config import load_vehicle_config
+from kraft_cli.main import main
+from kraft_cli.work import sysid as module
+from kraft_cli.work import sysid as pace
+
+KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
+REAL = Path(os.environ.get("KRAFT_REAL_LOGS", ROOT.parent / "shared" / "data")) / "f1tenth_koopman_cc0"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    logs = tmp_path_factory.mktemp("recorded") / "logs"
+    assert main(["record", "--out", str(logs), "--runs", "8", "--seed", "1", "-q"]) == 0
+    return logs
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: Path) -> Path:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(recorded, tmp_path / "logs")
+    return tmp_path
+
+
+def shorten(run: Path, poses: int, apart: int = 3) -> None:
+    """Leave some poses of a log, `apart` thirtieths of a second from each other, where it is fastest."""
+    heading, *rows = (run / "poses.csv").read_text().splitlines(keepends=True)
+    places = np.loadtxt(rows, delimiter=",")[:, 1:3]
+    first = int(np.argmax(np.hypot(*(places[apart * poses :] - places[: -apart * poses]).T)))
+    (run / "poses.csv").write_text("".join([heading, *rows[first : first + apart * poses : apart]]))
+
+
+def weaken(run: Path, factor: float) -> None:
+    """Scale the throttle of a log, as if it were of a car that drives faster with less of it."""
+    heading, *rows = (run / "commands.csv").read_text().splitlines()
+    commands = np.loadtxt(rows, delimiter=",") * [1.0, factor, 1.0]
+    np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=heading, comments="")
+
+
+def said(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return capsys.readouterr().err.splitlines()
+
+
+def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]
+    assert main(arguments) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["schema"] == "kraft.sysid/1"
+    assert set(content) >= KEYS
+    assert (content["model"], content["logs"], content["converged"]) == ("mushr-lag", 8, True)
+    assert list(content["params"]) == ["L", "phi_diff", "v_delta", "tau"]
+    for each in content["params"].values():
+        assert set(each) >= {"value", "std", "ci95", "unit"}
+        assert each["ci95"][0] < each["value"] < each["ci95"][1]
+    assert content["params"]["L"]["unit"] == "m"
+    assert content["params"]["L"]["value"] == pytest.approx(0.334, abs=0.01)
+    assert 0 < content["rmse_train_m"] < 0.1
+    assert 0 < content["rmse_holdout_m"] < 0.1
+    assert len(content["held_out"]) == 2
+    assert content["vehicle_file"] is None
+    assert main(arguments) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert {**again, "wall_s": 0} == {**content, "wall_s": 0}
+
+
+def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_model(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """On drives that it has not seen, after 2 s, without any number of the bundled vehicles."""
+    errors = {}
+    for model in ("MUSHR", "MUSHR_LAG"):
+        main(["sysid", "logs", "--model", f"kraft.vehicles.mushr:{model}", "--extras", "none", "--json"])
+        prediction = json.loads(capsys.readouterr().out)["prediction"]
+        errors[model] = prediction["holdout"]["position_m"]["2"], prediction["holdout_initial"]["position_m"]["2"]
+    assert errors["MUSHR_LAG"][0] < 0.9 * errors["MUSHR_LAG"][1]
+    assert errors["MUSHR_LAG"][0] < 0.5 * errors["MUSHR"][0]
+
+
+def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]
+    assert main(arguments) == 0
+    (wraps,) = (line for line in said(capsys) if "yaw wraps" in line)
+    found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v tells where\)", wraps)
+    assert found is not None
+    assert main(["-v", *arguments]) == 0
+    each = [line for line in said(capsys) if re.match(r"run_\d\d: yaw wraps \d times?, first at line", line)]
+    assert len(each) == int(found.group(1)) > 1
+    assert main(["sysid", "logs/run_02", *arguments[2:]]) == 0
+    assert any(line.startswith("run_02: yaw wraps 5 times, first at line") for line in said(capsys))
+
+
+@pytest.mark.parametrize(
+    ("mapping", "options", "expected"),
+    [
+        ("commands: {controls: {throttle: thrott}}\n", [],
+         ["m.yaml:1:33: commands.controls.throttle: there is no column 'thrott' in commands.csv, poses.csv; did you mean 'throttle'?"]),
+        ("commands: {controls: {throttel: throttle}}\nposes: {yaw: hed, quaternion: null}\n", [],
+         ["m.yaml:1:23: commands.controls.throttel: is no control of the vehicle; did you mean 'throttle'?",
+          "m.yaml:2:14: poses.yaw: there is no column 'hed' in commands.csv, poses.csv; expected one of t, throttle, steering, x, y, yaw"]),
+        ("{}\n", ["--model", "unicycle2"],
+         ["logs: the logs have throttle, steering; the vehicle needs acceleration, angular_acceleration; expected logs of "
+          "this vehicle, another vehicle, or a mapping file that says which columns they are"]),
+    ],
+)  # fmt: skip
+def test_a_mapping_or_a_vehicle_that_fits_no_log_is_one_line_for_each_mistake(
+    mapping: str, options: list[str], expected: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "m.yaml").write_text(mapping)
+    assert main(["sysid", "logs", "--mapping", "m.yaml", *options]) == 2
+    assert said(capsys) == expected
+
+
+def test_a_column_that_only_some_logs_lack_leaves_those_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = folder / "logs" / "run_02" / "commands.csv"
+    for run in (folder / "logs").iterdir():
+        if run.is_dir() and run.name != "run_02":
+            path = run / "commands.csv"
+            path.write_text(path.read_text().replace("throttle", "gas", 1))
+    (folder / "m.yaml").write_text("commands: {controls: {throttle: gas}}\n")
+    assert "throttle" in commands.read_text()
+    assert main(["sysid", "logs", "--mapping", "m.yaml", "--extras", "none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["logs"] == 7
+    assert "left out: m.yaml:1:33: commands.controls.throttle: there is no column 'gas' in commands.csv" in err
+
+
+def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_read(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "my.yaml").mkdir()
+    assert main(["sysid", "nowhere", "--out", "my.yaml", "--plot", "/proc/my.png", "--freeze", "l"]) == 2
+    proc, frozen, out = said(capsys)
+    assert proc.startswith("/proc/my.png: cannot be written: nothing can be made in /proc")
+    assert frozen == "frozen: mushr-lag has no parameter l; did you mean 'L'?"
+    assert out == "my.yaml: is a folder; expected the name of a file"
+
+
+def test_an_identification_that_takes_long_says_how_it_goes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heard: list[str] = []
+    times = iter([0.0, 1.9, 2.0, 3.9, 4.1])
+    tell = pace.Pace(heard.append, lambda: next(times))
+    for made in range(1, 5):
+        tell(made, 1000.0 / made)
+    assert heard == ["iteration 2, cost 500", "iteration 4, cost 250"]
+    monkeypatch.setattr(pace, "EVERY", 0.0)
+    arguments = ["sysid", "logs/run_02", "--extras", "none", "--graph", "paper"]
+    assert main(arguments) == 0
+    assert any(re.fullmatch(r"iteration 1, cost [\d.]+", line) for line in said(capsys))
+    assert main([*arguments, "-q"]) == 0
+    assert not any("iteration" in line for line in said(capsys))
+
+
+def test_a_file_is_compiled_by_its_own_name(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sysid", "logs", "--extras", "none", "--out", "my.yaml", "-q"]) == 0
+    monkeypatch.setattr(compilation, "are_steps_cached", lambda _: False)
+    assert main(["sysid", "logs", "--extras", "none", "--model", "my.yaml"]) == 0
+    assert "compiling the model of my.yaml for identification on this machine" in capsys.readouterr().err
+
+
+def test_a_person_gets_tables_and_hears_what_was_taken_for_what(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert re.fullmatch(r"PARAMETER +VALUE +95 % INTERVAL \(sandwich\) +INITIAL +UNIT +MEANING", lines[0])
+    assert re.fullmatch(r"L +0\.3\d+ +0\.3\d+ to 0\.3\d+ +0\.3\d+ +m +wheelbase", lines[1])
+    assert re.fullmatch(r"OPEN LOOP, held-out logs +1 s +2 s +3 s +all", lines[6])
+    assert re.fullmatch(r"position, identified( +[\d.]+ cm){4}", lines[7])
+    assert re.fullmatch(r"yaw, initial( +[\d.]+ deg){4}", lines[10])
+    assert "intervals follow from how much the logs differ" in out
+    assert "run_01 and 7 more: commands: commands.csv: time from 't'" in err
+    assert re.search(r"2 of 8 logs held out: run_\d\d, run_\d\d", err)
+
+
+def test_quiet_leaves_the_tables_and_the_warnings(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
+    assert all(line.startswith("warning: ") for line in said(capsys))
+
+
+def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-drive", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
+    assert main(arguments) == 0
+    assert "vehicle file my.yaml" in capsys.readouterr().out
+    assert (folder / "my.png").stat().st_size > 50_000
+    config = load_vehicle_config("my.yaml")
+    assert config.name == "my"
+    assert config.identification is not None
+    assert len(config.identification.logs) == 8
+    assert main(["validate", "my.yaml"]) == 0
+    assert main(["plan", "turns", "--vehicle", "my.yaml", "--iterations", "1000"]) == 0
+    assert main(["run", "turns", "--vehicle", "my.yaml"]) == 0
+    assert main(arguments) == 0  # over the file that it wrote
+
+
+def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sysid", "logs", "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["params"]
+    assert main(["sysid", "logs", "--out", "my.yaml", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    written = load_vehicle_config("my.yaml")
+    assert "friction" in alone
+    assert not [name for name in content["params"] if moves(name)]
+    assert written.values == {
+        name: pytest.approx(content["params"][name]["value"], rel=1e-5) for name in written.values
+    }
+    fastest = max(
+        np.loadtxt(path, delimiter=",", skiprows=1)[:, 4].max() for path in (folder / "logs").glob("*/truth.csv")
+    )
+    assert written.top_speed == "v_delta"
+    assert written.values["v_delta"] < 1.02 * fastest
+    unsought = "delay, lag_throttle, lag_steering, friction, dead_band_throttle, dead_band_steering"
+    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
+
+
+def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", "logs", "--out", "my.yaml", "--extras", "delay,lever", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    warning = "planning does not know delay, and my.yaml is off by as much: for a file to plan with, leave them out"
+    assert any(each.startswith(warning) for each in content["warnings"])
+    assert main(["sysid", "logs", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
+    assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("options", "unknown"), [(["--param", "friction=0.1"], True), (["--freeze", "friction"], False)]
+)
+def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
+    options: list[str], unknown: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And one that is frozen at nothing is nothing that planning lacks."""
+    assert main(["sysid", "logs", "--out", "my.yaml", "--json", *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert "asked for, and kept: friction; the data show lever; not shown, and left out: yaw_offset" in content["notes"]
+    unsought = "delay, lag_throttle, lag_steering, dead_band_throttle, dead_band_steering"
+    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
+    assert any(each.startswith("planning does not know friction") for each in content["warnings"]) == unknown
+
+
+def test_an_extra_that_is_kept_may_be_hardly_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    """What cannot be told apart goes, or is not identified."""
+    assert main(["sysid", "logs", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["params"]["friction"]["extra"]
+    assert any(
+        each.startswith("v_delta and friction are hardly told apart (correlation 0.9") for each in content["warnings"]
+    )
+    assert not any("cannot be told apart" in each for each in (*content["warnings"], *content["objections"]))
+
+
+def test_where_no_extra_is_shown_beside_a_frozen_model_nothing_is_identified(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--freeze", "L,phi_diff,v_delta,tau,lever", "--out", "my.yaml", "--plot", "my.png", "--json"]
+    assert main(["sysid", "logs", *options]) == 1
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["correlation"] == {"names": [], "matrix": []}
+    why = "every parameter that is left is frozen, and the data show no other"
+    assert content["objections"] == [why]
+    assert err.splitlines()[-1] == f"error: not identified: {why}; my.yaml was not written"
+    assert (folder / "my.png").exists()
+
+
+def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [f"logs/run_{k:02d}" for k in (2, 3, 4)]
+    assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert (content["rmse_holdout_m"], content["held_out"], content["interval"]) == (None, [], "graph")
+    assert "3 logs: none is held out (from 4 on a quarter is, or --holdout)" in err
+    assert main(["sysid", *runs, "--model", "mushr-lag", "--extras", "none", "--holdout", "0.3", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["held_out"]) == 1
+
+
+def test_frozen_parameters_and_other_initial_values(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--freeze", "L,phi_diff", "--param", "L=0.3", "--extras", "none", "--pose-noise", "0.002,0.02", "--json"]
+    assert main(["sysid", "logs", "--model", "mushr-lag", *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["params"]["L"]["value"] == 0.3
+    assert content["params"]["L"]["frozen"]
+    assert not content["params"]["tau"]["frozen"]
+    assert content["correlation"]["names"] == ["v_delta", "tau"]
+    assert content["pose_noise"] == {"position_m": 0.002, "yaw_rad": 0.02, "measured": False}
+
+
+def test_straight_lines_do_not_identify_a_wheelbase(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
+    assert main(["sysid", "logs/run_01", "logs/run_06", *options]) == 1
+    err = said(capsys)
+    assert re.match(r"error: not identified: .*the logs do not show L.*; my\.yaml was not written", err[-1])
+    assert any(line.startswith("warning: L is known no better than before") for line in err)
+    assert not (folder / "my.yaml").exists()
+    assert (folder / "my.png").exists()
+
+
+@pytest.mark.parametrize(("factor", "status"), [(0.95, 0), (0.6, 1)])
+def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_not_written(
+    factor: float, status: int, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--json"]
+    assert main(arguments) == 0
+    held_out = json.loads(capsys.readouterr().out)["held_out"]
+    (folder / "my.yaml").unlink()
+    for run in (folder / "logs").iterdir():
+        if run.is_dir() and run.name not in held_out:
+            weaken(run, factor)
+    assert main(arguments) == status
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    identified, initial = (100 * content[f"rmse_holdout{which}_m"] for which in ("", "_initial"))
+    both = f"(position {identified:.2f} cm identified, {initial:.2f} cm initial"
+    assert f"warning: the identified values predict held-out logs no better than the initial values do {both}" in err
+    assert (folder / "my.yaml").exists() == (status == 0)
+    assert content["identifiable"] == (status == 0)
+    refused = f"error: not identified: held-out logs are predicted far better with the initial values {both})"
+    assert (f"{refused}; my.yaml was not written" in err) == (status == 1)
+
+
+def test_a_bad_log_is_left_out_and_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "logs" / "run_02" / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["logs"] == 7
+    (left_out,) = content["left_out"]
+    assert left_out.startswith("logs/run_02/poses.csv")
+    assert f"left out: {left_out}" in err
+
+
+def test_a_log_of_a_few_poses_is_left_out_and_counted_so(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shorten(folder / "logs" / "run_02", 4, 9)
+    options = ["--extras", "none", "--out", "my.yaml", "--plot", "my.png", "--json"]
+    assert main(["sysid", "logs", "--model", "mushr-lag", *options]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["logs"] == 7
+    assert content["left_out"] == ["run_02: has no part with 5 poses, the longest has 4; expected a longer drive"]
+    assert f"left out: {content['left_out'][0]}" in err
+    config = load_vehicle_config("my.yaml")
+    assert config.identification is not None
+    assert "run_02" not in [log.name for log in config.identification.logs]
+    assert "of 7 logs held out" in err
+
+
+def test_when_all_logs_have_a_few_poses_it_ends_with_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for run in (folder / "logs").iterdir():
+        shorten(run, 4, 9)
+    assert main(["sysid", "logs"]) == 1
+    assert said(capsys)[-1] == "error: none of the 8 logs can be used"
+
+
+def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [f"logs/run_{k:02d}" for k in (2, 3, 4, 5)]
+    options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
+    assert main(["sysid", *runs, *options, "--json"]) == 0
+    (held_out,) = json.loads(capsys.readouterr().out)["held_out"]
+    shorten(folder / "logs" / held_out, 7)
+    assert main(["sysid", *runs, *options, "--json"]) == 0
+    out, err = capsys.readouterr()
+    content = json.loads(out)
+    assert content["held_out"] == [held_out]
+    assert (content["rmse_holdout_m"], content["rmse_holdout_initial_m"]) == (None, None)
+    assert (content["prediction"]["holdout"], content["prediction"]["holdout_initial"]) == (None, None)
+    assert content["rmse_train_m"] > 0
+    why = "the fit is not tested: the 1 held out cannot be predicted (logs are all shorter than a second)"
+    assert why in content["warnings"]
+    assert f"warning: {why}" in err
+    assert (folder / "my.png").stat().st_size > 50_000
+    config = load_vehicle_config("my.yaml")
+    assert config.identification is not None
+    assert config.identification.held_out is None
+    assert why in config.identification.warnings
+    assert main(["sysid", *runs, *options]) == 0
+    assert "OPEN LOOP, fitted logs" in capsys.readouterr().out
+
+
+def test_a_held_out_log_that_is_too_short_beside_others_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
+    first, _ = json.loads(capsys.readouterr().out)["held_out"]
+    shorten(folder / "logs" / first, 7)
+    assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["rmse_holdout_m"] > 0
+    assert f"held out, but too short to be predicted: {first}" in content["warnings"]
+
+
+def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as before:
+        before.setattr(compilation, "are_steps_cached", lambda _: False)
+        assert main(["sysid", "logs", "--extras", "none"]) == 0
+        err = said(capsys)
+        begun = err.index("compiling the model of mushr-lag for identification on this machine: once, about 8 s ...")
+        assert err[begun + 1].startswith("compiled in ")
+        assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
+        assert not any("compil" in line for line in said(capsys))
+    assert main(["sysid", "logs", "--extras", "none"]) == 0
+    assert not any("compil" in line for line in said(capsys))
+
+
+def test_when_all_logs_are_bad_each_is_explained_and_it_ends_with_1(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in (folder / "logs").iterdir():
+        (run / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
+    assert main(["sysid", "logs", "--plot", "my.png"]) == 1
+    err = said(capsys)
+    assert err[-1] == "error: none of the 8 logs can be used"
+    assert sum("poses.csv" in line for line in err) == 8
+
+
+def test_what_only_the_estimator_refuses_leaves_a_picture_of_the_logs(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from kraft.errors import InputError
+
+    def refused(*_: object) -> None:
+        raise InputError.of("logs", "show no motion", "expected drives")
+
+    monkeypatch.setattr(module, "identify", refused)
+    assert main(["sysid", "logs", "--plot", "my.png"]) == 1
+    assert said(capsys)[-2:] == [
+        "logs: show no motion; expected drives",
+        "error: the parameters cannot be identified from these logs",
+    ]
+    assert (folder / "my.png").stat().st_size > 20_000
+
+
+def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sysid", "logs", "--extras", "none", "--json"]
+    assert main(arguments) == 0
+    before = json.loads(capsys.readouterr().out)
+    for run in (folder / "logs").iterdir():
+        (run / "truth.csv").unlink()
+        (run / "truth.csv").mkdir()  # whoever opens it fails
+    assert main(arguments) == 0
+    assert {**json.loads(capsys.readouterr().out), "wall_s": 0} == {**before, "wall_s": 0}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["nowhere"], "nowhere: is not there; expected CSV files"),
+        (["logs/run_01/truth.csv"], "logs/run_01/truth.csv: is the truth of a recorded run, which is never opened"),
+        (["logs", "--model", "musrh"], "musrh: there is no vehicle 'musrh'; did you mean 'mushr'?"),
+        (["logs", "--holdout", "1"], "--holdout: is 1; expected a fraction of at least 0 and below 1"),
+        (["logs", "--freeze", "l"], "frozen: mushr-lag has no parameter l; did you mean 'L'?"),
+        (["logs", "--extras", "dely"], "extras: mushr-lag has no extra parameter dely; did you mean 'delay'?"),
+        (["logs", "--graph", "papre"], "--graph: is 'papre'; did you mean 'paper'?"),
+        (["logs", "--pose-noise", "0.01"], "--pose-noise: is '0.01'; expected standard deviations of position (m)"),
+        (["logs", "--param", "L"], "--param: is 'L'; expected name=number"),
+        (["nowhere", "--param", "L=7"], "L: is 7; expected a value from 0.15 to 0.6 m"),
+        (["nowhere", "--param", "delay=0.9"], "delay: is 0.9; expected a value from 0 to 0.5 s"),
+        (["nowhere", "--param", "friction=0.9"], "friction: is 0.9; expected a value from 0 to 0.5\n"),
+        (["nowhere", "--param", "delay=0.1", "--extras", "none"],
+         "values: delay is an extra parameter, and --extras none leaves it out; expected --extras delay or --extras auto"),
+        (["nowhere", "--freeze", "side", "--extras", "lever,delay"],
+         "frozen: side is an extra parameter, and --extras lever,delay leaves it out; expected --extras lever,delay,side"),
+        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau", "--extras", "none"],
+         "frozen: leaves nothing of mushr-lag to identify beside L, phi_diff, v_delta, tau; expected a parameter that is not frozen"),
+        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau,lever,yaw_offset", "--out", "my.yaml"],
+         "frozen: leaves nothing of mushr-lag to identify beside L, phi_diff, v_delta, tau, lever, yaw_offset; expected"),
+        (["logs", "--mapping", "none.yaml"], "none.yaml: "),
+        (["logs", "--out", "my.txt"], "my.txt: is not the name of a vehicle file"),
+        (["logs", "--plot", "my.gif"], "my.gif: the picture's name ends in '.gif'"),
+        (["logs", "--plot", "logs/run_01/poses.csv/my.png"], "logs/run_01/poses.csv/my.png: cannot be written"),
+    ],
+)  # fmt: skip
+def test_bad_arguments_are_explained(arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert expected in err
+
+
+def test_every_option_and_key_of_kraft_sysid_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "docs" / "sysid.md").read_text(encoding="utf-8")
+    assert main(["sysid", "--help"]) == 0
+    options = set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", capsys.readouterr().out)) - {"--help"}
+    assert options
+    assert options <= set(re.findall(r"--[a-z]+(?:-[a-z]+)*", text))
+    main(["sysid", "logs", "--json"])
+    content = json.loads(capsys.readouterr().out)
+    described = set(re.findall(r"`(\w+)`", text))
+    assert set(content) <= described
+    assert set(content["params"]["L"]) <= described
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real logs are not here (KRAFT_REAL_LOGS)")
+def test_on_a_real_car_prediction_is_as_good_as_its_poses(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sysid", str(REAL), "--holdout", "0.5", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    errors = content["prediction"]["holdout"]
+    assert content["logs"] == 41
+    assert errors["position_m"]["3"] < 0.03
+    assert errors["yaw_rad"]["3"] < 0.03
+    assert content["params"]["delay"]["value"] == pytest.approx(0.1, abs=0.04)

@@ -1,0 +1,116 @@
+"""Ctrl-C at any time: one word, exit code 130, and nothing left that stands in the way."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numba
+import pytest
+from support.paths import ROOT
+
+from kraft_cli import entry
+from kraft_cli import main as command_line
+from ompl_ext.interrupts import interrupts_between_passes
+
+
+def interrupt() -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interrupt_waits_for_the_next_pass_of_the_compiler() -> None:
+    reached = []
+
+    def compile_something() -> None:
+        with interrupts_between_passes():
+            interrupt()
+            reached.append("after the interrupt")
+            numba.njit("float64(float64)")(lambda x: x + 1.0)
+            reached.append("after compiling")
+
+    with pytest.raises(KeyboardInterrupt):
+        compile_something()
+    assert reached == ["after the interrupt"]
+
+
+def test_an_interrupt_is_raised_when_it_is_asked_for_and_at_the_end_of_the_outermost_block() -> None:
+    with interrupts_between_passes() as check:
+        interrupt()
+        with pytest.raises(KeyboardInterrupt):
+            check()
+        check()  # once
+    reached = []
+
+    def nested() -> None:
+        with interrupts_between_passes():
+            with interrupts_between_passes():
+                interrupt()
+            reached.append("after the inner block")
+
+    with pytest.raises(KeyboardInterrupt):
+        nested()
+    assert reached == ["after the inner block"]
+
+
+def test_interrupts_mean_what_they_did_before_afterwards() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with interrupts_between_passes():
+        assert signal.getsignal(signal.SIGINT) is not before
+    assert signal.getsignal(signal.SIGINT) is before
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with interrupts_between_passes():
+            interrupt()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_another_thread_may_compile() -> None:
+    errors: list[BaseException] = []
+
+    def compile_there() -> None:
+        try:
+            with interrupts_between_passes() as check:
+                check()
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=compile_there)
+    thread.start()
+    thread.join()
+    assert errors == []
+
+
+def test_an_interrupt_while_modules_load_is_quiet(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command_line, "main", interrupted)
+    assert entry.main() == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_an_interrupt_of_the_first_compilation_says_so_and_no_more(tmp_path: Path) -> None:
+    """To the whole process group, as a terminal sends it; the cache serves afterwards."""
+    environment = {
+        **os.environ, "KRAFT_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
+    }  # fmt: skip
+    command = [sys.executable, "-m", "kraft_cli", "plan", "turns", "--iterations", "100"]
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
+    ) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline().startswith("compiling the planner")
+        while not list(tmp_path.rglob("*.nbc")):  # the first functions are in the cache, and others not
+            assert process.poll() is None
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate()
+    assert (process.returncode, out, err) == (130, "", "interrupted\n")
+    again = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert again.stderr.splitlines()[1].startswith("compiled in ")

@@ -1,0 +1,96 @@
+"""The robot's model of itself: predictions are the planner's, and its tables invert each other."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.driving import PROMPT, car, slow_car
+
+from kraft.driving.car_model import Model
+from kraft.errors import InputError
+from kraft.vehicles.benchmark import BENCHMARK
+from kraft.vehicles.unicycle2 import UNICYCLE2
+from ompl_ext.obstacles import Workspace
+from ompl_ext.query import Settings
+from ompl_ext.solver import Dirt
+
+STATE = np.array([0.3, -0.2, 0.7, 0.4])
+CONTROL = np.array([0.8, -0.25])
+
+
+@pytest.mark.parametrize("of", [car, slow_car])
+def test_a_prediction_is_the_planners_own(of: Callable[[], Model]) -> None:
+    model = of()
+    dirt = Dirt(model.vehicle, Workspace(((-5, 5), (-5, 5)), ()), None, settings=Settings(steps=20, longest=1.0))
+    trajectory, _ = dirt.edge(STATE, CONTROL, 1.0)
+    assert model.advance(STATE, CONTROL, 1.0) == pytest.approx(trajectory[-1], abs=1e-12)
+
+
+def test_no_step_is_longer_than_a_twentieth_of_a_second() -> None:
+    state = STATE
+    for _ in range(20):
+        state = car().advance(state, CONTROL, 0.05)
+    assert car().advance(STATE, CONTROL, 1.0) == pytest.approx(state, abs=1e-12)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0])
+def test_no_time_changes_nothing_and_gives_a_copy(duration: float) -> None:
+    after = car().advance(STATE, CONTROL, duration)
+    assert after is not STATE
+    assert np.array_equal(after, STATE)
+
+
+def test_throttle_and_steady_speed_are_inverse_and_follow_the_parameter() -> None:
+    for throttle in (0.0, 0.31, 0.77, 1.0):
+        assert car().steady_speed(throttle) == pytest.approx(0.6228 * throttle, abs=1e-6)
+        assert car().throttle_for(car().steady_speed(throttle)) == pytest.approx(throttle, abs=1e-6)
+    assert (car().throttle_for(9.0), car().throttle_for(-9.0)) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.05])
+def test_curvature_slip_and_steering_are_the_bicycles(offset: float) -> None:
+    model = Model(PROMPT.with_parameters({"phi_diff": offset}))
+    for steering in (-0.3, 0.0, 0.2):
+        beta = math.atan(0.5 * math.tan(steering + offset))
+        assert model.curvature(steering) == pytest.approx(2 * math.sin(beta) / 0.2965, abs=1e-3)
+        assert model.slip(steering) == pytest.approx(beta, abs=1e-3)
+        assert model.steering_for(model.curvature(steering)) == pytest.approx(steering, abs=1e-9)
+    assert model.wheelbase == pytest.approx(0.2965, rel=0.01)
+    assert (model.steering_for(50.0), model.steering_for(-50.0)) == (0.38, -0.38)
+
+
+def test_a_command_is_clamped() -> None:
+    assert car().command(2.0, -1.0).tolist() == [1.0, -0.38]
+    assert car().clamped(np.array([-3.0, 0.1])).tolist() == [0.0, 0.1]
+
+
+def test_the_benchmark_vehicle_is_a_car_too() -> None:
+    model = Model(BENCHMARK)
+    assert model.steady_speed(1.0) == pytest.approx(0.6228, abs=1e-6)
+    assert model.curvature(1.0) == pytest.approx(2 * math.sin(math.atan(0.5 * math.tan(0.4203))) / 0.2965, rel=1e-3)
+
+
+def test_a_vehicle_without_throttle_and_steering_is_refused() -> None:
+    with pytest.raises(
+        InputError, match="unicycle2: has the controls acceleration, angular_acceleration; expected thro"
+    ):
+        Model(UNICYCLE2)
+
+
+def test_a_car_without_a_speed_is_refused() -> None:
+    with pytest.raises(InputError, match="names no speed among what rests"):
+        Model(replace(PROMPT, rest=()))
+
+
+def test_a_car_that_does_not_move_is_refused() -> None:
+    with pytest.raises(InputError, match="mushr: does not move at full throttle"):
+        Model(PROMPT.with_parameters({"v_delta": 0.0}))
+
+
+def test_a_copy_is_the_same_model() -> None:
+    assert copy.deepcopy(car()) is car()

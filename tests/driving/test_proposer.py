@@ -1,0 +1,179 @@
+"""What the replanner may commit next: margins, foresight, recovering, verification, the clock."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
+
+from kraft.driving.messages import Kind
+from kraft.driving.method import Clearance, Planner
+from kraft.driving.proposer import LEEWAY, SMALLEST_GOAL, Planners
+from kraft.errors import Defect
+from ompl_ext.plan import Plan
+from ompl_ext.solver import Dirt, Progress
+from ompl_ext.verify import Verification
+
+
+def planners(**settings: object) -> Planners:
+    return Planners.of(turns(), mushr(), Planner(**{"mode": "replanning", **settings}))  # type: ignore[arg-type]
+
+
+def test_without_margin_and_foresight_what_plans_is_what_checks() -> None:
+    for same in (planners(), planners(safety=MARGIN), planners(safety=Clearance(foresight=1.0))):
+        assert same.planning is same.checking
+
+
+def test_planning_keeps_margin_and_foresight_and_checking_does_not() -> None:
+    ours = planners(safety=FARSIGHTED, margin=0.03, goal_margin=0.1)
+    shape, wide = mushr().footprint, ours.planning.vehicle.footprint
+    assert ours.checking.vehicle.footprint == shape
+    assert (wide.length, wide.width) == (pytest.approx(shape.length + 0.06), pytest.approx(shape.width + 0.06))
+    assert wide.offset == shape.offset
+    assert (ours.planning.safety.cycle, ours.checking.safety.cycle) == (3.0, 1.0)
+    for dirt in (ours.planning, ours.checking):
+        assert (dirt.safety.enabled, dirt.safety.delta, dirt.safety.delta_per_speed) == (True, 0.02, 0.05)
+        assert dirt.goal is not None
+        assert dirt.goal.radius == pytest.approx(0.15)  # the scene's is 0.25 m
+
+
+def test_a_goal_is_not_shrunk_to_nothing() -> None:
+    goal = planners(goal_margin=0.4).checking.goal
+    assert goal is not None
+    assert goal.radius == SMALLEST_GOAL
+
+
+def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresight_reaches() -> None:
+    subject = replanner(safety=FARSIGHTED, margin=0.03)
+    subject.begin(start())
+    plan = subject._proposal.plan
+    assert plan is not None
+    away = subject.dirt.exact.distances(plan.trajectory[:, :3])
+    assert away.min() >= 0.03
+    soon = plan.times <= 3.0
+    assert np.all(away[soon] >= 0.03 + 0.02 + 0.05 * plan.trajectory[soon, 3] - 1e-9)
+
+
+def test_a_start_without_room_for_the_margin_is_planned_from_without_it() -> None:
+    begin = BESIDE_THE_WALL + np.array([0.08, 0.0, 0.0, 0.0])
+    cycles = drive(replanner(margin=0.03), 2, begin=begin)
+    assert cycles[0].kind is Kind.PLAN
+    assert 0.0 < cycles[0].clearance < 0.03
+
+
+def test_a_vehicle_that_rests_nearer_than_the_clearance_stays_there() -> None:
+    cycles = drive(replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0)), 3, begin=BESIDE_THE_WALL)
+    assert [cycle.kind for cycle in cycles] == [Kind.CONTINGENCY] * 3
+    assert "lacks clearance" in cycles[0].reason
+    np.testing.assert_allclose(cycles[-1].predicted.end, BESIDE_THE_WALL, atol=1e-6)
+
+
+def test_with_recover_it_leaves_with_the_clearance_that_it_has_and_then_keeps_what_is_asked_for() -> None:
+    subject = replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0), recover=True)
+    cycles = drive(subject, 8, begin=BESIDE_THE_WALL)
+    assert cycles[0].kind is Kind.PLAN
+    assert min(cycle.clearance for cycle in cycles) >= 0.1 - LEEWAY - 1e-3
+    assert cycles[-1].clearance >= 0.15
+    assert subject.dirt.safety.delta == 0.15
+
+
+def test_a_vehicle_that_has_recovered_keeps_what_is_asked_for_also_while_it_drives() -> None:
+    subject = replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0), recover=True)
+    drive(subject, 8, begin=BESIDE_THE_WALL)
+    moving = BESIDE_THE_WALL + np.array([0.0, 0.0, 0.0, 0.4])
+    assert subject._proposer.propose(9, moving, None).plan is None
+    assert subject.dirt.safety.delta == 0.15
+
+
+def test_recover_is_for_a_vehicle_at_rest_and_not_in_collision() -> None:
+    settings = {"safety": Clearance(delta=0.15, delta_per_speed=0.0), "recover": True}
+    for change in ([0.0, 0.0, 0.0, 0.4], [0.12, 0.0, 0.0, 0.0]):
+        subject = replanner(**settings)  # type: ignore[arg-type]
+        subject.begin(BESIDE_THE_WALL + np.array(change))
+        assert subject._proposal.plan is None
+        assert subject.dirt.safety.delta == 0.15
+
+
+@pytest.mark.parametrize(("away", "radius"), [(0.2, 0.1), (0.1, 0.05), (0.004, SMALLEST_GOAL)])
+def test_the_goal_region_shrinks_before_a_vehicle_that_has_not_arrived(away: float, radius: float) -> None:
+    """By its own estimate it has: a plan from within the scene's region, 0.25 m, would else be to stay there."""
+    subject = replanner()
+    subject.begin(np.array([1.0, 5.0 - away, math.pi / 2, 0.0]))
+    plan = subject._proposal.plan
+    assert plan is not None
+    assert math.dist(plan.states[-1][:2], (1.0, 5.0)) <= radius
+    assert (len(plan.durations) > 0) == (away > SMALLEST_GOAL)
+
+
+def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away() -> None:
+    subject = replanner()
+    subject.begin(np.array([1.0, 4.9, math.pi / 2, 0.0]))
+    subject._proposer.propose(1, start(), None)
+    assert subject.dirt.goal is not None
+    assert subject.dirt.goal.radius == 0.25
+
+
+def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:
+    heads = list[Plan]()
+
+    def judge(_: Dirt, head: Plan) -> Verification:
+        heads.append(head)
+        return Verification(0.0, None, ())
+
+    monkeypatch.setattr("kraft.driving.proposer.verify", judge)
+    for mode, until in (("replanning", 1.0), ("one-shot", math.inf)):
+        subject = replanner(mode=mode)
+        subject.begin(start())
+        plan, head = subject._proposal.plan, heads[-1]
+        assert plan is not None
+        assert len(plan.durations) > 2
+        assert head.times[-1] == pytest.approx(head.durations.sum())
+        assert head.times[-1] >= min(until, plan.cost) - 1e-9
+        assert len(head.times) == len(head.trajectory)
+        assert len(head.states) == len(head.durations) + 1
+        np.testing.assert_array_equal(head.trajectory, plan.trajectory[: len(head.times)])
+    assert {round(head.durations.sum(), 6) for head in heads} != {round(heads[0].durations.sum(), 6)}
+
+
+def test_a_plan_that_fails_its_verification_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kraft.driving.proposer.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
+    with pytest.raises(Defect, match=r"cycle 0 fails verification: plan: collides"):
+        replanner().begin(start())
+
+
+def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = replanner(cycle=0.2, lead=0.0)
+    subject._proposer._realtime = True
+    subject.begin(start())
+    late = itertools.chain([0.0], itertools.repeat(5.0))
+    monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
+    monkeypatch.setattr(subject.dirt, "grow", lambda **_: subject.dirt.progress)
+    proposal = subject._proposer.propose(1, start(), None)
+    assert proposal.missed
+    assert proposal.plan is None
+    assert "longer than there was time" in proposal.reason
+
+
+def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search with the margin finds nothing: half of the time is its, the rest that of the one without."""
+    subject = replanner(margin=0.03, cycle=0.5, lead=0.05)
+    subject._proposer._realtime = True
+    now, granted, both = [0.0], list[float](), subject._proposer._planners
+    monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: now[0])
+    for dirt in (both.planning, both.checking):
+
+        def grow(seconds: float, dirt: Dirt = dirt, grow: Callable[..., Progress] = dirt.grow) -> Progress:
+            granted.append(seconds)
+            now[0] += seconds
+            return grow(iterations=300)
+
+        monkeypatch.setattr(dirt, "grow", grow)
+    monkeypatch.setattr(both.planning, "plan", lambda: None)
+    proposal = subject._proposer.propose(0, start(), None)
+    assert granted == pytest.approx([0.175, 0.175, 0.0])  # of 0.8 x 0.5 s - 0.05 s; with a plan it goes on
+    assert proposal.plan is not None
+    assert not proposal.missed

@@ -1,0 +1,89 @@
+"""Contingencies and plans as references: what is tracked, and the emergency when nothing is safe."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.replanner import FARSIGHTED, mushr, replanner, start
+
+from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.replanner import Replanner
+from kraft.driving.stopping import emergency, plan_reference, stop_control
+from ompl_ext.arrays import Floats
+
+
+def along(subject: Replanner, state: Floats, number: int) -> tuple[float, float]:
+    """Smallest distance (m) of a manoeuvre to an obstacle, and its speed (m/s) where it hits one."""
+    dirt, distance = subject.dirt, math.inf
+    for _ in range(round(dirt.safety.horizon / 0.1)):
+        samples, _ = dirt.edge(state, stop_control(dirt.vehicle, state, number), 0.1)
+        distance = min(distance, float(dirt.exact.distances(samples[:, :3]).min()))
+        if distance <= 0.0:
+            return 0.0, abs(float(state[3]))
+        state = samples[-1]
+        if abs(state[3]) <= dirt.safety.rest_speed:
+            break
+    return distance, 0.0
+
+
+@pytest.mark.slow
+def test_an_emergency_takes_the_manoeuvre_that_keeps_the_most_distance_or_hits_slowest() -> None:
+    subject = replanner(model="mushr-lag")  # which coasts for 0.6 m
+    subject.begin(start())
+    dirt, rng, found, hits = subject.dirt, np.random.default_rng(0), 0, 0
+    while found < 20:
+        state = np.array(
+            [rng.uniform(0.3, 1.9), rng.uniform(-0.5, 4.5), rng.uniform(-3.1, 3.1), rng.uniform(0.4, 0.65)]
+        )
+        if dirt.exact.distance(*state[:3]) <= 0.01 or dirt.contingency(state) is not None:
+            continue
+        found += 1
+        reference = emergency(dirt, state, 3.0)
+        assert (reference.kind, reference.start) == (Kind.CONTINGENCY, 3.0)
+        assert abs(reference.states[-1][3]) <= 0.01
+        each = [along(subject, state, number) for number in range(len(dirt.vehicle.manoeuvres))]
+        best = max(each, key=lambda pair: (pair[0], -pair[1]))
+        ours = [along(subject, state, number) for number in range(len(each))
+                if np.array_equal(reference.controls[0], stop_control(dirt.vehicle, state, number))]  # fmt: skip
+        assert ours == [best]
+        hits += best[0] == 0.0
+    assert 0 < hits < found  # some can still be avoided, some cannot
+
+
+def test_a_contingency_that_is_over_asks_for_nothing() -> None:
+    """Brakes that went on would push a car that stands."""
+    subject = replanner(model="mushr-drive", safety=FARSIGHTED)
+    cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    assert cycle.contingency is not None
+    assert cycle.contingency.controls[0][0] < 0.0  # it brakes
+    np.testing.assert_array_equal(cycle.contingency.rest, np.zeros(2))
+    np.testing.assert_array_equal(emergency(subject.dirt, start(), 0.0).rest, np.zeros(2))
+
+
+def test_a_reference_interpolates_states_and_holds_controls() -> None:
+    reference = Reference(
+        Kind.PLAN, np.array([1.0, 2.0, 4.0]), np.array([[0.0], [1.0], [5.0]]), np.array([[0.1], [0.2]]), np.zeros(1)
+    )
+    assert [float(reference.state_at(t)[0]) for t in (0.0, 1.0, 1.5, 3.0, 4.0, 9.0)] == [0.0, 0.0, 0.5, 3.0, 5.0, 5.0]
+    assert [float(reference.control_at(t)[0]) for t in (0.0, 1.0, 2.0, 3.9, 4.0)] == [0.1, 0.1, 0.2, 0.2, 0.0]
+
+
+def test_a_plan_becomes_a_reference_with_the_control_of_each_step() -> None:
+    subject = replanner()
+    subject.begin(start())
+    plan = subject.dirt.plan()
+    assert plan is not None
+    reference = plan_reference(plan, 2.0, np.zeros(2))
+    ends = np.cumsum(plan.durations)
+    for k, end in enumerate(ends):
+        np.testing.assert_array_equal(reference.control_at(2.0 + end - 1e-6), plan.controls[k])
+    np.testing.assert_array_equal(reference.control_at(2.0 + plan.cost + 1e-6), np.zeros(2))
+
+
+def test_a_vehicle_without_a_stop_function_stops_with_zero_control() -> None:
+    coasting = replace(mushr(), stop=None, manoeuvres=("coast",))
+    np.testing.assert_array_equal(stop_control(coasting, start(), 0), np.zeros(2))
+    np.testing.assert_array_equal(stop_control(mushr(), start(), 3), [0.0, 0.38])

@@ -1,0 +1,166 @@
+"""The same trials on a Dask cluster: a scheduler and its workers in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import fake_trials
+from support.evaluation import Stopping, kept
+from support.paths import ROOT
+
+from kraft.errors import InputError, MissingDependency
+from kraft.evaluation import TrialRow, cluster, evaluate, evaluator
+from kraft_cli.main import main
+
+CELLS = (["turns", "slip"], ["kraft", "oneshot-openloop"])
+
+
+class Dask:
+    """A scheduler and workers on this machine."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "scheduler.json"
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        limit = time.monotonic() + 60
+        while not self._file.exists():
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+        self.address: str = json.loads(self._file.read_text())["address"]
+        self.workers = [self.worker(), self.worker()]
+
+    @property
+    def whole(self) -> bool:
+        """Whether the scheduler and a worker are there; workers that died are replaced."""
+        self.workers = [worker if worker.poll() is None else self.worker() for worker in self.workers]
+        return self.scheduler.poll() is None
+
+    def worker(self) -> subprocess.Popen[bytes]:
+        return self._start("worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1")
+
+    def stop(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+    def _start(self, kind: str, *options: str) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT)])}
+        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--scheduler-file", str(self._file)]
+        return subprocess.Popen(
+            [*command, "--no-dashboard", *options], env=environment, cwd=self._file.parent,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Dask]]:
+    """The clusters that were started; starting one takes seconds, so tests share it while it is whole."""
+    found: list[Dask] = []
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv(fake_trials.LEFT, str(tmp_path_factory.mktemp("left")))
+        yield found
+    for each in found:
+        each.stop()
+
+
+@pytest.fixture
+def dask(started: list[Dask], tmp_path: Path) -> Dask:
+    if not started or not started[-1].whole:
+        started.append(Dask(tmp_path))
+    return started[-1]
+
+
+class Killing(Stopping):
+    """Kills a process after some trials."""
+
+    def __init__(self, process: subprocess.Popen[bytes], after: int) -> None:
+        super().__init__()
+        self._process, self._after = process, after
+
+    def ended(self, row: TrialRow) -> None:
+        super().ended(row)
+        if len(self.rows) == self._after:
+            self._process.kill()
+
+
+def run(dask: Dask, trial: str, trials: int, **options: Any) -> evaluator.Evaluation:
+    return evaluate(*CELLS, trials, 0, cluster=dask.address, trial=f"support.fake_trials:{trial}", **options)
+
+
+def test_with_a_worker_killed_every_trial_arrives_once_and_the_same(
+    dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch = Killing(dask.workers[0], 4)
+    found = run(dask, "slow", 4, out=tmp_path / "out", watch=watch)
+    assert found.complete
+    assert dask.workers[0].poll() is not None
+    keys = [row.key for row in watch.rows]
+    assert len(keys) == len(set(keys)) == 16
+    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
+    evaluate(*CELLS, 4, 0, out=tmp_path / "here", trial="support.fake_trials:quick")
+    assert kept(tmp_path / "out") == kept(tmp_path / "here")
+
+
+def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
+    dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch = Killing(dask.scheduler, 3)
+    with pytest.raises(InputError, match=r"--cluster: the scheduler at tcp://.* went away"):
+        run(dask, "slow", 4, out=tmp_path / "out", watch=watch)
+    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
+    rest = Stopping()
+    assert evaluate(
+        *CELLS, 4, 0, out=tmp_path / "out", trial="support.fake_trials:slow", resume=True, watch=rest
+    ).complete  # fmt: skip
+    assert len(watch.rows) + len(rest.rows) == 16
+
+
+def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused(
+    dask: Dask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopped = run(dask, "slow", 6, watch=Stopping(3))
+    assert not stopped.complete
+    assert 3 <= len(stopped.rows) <= 3 + 4
+    monkeypatch.setattr(cluster, "versions", lambda: {"kraft": "99"})
+    with pytest.raises(InputError, match=r"a worker has kraft 0.1.0 instead of 99, .*; expected the same versions"):
+        run(dask, "quick", 1)
+
+
+def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    with pytest.raises(InputError, match=r"--cluster: no Dask scheduler answers at tcp://127.0.0.1:9 "):
+        evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match=r"--cluster: no Dask scheduler answers at nowhere"):
+        evaluate(["turns"], ["kraft"], 1, cluster="nowhere")
+
+
+def test_a_wrong_address_ends_at_once_with_one_line_and_leaves_no_folder(tmp_path: Path) -> None:
+    command = ["eval", "turns", "--trials", "1", "--methods", "kraft", "--cluster", "nowhere", "--out", "out"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT)])}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", *command],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (2, "")
+    told = r"--cluster: no Dask scheduler answers at nowhere \(.*\); expected its address, as in tcp://192.0.2.1:8786\n"
+    assert re.fullmatch(told, done.stderr)
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_the_extra_it_ends_with_3_and_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingDependency):
+        cluster.Cluster("tcp://127.0.0.1:9")
+    assert main(["eval", "turns", "--cluster", "tcp://127.0.0.1:9", "--out", str(tmp_path / "out")]) == 3
+    assert "--cluster needs the package distributed: pip install 'kraft[cluster]'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

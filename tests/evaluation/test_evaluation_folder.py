@@ -1,0 +1,289 @@
+"""The results folder: nothing that was finished is lost, nothing is mixed, nothing is overwritten."""
+
+from __future__ import annotations
+
+import json
+import random
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import fake_trials
+from support.evaluation import Stopping, kept, room_for
+from support.paths import ROOT
+
+from kraft.errors import InputError
+from kraft.evaluation import Evaluation, TrialRow, Watch, evaluate, folder, manifest
+from kraft.evaluation.experiment import experiment_of
+from kraft.evaluation.journal import Journal, read_journal
+from kraft.vehicles.load import load_vehicle
+
+SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kraft.evaluation.evaluator.Processes", fake_trials.Inline)
+
+
+def run(out: Path, *, resume: bool = False, trials: int = 3, watch: Watch | None = None, **options: Any) -> Evaluation:
+    arguments = {"scenarios": SCENARIOS, "methods": METHODS, "trial": "support.fake_trials:quick", **options}
+    return evaluate(trials=trials, seed=5, out=out, resume=resume, watch=watch, **arguments)
+
+
+def test_a_folder_holds_everything(tmp_path: Path) -> None:
+    found = run(tmp_path / "out")
+    assert found.complete
+    assert len(found.rows) == 12
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "manifest.json", "trials.jsonl", "summary.json", "benchmark-turns.log", "benchmark-slip.log", "benchmark.db",
+        "report.html",
+    }  # fmt: skip
+    assert len((tmp_path / "out/trials.jsonl").read_text().splitlines()) == 12
+    content = json.loads((tmp_path / "out/manifest.json").read_text())
+    assert content["schema"] == "kraft.eval-manifest/1"
+    assert (content["trials"], content["seed"]) == (3, 5)
+    assert content["rows"][1] == {
+        "scenario": "turns", "method": "kraft", "title": "KRAFT", "vehicle": "mushr-drive",
+    }  # fmt: skip
+    assert content["scenarios"]["slip"]["content"]["truth"]["friction_patches"]
+    assert content["methods"]["kraft"]["content"]["planner"]["mode"] == "replanning"
+    assert content["vehicles"]["mushr"]["content"]["parameters"] == load_vehicle("mushr").parameters
+    assert {"kraft", "numba", "ompl", "mujoco", "python"} <= set(content["versions"])
+
+
+def test_all_methods_and_scenes_have_the_same_seeds(tmp_path: Path) -> None:
+    found = run(tmp_path / "out")
+    by_cell: dict[tuple[str, str], list[int]] = {}
+    for row in found.rows:
+        by_cell.setdefault(row.key[:2], []).append(row.seed)
+    assert list(by_cell.values()) == [[5, 6, 7]] * 4
+
+
+def test_the_order_in_which_trials_end_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(tmp_path / "straight")
+    for number in range(3):
+        shuffled = fake_trials.Inline(shuffle=random.Random(number).shuffle)
+        monkeypatch.setattr("kraft.evaluation.evaluator.Processes", lambda _, executor=shuffled: executor)
+        run(tmp_path / f"shuffled{number}")
+        assert kept(tmp_path / f"shuffled{number}") == kept(tmp_path / "straight")
+
+
+def test_nothing_is_written_where_there_is_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match=r"is there already; expected a new folder, or --out .*/out --resume"):
+        run(tmp_path / "out")
+    with pytest.raises(InputError, match="cannot be"):
+        run(tmp_path / "file")
+    with pytest.raises(InputError, match="is not a folder"):
+        run(tmp_path / "file/deeper")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("after", [0, 1, 7, 11])
+def test_a_stopped_evaluation_goes_on_to_the_same_result(after: int, tmp_path: Path) -> None:
+    run(tmp_path / "whole")
+    stopped = run(tmp_path / "out", watch=Stopping(after))
+    assert not stopped.complete
+    assert len(stopped.rows) == after
+    assert not (tmp_path / "out/summary.json").exists()
+    rest = Stopping()
+    assert run(tmp_path / "out", resume=True, watch=rest).complete
+    assert len(rest.rows) == 12 - after
+    assert kept(tmp_path / "out") == kept(tmp_path / "whole")
+
+
+def test_going_on_with_what_is_complete_runs_nothing(tmp_path: Path) -> None:
+    run(tmp_path / "out")
+    (tmp_path / "out/summary.json").unlink()
+    again = Stopping()
+    run(tmp_path / "out", resume=True, watch=again)
+    assert again.rows == []
+    assert (tmp_path / "out/summary.json").exists()
+
+
+def test_a_torn_last_line_is_told_and_its_trial_repeated(tmp_path: Path) -> None:
+    run(tmp_path / "whole")
+    run(tmp_path / "out", watch=Stopping(4))
+    path = tmp_path / "out/trials.jsonl"
+    path.write_bytes(path.read_bytes()[:-20])
+    rest = Stopping()
+    run(tmp_path / "out", resume=True, watch=rest)
+    assert rest.said == [f"{path}: the last line is torn; its trial is repeated"]
+    assert len(rest.rows) == 9
+    assert kept(tmp_path / "out") == kept(tmp_path / "whole")
+
+
+def test_an_evaluation_stopped_before_its_manifest_begins_anew(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/.manifest.json.x1.part").write_text("{")
+    assert run(tmp_path / "out", resume=True).complete
+
+
+def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no such folder"):
+        run(tmp_path / "out", resume=True)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/manifest.json").write_text("[]")
+    with pytest.raises(InputError, match="has no schema"):
+        run(tmp_path / "out", resume=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"trials": 4}, ["trials: was made with 3, now it is 4"]),
+        (
+                {"methods": ("kraft",)},
+                [
+                    "methods.oneshot-openloop: method oneshot-openloop is part of it, but left out now",
+                    "vehicles.mushr: vehicle mushr is part of it, but left out now",
+                ],
+            ),
+        ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes: scenario boxes is not part of it"]),
+        ({"realtime": True}, ["realtime: was made with false, now it is true"]),
+        (
+            {"vehicle": "unicycle2"},
+            [
+                "rows.slip, kraft: was made with \"mushr-drive\", now it is \"unicycle2\"",
+                "vehicles.mushr: vehicle mushr is part of it, but left out now",
+                "vehicles.unicycle2: vehicle unicycle2 is not part of it",
+            ],
+        ),
+    ],
+)  # fmt: skip
+def test_a_folder_of_another_configuration_is_refused_field_by_field(
+    change: dict[str, Any], expected: list[str], tmp_path: Path
+) -> None:
+    run(tmp_path / "out", watch=Stopping(2))
+    before = (tmp_path / "out/trials.jsonl").read_bytes()
+    with pytest.raises(InputError) as caught:
+        run(tmp_path / "out", resume=True, **change)
+    told = [f"{each.path}: {each.problem}" for each in caught.value.diagnostics]
+    assert set(expected) <= set(told)
+    if len(expected) == 1:
+        assert len(told) == 1
+    assert (tmp_path / "out/trials.jsonl").read_bytes() == before
+
+
+def test_a_changed_file_and_another_version_are_refused(tmp_path: Path) -> None:
+    method = tmp_path / "mine.yaml"
+    method.write_text("name: mine\ntitle: A\nplanner: {mode: replanning}\ncontroller: {kind: open_loop}\n")
+    run(tmp_path / "out", methods=(method,), watch=Stopping(2))
+    method.write_text(method.read_text().replace("title: A", "title: B  # only words"))
+    run(tmp_path / "out", methods=(method,), watch=Stopping(1), resume=True)
+    method.write_text(method.read_text().replace("open_loop", "open_loop, rate_hz: 10"))
+    path = tmp_path / "out/manifest.json"
+    content = json.loads(path.read_text())
+    content["versions"]["mujoco"] = "3.9"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError) as caught:
+        run(tmp_path / "out", methods=(method,), resume=True)
+    told = {each.path: each.problem for each in caught.value.diagnostics}
+    assert told["methods.mine.content.controller.rate_hz"] == "was made with 30.0, now it is 10.0"
+    assert told["versions.mujoco"].startswith('was made with "3.9", now it is')
+    assert len(told) == 2
+
+
+def test_a_full_disk_keeps_every_finished_trial(tmp_path: Path) -> None:
+    run(tmp_path / "whole", trials=30)
+    watch = Stopping()
+    with (
+        room_for(30_000),
+        pytest.raises(InputError, match=r"trials.jsonl: cannot be written: File too large; expected"),
+    ):
+        run(tmp_path / "out", trials=30, watch=watch)
+    content = (tmp_path / "out/trials.jsonl").read_bytes()
+    assert content.endswith(b"\n")
+    assert 29_000 < len(content) <= 30_000
+    assert len(watch.rows) == len(content.splitlines())
+    run(tmp_path / "out", trials=30, resume=True)
+    assert kept(tmp_path / "out") == kept(tmp_path / "whole")
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_nothing_behind(tmp_path: Path) -> None:
+    with room_for(100), pytest.raises(InputError, match=r"manifest.json: cannot be written"):
+        run(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_only_one_process_writes_a_journal(tmp_path: Path) -> None:
+    first = Journal(tmp_path / "trials.jsonl")
+    with pytest.raises(InputError, match="another kraft eval writes it"):
+        Journal(tmp_path / "trials.jsonl")
+    first.close()
+    Journal(tmp_path / "trials.jsonl").close()
+
+
+def test_damage_in_the_middle_is_refused_at_its_line(tmp_path: Path) -> None:
+    run(tmp_path / "out", watch=Stopping(4))
+    path = tmp_path / "out/trials.jsonl"
+    lines = path.read_text().splitlines()
+    other = lines[3].replace('"seed":5', '"seed":99')
+    path.write_text("\n".join([lines[0], "}{", lines[2], lines[2], other, '{"scenario":1}']) + "\n")
+    with pytest.raises(InputError) as caught:
+        run(tmp_path / "out", resume=True)
+    told = [(each.line, each.problem) for each in caught.value.diagnostics]
+    assert told == [
+        (2, "is not a trial"),
+        (4, "turns, oneshot-openloop, seed 7 is there twice"),
+        (5, "turns, kraft, seed 99 is not a trial of this evaluation"),
+        (6, "is not a trial"),
+    ]
+
+
+def test_failed_trials_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(fake_trials.LEFT, str(tmp_path))
+    broken = run(tmp_path / "out", trial="support.fake_trials:raises_once")
+    assert broken.summary.failed == len(broken.rows) == 12
+    watch = Stopping(2)
+    assert not run(tmp_path / "out", trial="support.fake_trials:raises_once", resume=True, watch=watch).complete
+    watch.after = 100
+    mended = run(tmp_path / "out", trial="support.fake_trials:raises_once", resume=True, watch=watch)
+    assert len({row.key for row in watch.rows}) == len(watch.rows) == 12
+    assert mended.summary.failed == 0
+    run(tmp_path / "whole")
+    assert kept(tmp_path / "out")[1] == kept(tmp_path / "whole")[1]
+
+
+rows = st.builds(
+    TrialRow,
+    scenario=st.text(), method=st.text(), seed=st.integers(0, 10**12), t_s=st.none() | st.floats(0, 1e6),
+    outcome=st.sampled_from(["success", "collision", "timeout", "failed"]), obstacle=st.none() | st.text(),
+    error=st.none() | st.text(), min_clearance_m=st.floats(-1, 1e6),
+)  # fmt: skip
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(rows, max_size=5, unique_by=lambda row: row.key), st.data())
+def test_a_journal_cut_anywhere_holds_its_whole_lines(found: list[TrialRow], data: st.DataObject) -> None:
+    content = b"".join(row.model_dump_json().encode() + b"\n" for row in found)
+    cut = data.draw(st.integers(0, len(content)))
+    with tempfile.NamedTemporaryFile() as file:
+        path = Path(file.name)
+        path.write_bytes(content[:cut])
+        read = read_journal(path)
+    assert list(read.rows.values()) == found[: content[:cut].count(b"\n")]
+    assert read.whole + read.torn == cut
+
+
+def test_the_default_folder_is_never_one_that_exists(tmp_path: Path) -> None:
+    first = folder.default_path(3, tmp_path)
+    first.mkdir(parents=True)
+    assert first.name.endswith("-seed3")
+    assert not folder.default_path(3, tmp_path).exists()
+
+
+def test_a_manifest_does_not_depend_on_where_files_are(tmp_path: Path) -> None:
+    source = (ROOT / "configs/vehicles/mushr.yaml").read_text()
+    contents = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "car.yaml").write_text(source)
+        experiment = experiment_of(["turns"], ["kraft"], vehicle=str(tmp_path / name / "car.yaml"))
+        contents.append(manifest.manifest_of(experiment, {}))
+    manifest.check_same(tmp_path, *contents)

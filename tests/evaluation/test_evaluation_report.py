@@ -1,0 +1,302 @@
+"""`report.html`: everything is on it, nothing else is needed to read it, and it is made again from the folder alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pytest
+from support import fake_trials
+from support.evaluation import Stopping, room_for
+from support.paths import ROOT
+
+from kraft.errors import InputError
+from kraft.evaluation import Evaluation, evaluate
+from kraft.evaluation.report import Results, page, read_results, write_report
+from kraft.evaluation.report.elements import document, element
+from kraft.evaluation.report.floor import floor_plan
+from kraft.scenario import OccupancyMap, load_scenario
+from kraft_cli.main import main
+
+METHODS = ("oneshot-openloop", "kraft")
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("kraft.evaluation.evaluator.Processes", fake_trials.Inline)
+    monkeypatch.chdir(tmp_path)
+
+
+def run(out: str = "out", *, trials: int = 3, **options: Any) -> Evaluation:
+    arguments = {"scenarios": ("turns", "slip"), "methods": METHODS, "trial": "support.fake_trials:quick", **options}
+    return evaluate(trials=trials, seed=5, out=out, **arguments)
+
+
+class Tags(HTMLParser):
+    """Every tag with its attributes, and whether all that is opened is closed."""
+
+    VOID = ("meta",)
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    def classes(self, tag: str) -> Counter[str | None]:
+        return Counter(attributes.get("class") for name, attributes in self.found if name == tag)
+
+
+def text_of(tags: Tags) -> str:
+    return " ".join(" ".join(tags.words).split())
+
+
+def test_an_evaluation_ends_with_a_page_that_needs_nothing_else() -> None:
+    run()
+    text = Path("out/report.html").read_text(encoding="utf-8")
+    tags = Tags(text)
+    assert tags.open == []
+    assert not re.search(r"https?:|<script|@import|url\(", text.replace("http://www.w3.org", ""))
+    assert all("src" not in attributes for _, attributes in tags.found)
+    anchors = {attributes["href"] for tag, attributes in tags.found if tag == "a"}
+    assert anchors == {"#turns", "#slip"}
+    assert {f"#{attributes['id']}" for _, attributes in tags.found if "id" in attributes} == anchors
+
+
+def test_every_trial_is_a_cell_that_says_how_it_ended_and_how_to_drive_it_again() -> None:
+    found = run()
+    tags = Tags(page(read_results(Path("out"))))
+    text = text_of(tags)
+    for row in found.rows:
+        where = f" with {row.obstacle}" if row.obstacle else ""
+        assert f"seed {row.seed}: {row.outcome}{where} after {row.t_s:.1f} s" in text
+        assert f"kraft run {row.scenario} --method {row.method} --seed {row.seed}" in text
+    counts = Counter(row.outcome for row in found.rows)
+    bars = Counter((r.scenario, r.method, row.outcome) for r in found.summary.results for row in found.rows
+                   if row.key[:2] == (r.scenario, r.method))  # fmt: skip
+    segments = Counter(outcome for _, _, outcome in bars)
+    drawn = tags.classes("rect")
+    assert {name: drawn[name] - segments[name] for name in counts} == dict(counts)
+
+
+def test_the_numbers_are_those_of_the_summary() -> None:
+    found = run(trials=8)
+    text = text_of(Tags(page(read_results(Path("out")))))
+    assert "32 trials, 2 scenarios, 2 methods" in text
+    assert "5 to 12, the same for all methods" in text
+    for result in found.summary.results:
+        assert f"{result.success} / {result.collision} / {result.timeout} " in text
+        assert f"{result.interval[0]:.0%} to {result.interval[1]:.0%}" in text
+        assert result.t_ex is None or f"{result.t_ex:.2f}" in text
+    assert "paper 27 / 3 / 0" in text
+    assert "paper 20 of 30" in text
+
+
+def test_the_same_page_comes_from_the_folder_alone() -> None:
+    run()
+    written = Path("out/report.html").read_bytes()
+    Path("out/report.html").unlink()
+    _, path = write_report(Path("out"))
+    assert path == Path("out/report.html")
+    assert path.read_bytes() == written
+
+
+def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
+    run(watch=Stopping(after=4))
+    assert not Path("out/report.html").exists()
+    assert main(["report", "out"]) == 0
+    out, err = capsys.readouterr()
+    assert (out, err) == ("out/report.html\n", "8 of 12 trials not run yet\n")
+    text = Path("out/report.html").read_text()
+    tags = Tags(text)
+    assert "8 of 12 trials not run yet: this page is of those that were." in text_of(tags)
+    assert tags.classes("rect")["missing"] == 8
+
+
+def test_failed_trials_are_told() -> None:
+    evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out", trial="support.fake_trials:raises")
+    text = text_of(Tags(Path("out/report.html").read_text()))
+    assert "1 trial failed, which is a defect in kraft" in text
+    assert "seed 1: failed: ZeroDivisionError: no speed at all" in text
+
+
+def test_what_did_not_succeed_is_listed_with_the_command_that_films_it() -> None:
+    found = run(trials=8, vehicle="mushr-lag", arguments={"vehicle": "mushr-lag"})
+    text = text_of(Tags(Path("out/report.html").read_text()))
+    for row in found.rows:
+        film = (
+            f"kraft run {row.scenario} --method {row.method} --vehicle mushr-lag --seed {row.seed} "
+            f"--video {row.scenario}-{row.method}-{row.seed}.mp4"
+        )
+        assert (film in text) == (row.outcome != "success")
+
+
+def test_commands_name_the_files_that_were_given(tmp_path: Path) -> None:
+    Path("my scene.yaml").write_text((ROOT / "scenarios/turns.yaml").read_text())
+    arguments = {"scenarios": ["my scene.yaml"], "methods": ["kraft"]}
+    evaluate(["my scene.yaml"], ["kraft"], trials=1, out="out", trial="support.fake_trials:quick", arguments=arguments)
+    assert "kraft run 'my scene.yaml' --method kraft --seed 0" in text_of(Tags(Path("out/report.html").read_text()))
+
+
+def test_a_scenario_that_changed_has_no_picture_and_the_page_says_so() -> None:
+    changed = replace(load_scenario("turns"), obstacles=())
+    evaluate([changed], ["kraft"], trials=1, out="out", trial="support.fake_trials:quick")
+    assert "No picture" not in Path("out/report.html").read_text()
+    text = write_report(Path("out"))[1].read_text()
+    assert "No picture: the scenario is not there any more, or another." in text
+    assert 'class="floor"' not in text
+
+
+def test_what_anybody_wrote_is_text_and_never_markup() -> None:
+    nasty = '<script>alert("1")</script> & co'
+    text = document(nasty, "p > a { color: red }", element("p", nasty, title=nasty))
+    tags = Tags(text)
+    assert "script" not in {tag for tag, _ in tags.found}
+    assert tags.found[-1] == ("p", {"title": nasty})
+    assert nasty in tags.words
+    assert "p > a { color: red }" in text
+
+
+def shapes(drawing: Element, look: str) -> Iterator[Element]:
+    return (found for found in drawing.iter() if look in (found.get("class") or "").split())
+
+
+@pytest.mark.parametrize(
+    ("name", "look", "count", "words"),
+    [
+        ("turns", "obstacle", 6, []),
+        ("slope", "uphill", 1, ["a floor that leans 7.16 degrees"]),
+        ("slip", "slippery", 1, ["one patch with friction 0.08"]),
+        ("bump", "bump", 3, ["3 bumps of up to 5 cm"]),
+        ("movable", "movable", 4, ["4 boxes that can be pushed"]),
+        ("turns-real", "obstacle", 6, ["a car that differs from its model"]),
+    ],
+)
+def test_a_floor_plan_shows_what_the_planner_does_not_know(name: str, look: str, count: int, words: list[str]) -> None:
+    scenario = load_scenario(name)
+    drawing = floor_plan(scenario, {})
+    assert len(list(shapes(drawing, look))) == count
+    assert len(list(shapes(drawing, "goal"))) == len(list(shapes(drawing, "start"))) == 1
+    assert list(scenario.truth.in_words()) == words
+
+
+def test_obstacles_are_the_redder_the_more_often_they_were_hit() -> None:
+    drawing = floor_plan(load_scenario("turns"), {"first box": 9, "left wall": 3})
+    hit = {str(found[0].text): found.get("style") for found in shapes(drawing, "hit")}
+    assert hit == {
+        "first box: 9 collisions": "fill-opacity: 1.00",
+        "left wall: 3 collisions": "fill-opacity: 0.50",
+    }
+
+
+@pytest.mark.parametrize("size", [40, 1000])
+def test_a_map_is_drawn_as_the_cells_that_are_occupied(size: int) -> None:
+    occupied = np.zeros((size, size // 2), bool)
+    occupied[: size // 4, size // 4 :] = True
+    occupied[-size // 10 :] = True
+    scenario = replace(load_scenario("turns"), obstacles=(OccupancyMap(occupied, 10.0 / size, (-1.0, -2.0, 0.3)),))
+    (path,) = shapes(floor_plan(scenario, {}), "cells")
+    runs = re.findall(r"M([\d.]+) ([\d.]+)h([\d.]+)v([\d.]+)h-[\d.]+z", path.get("d") or "")
+    area = sum(float(width) * float(height) for _, _, width, height in runs)
+    assert area == pytest.approx(occupied.sum() * (10.0 / size) ** 2, rel=0.02)
+    assert len(runs) < 0.4 * min(size, 300)
+    assert path.get("transform") == "translate(-1 -2) rotate(17.1887)"
+
+
+def damaged(**changes: Any) -> None:
+    file = Path("out/manifest.json")
+    content = {**json.loads(file.read_text()), **changes}
+    file.write_text(json.dumps({key: value for key, value in content.items() if value is not ...}, default=str))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda: Path("out/manifest.json").unlink(), "out: has no manifest.json; expected the folder of a kraft eval"),
+        (lambda: Path("out/manifest.json").write_text("{"), "out/manifest.json: is not JSON"),
+        (lambda: damaged(schema="kraft.run/1"), "out/manifest.json: has the schema 'kraft.run/1'"),
+        (lambda: damaged(trials=0), "out/manifest.json: trials: is damaged"),
+        (lambda: damaged(rows=[]), "out/manifest.json: rows: is damaged"),
+        (lambda: Path("out/trials.jsonl").write_text("{}\n[]\n"), "out/trials.jsonl:1:1: is not a trial"),
+        (lambda: Path("out/summary.json").write_text("{}"), "out/summary.json: is damaged"),
+    ],
+)
+def test_a_damaged_folder_is_refused(spoil: Any, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    run()
+    before = Path("out/report.html").read_bytes()
+    spoil()
+    assert main(["report", "out"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(message)
+    assert Path("out/report.html").read_bytes() == before
+
+
+def test_wrong_folders_and_files_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    run()
+    Path("file").touch()
+    for arguments, message in (
+        (["none"], "none: there is no such folder; expected the folder of a kraft eval\n"),
+        (["file"], "file: is not a folder; expected the folder of a kraft eval\n"),
+        (["out", "--out", "out"], "out: is a folder; expected the name of a file\n"),
+        (["out", "--out", "file/page.html"], f"file/page.html: cannot be written: {Path.cwd() / 'file'} is not a folder"),
+        (["out", "--out", "/proc/x.html"], "/proc/x.html: cannot be written: nothing can be made in /proc ("),
+    ):  # fmt: skip
+        assert main(["report", *arguments]) == 2
+        assert capsys.readouterr().err.startswith(message)
+    assert main(["report", "out", "--out", "pages/mine.html"]) == 0
+    assert capsys.readouterr().out == "pages/mine.html\n"
+    assert Path("pages/mine.html").read_bytes() == Path("out/report.html").read_bytes()
+
+
+def test_a_disk_that_is_full_leaves_the_old_page(capsys: pytest.CaptureFixture[str]) -> None:
+    run()
+    before = Path("out/report.html").read_bytes()
+    with room_for(10_000):
+        assert main(["report", "out"]) == 2
+    assert capsys.readouterr().err.startswith("out/report.html: cannot be written: File too large")
+    assert Path("out/report.html").read_bytes() == before
+
+
+def test_results_know_what_was_asked_for() -> None:
+    run()
+    results: Results = read_results(Path("out"))
+    assert results.expected == 12
+    assert results.scenarios == ["turns", "slip"]
+    assert results.methods == {"oneshot-openloop": "OneShot + OpenLoop", "kraft": "KRAFT"}
+
+
+def test_a_folder_without_titles_is_shown_with_names() -> None:
+    run()
+    rows = [{key: row[key] for key in ("scenario", "method", "vehicle")}
+            for row in json.loads(Path("out/manifest.json").read_text())["rows"]]  # fmt: skip
+    damaged(rows=rows)
+    assert read_results(Path("out")).methods == {"oneshot-openloop": "oneshot-openloop", "kraft": "kraft"}
+
+
+def test_an_outsider_s_folder_is_not_written_to() -> None:
+    Path("empty").mkdir()
+    with pytest.raises(InputError, match=r"has no manifest\.json"):
+        write_report(Path("empty"))
+    assert list(Path("empty").iterdir()) == []

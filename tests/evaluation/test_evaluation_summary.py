@@ -1,0 +1,161 @@
+"""From rows to the table, the Markdown, the OMPL log and its database."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.evaluation import KEYS
+
+from kraft.config import bundled
+from kraft.evaluation import markdown, summary, tables
+from kraft.evaluation.experiment import METHODS, SCENARIOS, Experiment, experiment_of
+from kraft.evaluation.manifest import manifest_of
+from kraft.evaluation.ompl_log import write_benchmark
+from kraft.evaluation.paper import paper_row
+from kraft.evaluation.row import Key, Measured, TrialRow
+from kraft.evaluation.statistics import wilson
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return experiment_of(["turns", "slip"], ["kraft", "oneshot-openloop"], trials=4, seed=7)
+
+
+@pytest.fixture(scope="module")
+def rows(experiment: Experiment) -> dict[Key, TrialRow]:
+    """KRAFT succeeds in 10 and 12 s, collides, times out; OneShot succeeds only where KRAFT collides, and once fails."""
+    endings: dict[str, list[tuple[Any, float | None]]] = {
+        "kraft": [("success", 10.0), ("success", 12.0), ("collision", 3.0), ("timeout", 60.0)],
+        "oneshot-openloop": [("collision", 2.0), ("timeout", 30.0), ("success", 9.0), ("failed", None)],
+    }
+    found = {}
+    for cell in experiment.cells:
+        scenario, method = cell.key
+        for seed, (outcome, t) in zip(experiment.seeds, endings[method], strict=True):
+            measured = Measured(planning_ms=(1.0, 2.0, float(seed)), missed=1, wall_s=0.5)
+            row = TrialRow(
+                scenario=scenario, method=method, seed=seed, outcome=outcome, t_s=t, cycles=3, contingencies=2,
+                min_clearance_m=0.01 * seed, measured=measured, error="it broke" if outcome == "failed" else None,
+            )  # fmt: skip
+            found[row.key] = row
+    return found
+
+
+def test_counts_means_intervals_and_tests_are_those_of_the_rows(
+    experiment: Experiment, rows: dict[Key, TrialRow]
+) -> None:
+    kraft, oneshot, *_ = summary.summarise(experiment, rows, 1.0).results
+    assert (kraft.trials, kraft.success, kraft.collision, kraft.timeout, kraft.failed) == (4, 2, 1, 1, 0)
+    assert kraft.t_ex == 11.0
+    assert kraft.interval == wilson(2, 4)
+    assert (kraft.contingencies, kraft.cycles, kraft.missed) == (8, 12, 4)
+    assert kraft.min_clearance == pytest.approx(0.07)
+    assert (kraft.planning_p50, kraft.planning_p99) == (2.0, 10.0)
+    assert kraft.against is None
+    assert oneshot.against is not None
+    assert (oneshot.against.gained, oneshot.against.lost, oneshot.against.p) == (1, 2, 1.0)
+    assert (oneshot.trials, oneshot.success, oneshot.failed) == (4, 1, 1)
+
+
+def test_a_failed_trial_is_no_success(experiment: Experiment, rows: dict[Key, TrialRow]) -> None:
+    oneshot = summary.summarise(experiment, rows, 1.0).results[1]
+    assert oneshot.interval == wilson(1, 4)
+
+
+def test_the_json_object_has_the_promised_keys_and_the_papers_numbers(
+    experiment: Experiment, rows: dict[Key, TrialRow]
+) -> None:
+    content = summary.json_content(summary.summarise(experiment, rows, 1.5))
+    assert {"trials", "seed", "wall_s", "results"} <= set(content)
+    assert (content["trials"], content["seed"], content["wall_s"]) == (4, 7, 1.5)
+    assert all(set(result) >= KEYS for result in content["results"])
+    assert content["results"][0]["paper"] == {
+        "trials": 30, "success": 27, "collision": 3, "timeout": 0, "t_ex_s": 16.65,
+    }  # fmt: skip
+    assert json.loads(json.dumps(content, allow_nan=False)) == content
+
+
+def test_without_success_there_is_no_mean_and_without_kraft_no_comparison() -> None:
+    alone = experiment_of(["boxes"], ["oneshot-openloop"], trials=1)
+    row = TrialRow(scenario="boxes", method="oneshot-openloop", seed=0, outcome="collision", t_s=2.0)
+    (result,) = summary.summarise(alone, {row.key: row}, 0.0).results
+    assert (result.t_ex, result.against, result.planning_p50, result.min_clearance) == (None, None, None, None)
+
+
+def test_the_papers_rows_add_up_to_their_trials() -> None:
+    found = 0
+    for scenario in bundled.names("scenario"):
+        for method in METHODS:
+            row = paper_row(scenario, method)
+            if row is None:
+                continue
+            found += 1
+            assert row.trials == (10 if scenario.endswith("-real") else 30)
+            assert (row.t_ex is None) == (row.success == 0)
+    assert found == 2 * 7 + 4 * 4 + 2 * 6
+    assert all(paper_row(scenario, "kraft") for scenario in SCENARIOS)
+    assert paper_row("slope", "conservative-kraft") is None
+
+
+def test_the_papers_sums_are_those_of_its_tables() -> None:
+    """Sums of columns, added up from the paper by hand: a wrong digit in the data shows here."""
+    successes = {"turns": 115, "boxes": 81, "slope": 23, "slip": 34, "bump": 54, "movable": 22}
+    durations = {"turns": 116.29, "boxes": 122.32, "slope": 53.12, "slip": 47.71, "bump": 53.45, "movable": 73.07}
+    for scenario in SCENARIOS:
+        rows = [row for method in METHODS if (row := paper_row(scenario, method))]
+        assert sum(row.success for row in rows) == successes[scenario]
+        assert sum(row.t_ex or 0.0 for row in rows) == pytest.approx(durations[scenario])
+
+
+def test_a_table_drops_its_least_important_columns_until_it_fits(
+    experiment: Experiment, rows: dict[Key, TrialRow]
+) -> None:
+    table = tables(summary.summarise(experiment, rows, 1.0))[0]
+    assert "failed" in table.heading
+    assert "missed" not in table.heading
+    for width in (200, 100, 80, 60, 40):
+        fitted = table.fitted(width)
+        widths = [max(map(len, column)) for column in zip(fitted.heading, *fitted.rows, strict=True)]
+        assert sum(widths) + 2 * (len(widths) - 1) <= width
+        assert fitted.heading[:2] == ("method", "succ")
+    assert table.fitted(200) == table
+
+
+def test_markdown_has_a_table_for_each_scenario(experiment: Experiment, rows: dict[Key, TrialRow]) -> None:
+    text = markdown(summary.summarise(experiment, rows, 1.0))
+    assert text.count("| KRAFT | 2 | 1 | 1 |") == 2
+    widths = {line.count("|") for line in text.splitlines() if line.startswith("|")}
+    assert len(widths) == 1
+
+
+def test_ompls_tool_makes_a_database_of_the_log(
+    experiment: Experiment, rows: dict[Key, TrialRow], tmp_path: Path
+) -> None:
+    write_benchmark(tmp_path, experiment, rows, manifest_of(experiment, {}), 12.5)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "benchmark-turns.log", "benchmark-slip.log", "benchmark.db",
+    }  # fmt: skip
+    with sqlite3.connect(tmp_path / "benchmark.db") as database:
+        query = """SELECT e.name, p.name, COUNT(*), SUM(r.solved), SUM(r.execution_time), SUM(r.cycles)
+                   FROM runs r JOIN experiments e ON r.experimentid = e.id JOIN plannerConfigs p ON r.plannerid = p.id
+                   GROUP BY e.id, p.id ORDER BY e.id, p.name"""
+        assert database.execute(query).fetchall()[:2] == [
+            ("turns", "kraft", 4, 2, 85.0, 12),
+            ("turns", "oneshot-openloop", 4, 1, 41.0, 12),
+        ]
+        named = "SELECT description, COUNT(*) FROM runs JOIN enums ON value = outcome GROUP BY description"
+        assert dict(database.execute(named)) == {"success": 6, "collision": 4, "timeout": 4, "failed": 2}
+        assert database.execute("SELECT runcount, seed, totaltime FROM experiments").fetchone() == (4, "7", 12.5)
+        assert database.execute("SELECT COUNT(*) FROM bestPlannerConfigsPerExperiment").fetchone() == (4,)
+    database.close()
+
+
+def test_one_scenario_has_one_log(tmp_path: Path) -> None:
+    alone = experiment_of(["boxes"], ["kraft"], trials=1)
+    row = TrialRow(scenario="boxes", method="kraft", seed=0, outcome="success", t_s=2.0)
+    write_benchmark(tmp_path, alone, {row.key: row}, manifest_of(alone, {}), 1.0)
+    assert (tmp_path / "benchmark.log").read_text().startswith("OMPL version 2.")

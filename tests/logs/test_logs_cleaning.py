@@ -1,0 +1,403 @@
+"""What cannot be used in a log is left out, counted and said; what is in the wrong unit is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.logs import Drive, drive, wide_columns, wrapped, write_pair, write_table, write_wide
+
+from kraft.errors import InputError
+from kraft.logs.log import Finding, Log
+from kraft.logs.motion import extent, tracks
+from kraft.logs.reader import read_logs
+
+MADE = drive()
+TIMES = np.arange(0.025, 5.9, 0.025)
+WIDE = wide_columns(TIMES, MADE)
+N = len(TIMES)
+ROW = np.arange(N)
+
+
+def read(tmp_path: Path, **changed: np.ndarray) -> Log:
+    (log,) = read_logs(write_wide(tmp_path / "a.csv", changed)).logs
+    return log
+
+
+def refused(tmp_path: Path, **changed: np.ndarray) -> str:
+    with pytest.raises(InputError) as error:
+        read_logs(write_wide(tmp_path / "a.csv", changed))
+    return str(error.value).replace(f"{tmp_path}/", "")
+
+
+def finding(log: Log, kind: str) -> Finding:
+    (found,) = [f for f in log.findings if f.kind == kind]
+    return found
+
+
+def test_a_clean_log_has_no_findings(tmp_path: Path) -> None:
+    (log,) = read_logs(write_pair(tmp_path, drive(turn=0.0))).logs
+    assert log.findings == ()
+
+
+def test_rows_without_numbers_are_left_out(tmp_path: Path) -> None:
+    log = read(tmp_path, x=np.where(np.isin(ROW, [3, 9]), np.nan, WIDE["x"]))
+    assert len(log.parts[0].poses) == N - 2
+    assert finding(log, "nan") == Finding(
+        "nan", 2, "2 of 235 poses are not numbers (NaN), first in line 5 of a.csv; left out"
+    )
+
+
+def test_a_time_stamp_counts_once(tmp_path: Path) -> None:
+    log = read(tmp_path, t=np.where(ROW == 40, TIMES[39], TIMES))
+    assert len(log.parts[0].poses) == N - 1
+    assert (
+        finding(log, "duplicate").text
+        == "1 of 235 rows have the time stamp of the one before, first in line 42 of a.csv; left out"
+    )
+
+
+def test_time_that_runs_backwards_is_left_out(tmp_path: Path) -> None:
+    log = read(tmp_path, t=np.where(ROW == 50, 0.1, TIMES))
+    times = log.parts[0].pose_times
+    assert np.all(np.diff(times) > 0)
+    assert len(times) == N - 1
+    assert finding(log, "backward").text == "time runs backwards in 1 of 235 rows, first in line 52 of a.csv; left out"
+
+
+def test_a_clock_that_begins_again_is_refused(tmp_path: Path) -> None:
+    said = refused(tmp_path, t=np.where(ROW < 100, TIMES, TIMES - 2.4))
+    assert said == (
+        "a.csv:102: time runs backwards in 95 of 235 rows, first by 2.375 s; "
+        "expected ascending time stamps; put each recording into a file of its own"
+    )
+
+
+def test_wraps_of_the_yaw_are_counted_and_made_continuous(tmp_path: Path) -> None:
+    log = read(tmp_path)
+    assert np.abs(np.diff(log.parts[0].poses[:, 2])).max() < 0.1
+    assert finding(log, "wrap").count == 1
+
+
+def test_the_log_is_cut_at_a_gap(tmp_path: Path) -> None:
+    keep = (TIMES < 2) | (TIMES > 3)
+    path = write_table(tmp_path / "poses.csv", ["t", "x", "y", "yaw"], [WIDE[k][keep] for k in ("t", "x", "y", "yaw")])
+    write_table(
+        tmp_path / "commands.csv", ["t", "throttle", "steering"], [WIDE[k] for k in ("t", "throttle", "steering")]
+    )
+    (log,) = read_logs(path.parent).logs
+    first, second = log.parts
+    assert first.pose_times[-1] < 2
+    assert second.pose_times[0] > 3 - 0.03
+    assert finding(log, "gap").text.startswith(
+        "1 gap without poses of up to 1.05 s, first after line 80 of poses.csv; "
+    )
+    assert second.command_times[0] == pytest.approx(second.pose_times[0] - 1.0, abs=0.026)  # what it may still obey
+    assert first.command_times[-1] <= first.pose_times[-1]
+
+
+def test_missing_poses_are_counted_and_end_no_part(tmp_path: Path) -> None:
+    keep = ~np.isin(ROW, [20, 21, 90, 140])
+    path = write_table(tmp_path / "a.csv", list(WIDE), [values[keep] for values in WIDE.values()])
+    (log,) = read_logs(path).logs
+    assert len(log.parts) == 1
+    assert finding(log, "dropout").count == 4
+
+
+def test_a_pause_of_commands_sent_at_a_rate_ends_a_part(tmp_path: Path) -> None:
+    keep = (MADE.command_times < 2) | (MADE.command_times > 4)
+    (log,) = read_logs(
+        write_pair(tmp_path, Drive(MADE.command_times[keep], MADE.commands[keep], MADE.pose_times, MADE.poses))
+    ).logs
+    first, second = log.parts
+    assert first.pose_times[-1] < 1.95 + 0.51
+    assert second.pose_times[0] > 4
+    assert finding(log, "command gap").text.startswith(
+        "1 gap without commands of up to 2.1 s, first after line 41 of commands.csv"
+    )
+
+
+def test_what_was_commanded_before_a_pause_is_not_obeyed_after_it(tmp_path: Path) -> None:
+    keep = (MADE.command_times < 2) | (MADE.command_times > 2.68)  # shorter than the history of a part
+    made = Drive(MADE.command_times[keep], MADE.commands[keep], MADE.pose_times, MADE.poses)
+    (log,) = read_logs(write_pair(tmp_path, made)).logs
+    assert finding(log, "command gap").count == 1
+    assert log.parts[1].command_times[0] == pytest.approx(2.7)
+    assert log.parts[1].pose_times[0] >= 2.7
+
+
+def test_commands_that_are_logged_when_they_change_are_held(tmp_path: Path) -> None:
+    times = np.array([0.0, 0.1, 2.0, 4.5])
+    made = Drive(times, np.column_stack([np.full(4, 0.5), [0.0, 0.1, 0.2, 0.3]]), MADE.pose_times, MADE.poses)
+    (log,) = read_logs(write_pair(tmp_path, made)).logs
+    (part,) = log.parts
+    np.testing.assert_array_equal(part.command_times, times)
+    assert len(part.poses) == len(MADE.poses)
+
+
+def test_poses_before_the_first_command_and_long_after_the_last_are_left_out(tmp_path: Path) -> None:
+    keep = (MADE.command_times > 1) & (MADE.command_times < 4)
+    (log,) = read_logs(
+        write_pair(tmp_path, Drive(MADE.command_times[keep], MADE.commands[keep], MADE.pose_times, MADE.poses))
+    ).logs
+    (part,) = log.parts
+    assert part.command_times[0] <= part.pose_times[0]
+    assert part.pose_times[-1] <= part.command_times[-1] + 0.5
+    early, late = [f for f in log.findings if f.kind == "uncommanded"]
+    assert len(part.poses) + early.count + late.count == len(MADE.poses)
+
+
+def test_an_outlier_is_left_out_and_a_teleport_ends_a_part(tmp_path: Path) -> None:
+    outlier = ROW % 50 == 20
+    log = read(tmp_path, x=np.where(outlier, 0.0, WIDE["x"]), y=np.where(outlier, 9.0, WIDE["y"]))
+    assert finding(log, "outlier").count == 5
+    assert len(log.parts) == 1
+    assert log.parts[0].poses[:, 1].max() < 3
+    log = read(tmp_path, x=WIDE["x"] + 5.0 * (ROW > 120))
+    assert finding(log, "teleport").text == "1 teleport, first at line 123 of a.csv; the log is cut there"
+    assert [len(part.poses) for part in log.parts] == [121, N - 121]
+
+
+def test_a_flipped_marker_is_an_outlier(tmp_path: Path) -> None:
+    log = read(tmp_path, yaw=wrapped(WIDE["yaw"] + np.pi * (ROW == 30)))
+    assert finding(log, "outlier").count == 1
+    assert np.abs(np.diff(log.parts[0].poses[:, 2])).max() < 0.1
+
+
+def test_an_outlier_at_the_beginning_does_not_hide_the_rest() -> None:
+    times = np.arange(40) * 0.05
+    poses = np.column_stack([times, times * 0, times * 0])
+    poses[0] = (50.0, 0.0, 0.0)
+    labels = tracks(times, poses, 3.0)
+    assert len(set(labels[1:])) == 1
+    assert labels[0] != labels[1]
+
+
+def test_noise_that_steps_farther_than_the_vehicle_drives_is_no_teleport(tmp_path: Path) -> None:
+    noise = np.random.default_rng(4).normal(0, 0.06, (2, N))
+    assert np.hypot(*np.diff(noise)).max() > 0.05 + 3.0 * 0.025  # what a vehicle at the least top speed could reach
+    log = read(tmp_path, x=WIDE["x"] + noise[0], y=WIDE["y"] + noise[1])
+    assert len(log.parts[0].poses) == N
+    assert {f.kind for f in log.findings} == {"wrap"}
+
+
+def test_noise_and_small_outliers_stay_for_the_robust_loss(tmp_path: Path) -> None:
+    noise = np.random.default_rng(3).normal(0, 0.02, (2, N))
+    log = read(tmp_path, x=WIDE["x"] + noise[0], y=WIDE["y"] + noise[1])
+    assert len(log.parts[0].poses) == N
+    assert {f.kind for f in log.findings} == {"wrap"}
+
+
+def test_poses_that_stand_still_while_the_vehicle_moves_are_left_out(tmp_path: Path) -> None:
+    old = np.where(ROW % 6 == 5, ROW - 1, ROW)
+    log = read(tmp_path, **{name: WIDE[name][old] for name in ("x", "y", "yaw")})
+    assert finding(log, "stale").count == 39
+    assert len(log.parts[0].poses) == N - 39
+
+
+def test_a_vehicle_that_stops_and_goes_on_is_believed(tmp_path: Path) -> None:
+    stop = np.concatenate([ROW[:80], np.full(75, 80), ROW[80 : N - 75]])
+    log = read(tmp_path, **{name: WIDE[name][stop] for name in ("x", "y", "yaw")})
+    assert len(log.parts[0].poses) == N
+    assert {f.kind for f in log.findings} <= {"wrap"}
+
+
+def test_while_the_dead_man_switch_is_released_the_log_does_not_count(tmp_path: Path) -> None:
+    held = (ROW // 40) % 2 == 1
+    log = read(tmp_path, dead_man=held.astype(float))
+    assert [len(part.poses) for part in log.parts] == [40, 40, 35]
+    assert all(part.command_times[0] == part.pose_times[0] for part in log.parts)  # earlier commands reached nothing
+    assert finding(log, "dead man").count == N - 115
+    assert "dead man: time from 't' (s), dead man from 'dead_man'" in log.guess
+    assert "nothing remains" in refused(tmp_path, dead_man=np.zeros(N))
+
+
+def test_a_command_from_before_the_switch_was_held_counts_from_when_it_is(tmp_path: Path) -> None:
+    """Poses and switch have one clock, commands another, so that the switch is never held just when a command is sent."""
+    held = (MADE.pose_times >= 2).astype(float)
+    columns = [MADE.pose_times, *MADE.poses[:, :2].T, wrapped(MADE.poses[:, 2]), held]
+    write_table(tmp_path / "poses.csv", ["t", "x", "y", "yaw", "dead_man"], columns)
+    write_table(tmp_path / "commands.csv", ["t", "throttle", "steering"], [MADE.command_times, *MADE.commands.T])
+    (log,) = read_logs(tmp_path).logs
+    (part,) = log.parts
+    since = part.pose_times[0]
+    sent = int(np.searchsorted(MADE.command_times, since, side="right")) - 1
+    assert MADE.command_times[sent] < since - 0.005
+    assert part.command_times[0] == since
+    np.testing.assert_array_equal(part.commands[0], MADE.commands[sent])
+
+
+def test_a_switch_that_could_be_either_of_two_columns_is_an_error(tmp_path: Path) -> None:
+    held = ((ROW // 40) % 2 == 1).astype(float)
+    ambiguous = (
+        "a.csv: dead man could be any of 'armed', 'enabled'; expected one; a mapping file says which column it is"
+    )
+    assert refused(tmp_path, armed=held, enabled=held) == ambiguous
+    columns = {**WIDE, "armed": held, "enabled": held}
+    del columns["throttle"], columns["yaw"]
+    with pytest.raises(InputError) as error:
+        read_logs(write_table(tmp_path / "a.csv", list(columns), list(columns.values())))
+    assert len(error.value.diagnostics) == 3  # with the missing columns: everything that is wrong at once
+    assert ambiguous in str(error.value).replace(f"{tmp_path}/", "")
+
+
+def test_a_doubtful_switch_in_one_file_is_not_made_up_for_by_another(tmp_path: Path) -> None:
+    held = ((ROW // 40) % 2 == 1).astype(float)
+    commands, poses = ("t", "throttle", "steering"), ("t", "x", "y", "yaw")
+    write_table(tmp_path / "commands.csv", [*commands, "enabled"], [*(WIDE[k] for k in commands), held])
+    write_table(tmp_path / "poses.csv", [*poses, "armed", "engaged"], [*(WIDE[k] for k in poses), held, held])
+    with pytest.raises(InputError, match=r"poses\.csv: dead man could be any of 'armed', 'engaged'; expected one"):
+        read_logs(tmp_path)
+    write_table(tmp_path / "poses.csv", [*poses, "rc_was_armed"], [*(WIDE[k] for k in poses), held * 0])
+    (log,) = read_logs(tmp_path).logs
+    assert [len(part.poses) for part in log.parts] == [40, 40, 35]
+    assert log.guess.endswith(
+        "dead man: commands.csv: time from 't' (s), dead man from 'enabled'; not used: rc_was_armed of poses.csv"
+    )
+
+
+def test_no_motion_is_refused(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).normal(0, 0.01, (3, N))
+    said = refused(tmp_path, x=noise[0], y=noise[1], yaw=noise[2])
+    assert said.startswith("a.csv: there is no motion: the vehicle gets 0.0")
+    assert "limits.least_motion" in said
+
+
+def test_a_log_of_less_than_half_a_second_may_move(tmp_path: Path) -> None:
+    path = write_table(tmp_path / "a.csv", list(WIDE), [values[:16] for values in WIDE.values()])
+    (log,) = read_logs(path).logs  # 0.3 m in 0.375 s
+    assert len(log.parts[0].poses) == 16
+    still = {
+        name: np.full(16, values[0]) if name in ("x", "y", "yaw") else values[:16] for name, values in WIDE.items()
+    }
+    write_table(path, list(still), list(still.values()))
+    with pytest.raises(InputError, match=r"there is no motion: the vehicle gets 0 m far \(between means over up to 0"):
+        read_logs(path)
+
+
+@pytest.mark.parametrize("duration", [0.1, 0.49, 0.5, 0.51, 1.3, 20.0])
+def test_a_straight_drive_gets_as_far_as_the_first_mean_is_from_the_last(duration: float) -> None:
+    times = 7 + np.linspace(0, duration, 1001)
+    way, turn = extent(times, np.column_stack([0.8 * times, 0 * times, 0.1 * times]))
+    block = min(0.5, duration / 2)
+    assert 0.8 * (duration - block) <= way + 0.002 * duration
+    assert way < 0.8 * duration
+    assert turn == pytest.approx(way / 8)
+
+
+def test_commands_and_poses_of_different_times_are_refused(tmp_path: Path) -> None:
+    write_pair(tmp_path, Drive(MADE.command_times + 1.7e9, MADE.commands, MADE.pose_times, MADE.poses))
+    with pytest.raises(InputError) as error:
+        read_logs(tmp_path)
+    assert "do not overlap in time; expected both to be of the same drive, by the same clock, in the same unit" in str(
+        error.value
+    )
+    assert "commands.csv: 1699999999.990" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"yaw": np.rad2deg(WIDE["yaw"])}, "'yaw' reaches 179.706: degrees, where radians are expected; write poses.yaw: {column: 'yaw', unit: deg} into a mapping file, or name the column so (yaw_deg)"),
+        ({"yaw": np.rad2deg(np.unwrap(WIDE["yaw"]))}, "'yaw' reaches 356.369: degrees, where radians are expected"),
+        ({"steering": np.rad2deg(WIDE["steering"])}, "'steering' reaches 17.1887: degrees, where radians are expected; write commands.controls.steering: {column: 'steering', unit: deg}"),
+        ({"x": WIDE["x"] * 1e3, "y": WIDE["y"] * 1e3}, "'x' and 'y' taken in m mean a speed of 800 m/s; expected metres; write poses.x: {column: 'x', unit: mm}"),
+        ({"t": TIMES * 1e3}, "'t' taken in s means a pose every 25 s; expected seconds; write poses.time: {column: 't', unit: ms}"),
+        ({"throttle": 1500 + 300 * np.sin(TIMES)}, "these look like pulse widths of a servo; expected a command; say what they mean in a mapping file, as in commands.controls.throttle: {column: 'throttle', zero: 1500, scale: 0.002}"),
+    ],
+)  # fmt: skip
+def test_a_wrong_unit_is_refused_with_what_to_write(
+    tmp_path: Path, changed: dict[str, np.ndarray], expected: str
+) -> None:
+    assert expected in refused(tmp_path, **changed)
+
+
+def test_radians_that_were_never_wrapped_are_no_degrees(tmp_path: Path) -> None:
+    made = drive(duration=40.0, turn=1.5)  # about ten rounds: 60 rad
+    assert made.poses[:, 2].max() > 59
+    write_table(tmp_path / "poses.csv", ["t", "x", "y", "yaw"], [made.pose_times, *made.poses.T])
+    write_table(tmp_path / "commands.csv", ["t", "throttle", "steering"], [made.command_times, *made.commands.T])
+    (log,) = read_logs(tmp_path).logs
+    np.testing.assert_allclose(log.parts[0].poses, made.poses)
+
+
+@pytest.mark.parametrize("heading", [40.0, -100.0, 170.0])
+def test_degrees_on_a_straight_line_are_told_by_its_direction(tmp_path: Path, heading: float) -> None:
+    way, yaw = 0.8 * TIMES, np.full(N, heading)
+    noise = np.random.default_rng(5).normal(0, 1.0, N)
+    straight = {"x": way * np.cos(np.deg2rad(heading)), "y": way * np.sin(np.deg2rad(heading))}
+    assert f"'yaw' reaches {heading:g}: degrees, where radians are expected" in refused(tmp_path, **straight, yaw=yaw)
+    assert "degrees, where radians are expected" in refused(tmp_path, **straight, yaw=yaw + noise)
+    (part,) = read(tmp_path, **straight, yaw=np.deg2rad(yaw + noise)).parts
+    assert len(part.poses) == N
+
+
+def test_degrees_on_a_straight_line_are_told_by_the_other_logs(tmp_path: Path) -> None:
+    straight = np.column_stack([0.8 * MADE.pose_times, 0 * MADE.pose_times, 0 * MADE.pose_times + 2.0])
+    for name, poses in (("curved", MADE.poses * (1, 1, 180 / np.pi)), ("straight", straight)):
+        write_table(tmp_path / name / "poses.csv", ["t", "x", "y", "yaw"], [MADE.pose_times, *poses.T])
+        write_table(
+            tmp_path / name / "commands.csv", ["t", "throttle", "steering"], [MADE.command_times, *MADE.commands.T]
+        )
+    write_wide(tmp_path / "other.csv", {}, drive(turn=0.3))
+    (tmp_path / "other.csv").write_text((tmp_path / "other.csv").read_text().replace("yaw", "theta"))
+    found = read_logs(tmp_path)
+    assert [log.name for log in found.logs] == ["other"]
+    curved, alike = found.problems
+    assert "curved" in curved.file
+    assert "straight" in alike.file
+    assert alike.problem == "'yaw' is in degrees in other logs, so it is not believed to be in radians here"
+
+
+def test_few_commands_of_another_day_do_not_reach_the_poses(tmp_path: Path) -> None:
+    write_pair(tmp_path, Drive(MADE.command_times[:5], MADE.commands[:5], MADE.pose_times + 1e5, MADE.poses))
+    with pytest.raises(InputError, match="do not overlap in time"):
+        read_logs(tmp_path)
+
+
+def test_pieces_of_fewer_than_three_poses_are_left_out(tmp_path: Path) -> None:
+    keep = (TIMES < 2) | (np.abs(TIMES - 3.0) < 0.03) | (TIMES > 4)
+    commands, poses = ("t", "throttle", "steering"), ("t", "x", "y", "yaw")
+    write_table(tmp_path / "commands.csv", commands, [WIDE[k] for k in commands])
+    write_table(tmp_path / "poses.csv", poses, [WIDE[k][keep & (ROW != 119)] for k in poses])
+    (log,) = read_logs(tmp_path).logs
+    assert finding(log, "short").count == 2
+    assert len(log.parts) == 2
+
+
+def oriented(tmp_path: Path, x: float, y: float, z: np.ndarray, w: np.ndarray) -> Log:
+    columns = {k: v for k, v in WIDE.items() if k != "yaw"} | {"qx": z * 0 + x, "qy": z * 0 + y, "qz": z, "qw": w}
+    (log,) = read_logs(write_table(tmp_path / "a.csv", list(columns), list(columns.values()))).logs
+    return log
+
+
+def test_an_orientation_of_zeros_is_no_orientation(tmp_path: Path) -> None:
+    seen = ~np.isin(ROW, [7, 8])
+    log = oriented(tmp_path, 0.0, 0.0, np.sin(WIDE["yaw"] / 2) * seen, np.cos(WIDE["yaw"] / 2) * seen)
+    assert finding(log, "nan").text == "2 of 235 poses have no orientation, first in line 9 of a.csv; left out"
+    with pytest.raises(InputError, match="qx, qy, qz, qw are no orientation; expected a quaternion of length 1"):
+        oriented(tmp_path, 0.0, 0.0, WIDE["yaw"] * 0, WIDE["yaw"] * 0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_with_an_orientation_in_a_single_pose_is_refused(tmp_path: Path) -> None:
+    seen = ROW == 5
+    with pytest.raises(InputError, match=r"a\.csv:7: has an orientation in only 1 pose; expected 3 or more"):
+        oriented(tmp_path, 0.0, 0.0, np.sin(WIDE["yaw"] / 2) * seen, np.cos(WIDE["yaw"] / 2) * seen)
+
+
+def test_a_vehicle_that_lies_on_its_side_is_said(tmp_path: Path) -> None:
+    log = oriented(tmp_path, 0.7, 0.1, WIDE["yaw"] * 0, WIDE["yaw"] * 0 + 0.7)
+    assert finding(log, "tilted").text == "a.csv: the vehicle does not stand upright; is z not up?"
+
+
+def test_a_yaw_that_turns_the_other_way_is_said(tmp_path: Path) -> None:
+    assert "it follows when its sign is changed (scale: -1" in finding(read(tmp_path, yaw=-WIDE["yaw"]), "heading").text
+
+
+def test_a_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
+    path = write_wide(tmp_path / "a.csv")
+    path.write_text(path.read_text()[:-60])
+    (log,) = read_logs(path).logs
+    assert finding(log, "broken").text == "1 line of a.csv with too few or too many fields, first line 236; left out"

@@ -1,0 +1,141 @@
+"""The page about an identification: the same bytes for the same result, everything on it, also where nothing came out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from support.sysid import estimated, fake_identification, fake_log, fake_predicted, fake_windows
+
+from kraft.errors import InputError
+from kraft.plot.style import look
+from kraft.plot.sysid import compose, plot_identification
+from kraft.plot.sysid_logs import compose_logs, plot_logs, speeds, telling
+from kraft.plot.sysid_panels import growth, typical
+from kraft.sysid.data import Split
+from kraft.sysid.result import Identification
+from kraft.vehicles.load import load_vehicle
+
+MUSHR = load_vehicle("mushr")
+LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))
+SPLIT = Split(LOGS[:3], LOGS[3:], "")
+RESULT = fake_identification(SPLIT.fitted)
+
+
+def texts(figure: Figure) -> str:
+    found = [text.get_text() for part in (figure, *figure.axes) for text in part.texts]
+    return "\n".join(found + [label.get_text() for axes in figure.axes for label in axes.get_yticklabels()])
+
+
+def page(split: Split, result: Identification, objections: tuple[str, ...] = ()) -> Figure:
+    with look():
+        return compose(MUSHR, split, result, fake_predicted(split), objections)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_the_same_result_gives_the_same_bytes(suffix: str, tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
+    for path in paths:
+        plot_identification(path, MUSHR, SPLIT, RESULT, fake_predicted(SPLIT))
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_parameters_fit_residuals_prediction_and_correlation_are_on_the_page() -> None:
+    seen = texts(page(SPLIT, RESULT))
+    for said in ("L, m", "phi_diff, rad", "0.330", "0.310 to 0.350", "delay, s", "Fit of run_", "Residuals, yaw",
+                 "Prediction of run_4, 3 s at a time", "Position, held-out logs", "Correlation", "held out"):  # fmt: skip
+        assert said in seen
+    assert "not identified" not in seen
+
+
+def test_without_held_out_logs_the_fitted_ones_are_predicted() -> None:
+    seen = texts(page(Split(LOGS, (), ""), fake_identification(LOGS)))
+    assert "Position, fitted logs" in seen
+    assert "held out" not in seen
+
+
+def test_warnings_bounds_and_objections_are_told() -> None:
+    bad = {**RESULT.parameters, "L": estimated(2.0, 0.1, at_bound=True)}
+    result = replace(RESULT, parameters=bad, warnings=("something changed between the logs",), converged=False)
+    seen = texts(page(SPLIT, result, ("the logs do not show L",)))
+    assert "not identified: the logs do not show L" in seen
+    assert "Warning: something changed" in seen
+    assert "at its bound" in seen
+    assert "NOT converged" in seen
+
+
+def test_one_warning_is_counted_as_one() -> None:
+    assert "\nwarning\n" in f"\n{texts(page(SPLIT, replace(RESULT, warnings=('one',), iterations=1)))}\n"
+    assert "converged after 1 iteration" in texts(page(SPLIT, replace(RESULT, iterations=1)))
+
+
+def test_long_names_and_remarks_leave_the_table_beside_the_matrix() -> None:
+    names = ("L", "phi_diff", "v_delta", "lag_steering", "dead_band_throttle", "dead_band_steering", "yaw_offset")
+    parameters = {name: estimated(-0.0331, 0.00001, unit="rad", min=-0.0331, at_bound=True) for name in names}
+    covariance = np.eye(len(names))
+    result = replace(
+        RESULT, parameters=parameters, names=names, extras=names[3:], covariance=covariance, graph_covariance=covariance
+    )
+    figure = page(SPLIT, result)
+    figure.canvas.draw()
+    (matrix,) = (axes for axes in figure.axes if names == tuple(text.get_text() for text in axes.get_yticklabels()))
+    labels = min(text.get_window_extent().x0 for text in matrix.get_yticklabels())
+    bars = [axes for axes in figure.axes if axes.get_ylim() == (-1.0, 1.0) and not axes.axison]
+    heading = next(text for text in figure.texts if text.get_text() == "in its bounds")
+    assert len(bars) == len(names)
+    assert all(bar.get_window_extent().width > 0 and bar.get_window_extent().x1 < labels for bar in bars)
+    assert heading.get_window_extent().x1 < labels
+
+
+def test_everything_frozen_leaves_a_page() -> None:
+    frozen = {name: replace(each, frozen=True, std=0.0) for name, each in RESULT.parameters.items()}
+    nothing = np.zeros((0, 0))
+    result = replace(RESULT, parameters=frozen, names=(), covariance=nothing, graph_covariance=nothing)
+    assert "nothing was estimated" in texts(page(SPLIT, result))
+
+
+def test_the_logs_alone_are_drawn_with_why_nothing_came_of_them(tmp_path: Path) -> None:
+    with look():
+        seen = texts(compose_logs(MUSHR, LOGS, "logs show no motion"))
+    for said in ("not identified: logs show no motion", "throttle, commanded", "speed between poses, m/s"):
+        assert said in seen
+    plot_logs(tmp_path / "logs.png", MUSHR, LOGS, "logs show no motion")
+    assert (tmp_path / "logs.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("poses", [1, 2, 3])
+def test_a_log_of_a_few_poses_can_be_drawn(poses: int) -> None:
+    (part,) = LOGS[0].parts
+    short = replace(part, pose_times=part.pose_times[:poses], poses=part.poses[:poses])
+    with look():
+        assert "not identified" in texts(compose_logs(MUSHR, (replace(LOGS[0], parts=(short,)),), "is short"))
+
+
+def test_a_picture_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"ends in '\.gif'"):
+        plot_identification(tmp_path / "a.gif", MUSHR, SPLIT, RESULT, fake_predicted(SPLIT))
+
+
+def test_the_speed_between_poses_is_that_of_the_drive() -> None:
+    times, found = speeds(LOGS[1].parts[0])
+    assert np.allclose(found, 0.5, atol=0.001)
+    assert len(times) == len(found) == 240 - 8  # a quarter of a second apart
+
+
+def test_errors_grow_as_the_windows_say() -> None:
+    times, errors = growth(fake_windows(LOGS, 0.1), (0, 1))
+    assert np.allclose(errors, 0.1 * times, rtol=0.15, atol=0.001)
+    assert times[0] == pytest.approx(0.1)
+
+
+def test_the_log_that_is_shown_is_the_one_that_is_steered_most_or_predicted_as_usual() -> None:
+    (part,) = LOGS[2].parts
+    wild = replace(
+        LOGS[2], parts=(replace(part, commands=part.commands * np.where(np.arange(16) % 2, 1, -1)[:, None]),)
+    )
+    assert telling((*LOGS[:2], wild)) is wild
+    windows = [*fake_windows(LOGS[:1], 0.1), *fake_windows(LOGS[1:2], 0.2), *fake_windows(LOGS[2:3], 0.9)]
+    assert typical(windows) == "run_2"

@@ -1,0 +1,31 @@
+"""A small arena for OMPL's programs, and DIRT in it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kraft.vehicles.benchmark import BENCHMARK
+from ompl_ext.obstacles import Workspace, box
+from ompl_ext.planner import DIRT
+from ompl_ext.query import Goal
+from ompl_ext.system import SimpleSetup, simple_setup
+
+BOUNDS = ((0.0, 4.0), (0.0, 4.0))
+
+
+START = np.array([0.5, 0.5, math.pi / 2, 0.0])
+
+
+def arena(*obstacles: object, goal: tuple[float, float] = (3.5, 3.5), start: np.ndarray = START) -> SimpleSetup:
+    wall = box((2.0, 1.0), (0.2, 2.0))
+    return simple_setup(BENCHMARK, Workspace(BOUNDS, (wall, *obstacles)), start, Goal(goal, 0.25))  # type: ignore[arg-type]
+
+
+def planned(setup: SimpleSetup, seconds: float = 0.05, **parameters: object) -> DIRT:
+    planner = DIRT(setup.getSpaceInformation(), **parameters)  # type: ignore[arg-type]
+    setup.setPlanner(planner)
+    setup.setup()
+    setup.solve(seconds)
+    return planner

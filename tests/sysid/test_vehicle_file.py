@@ -1,0 +1,242 @@
+"""An identified vehicle file is one like every other: loaded, checked, planned with; and it says where it comes from."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.sysid import estimated, fake_identification, fake_log, fake_predicted, fake_windows
+
+from kraft.config import bundled
+from kraft.errors import InputError
+from kraft.sysid.data import Split, split
+from kraft.sysid.prediction import Forecast, no_better, objections
+from kraft.sysid.result import Estimated
+from kraft.sysid.vehicle_file import (
+    Subject,
+    check_target,
+    identified,
+    load_subject,
+    record_of,
+    vehicle_text,
+    write_vehicle,
+)
+from kraft.vehicles.config import Parameter, VehicleConfig, load_vehicle_config
+from kraft.vehicles.load import load_vehicle
+from kraft_cli.main import main
+
+LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))
+SPLIT = Split(LOGS[:3], LOGS[3:], "")
+RESULT = fake_identification(LOGS[:3], warnings=("a: b, c # d",), interval="sandwich")
+PREDICTED = fake_predicted(SPLIT)
+RECORD = record_of("mushr", RESULT, SPLIT, PREDICTED)
+CODE = """from ompl_ext.vehicle import Footprint, Vehicle, derivative
+
+
+@derivative
+def motion(x, u, p):
+    return u[0] * p[0], u[1], 0.0
+
+
+ROBOT = Vehicle(name="robot", derivative=motion, state=("x", "y", "theta"), controls={"a": (0.0, 1.0), "b": (-1.0, 1.0)},
+                parameters={"gain": 2.0}, rest=(), footprint=Footprint(0.4, 0.3, 0.1), top_speed=2.5)
+"""
+
+
+def written(path: Path, reference: str = "mushr", parameters: dict[str, Estimated] | None = None) -> VehicleConfig:
+    write_vehicle(path, load_subject(reference), parameters or dict(RESULT.parameters), RECORD)
+    return load_vehicle_config(path)
+
+
+def test_the_file_is_the_vehicle_with_other_numbers(tmp_path: Path) -> None:
+    config, before = written(tmp_path / "mine.yaml"), load_vehicle_config("mushr")
+    assert (config.name, config.model, config.footprint, config.top_speed) == (
+        "mine", before.model, before.footprint, before.top_speed,
+    )  # fmt: skip
+    assert config.values == {"L": 0.33, "phi_diff": 0.004, "v_delta": 0.6}
+    assert config.description == "mushr identified from 3 logs"
+    vehicle = load_vehicle(str(tmp_path / "mine.yaml"))
+    assert vehicle.top_speed == 0.6
+    assert main(["validate", str(tmp_path / "mine.yaml")]) == 0
+
+
+def test_the_file_says_where_its_numbers_come_from(tmp_path: Path) -> None:
+    found = written(tmp_path / "mine.yaml").identification
+    assert found is not None
+    write_vehicle(tmp_path / "again.yaml", load_subject("mushr"), RESULT.parameters, found)
+    assert load_vehicle_config(tmp_path / "again.yaml").identification == found  # nine digits are kept
+    assert (found.started_from, found.interval) == ("mushr", "sandwich")
+    assert np.allclose(found.covariance.matrix, RESULT.covariance)
+    assert found.extras["delay"].value == 0.1
+    assert found.extras["delay"].description == "time until a command takes effect"
+    assert found.held_out is not None
+    assert found.held_out_before is not None
+    assert found.held_out.overall_position < 0.2 * found.held_out_before.overall_position
+    assert [(log.name, log.held_out) for log in found.logs] == [
+        ("run_1", False), ("run_2", False), ("run_3", False), ("run_4", True),
+    ]  # fmt: skip
+    assert found.logs[0].files == {"poses.csv": LOGS[0].sources[0].sha256}
+    assert found.warnings == ("a: b, c # d",)
+    assert {"kraft", "numpy", "gtsam"} <= set(found.versions)
+
+
+def test_the_same_result_writes_the_same_bytes(tmp_path: Path) -> None:
+    written(tmp_path / "mine.yaml")
+    before = (tmp_path / "mine.yaml").read_bytes()
+    written(tmp_path / "mine.yaml")
+    assert (tmp_path / "mine.yaml").read_bytes() == before
+
+
+def test_it_can_be_planned_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(tmp_path / "mine.yaml")
+    written(tmp_path / "mine.yaml")
+    assert main(["plan", "turns", "--vehicle", path, "--iterations", "500"]) == 0
+    assert "L 0.33, phi_diff 0.004, v_delta 0.6" in capsys.readouterr().out
+
+
+PARAMETER = Parameter(value=0.36, unit="m", min=0.15, max=0.6, std=0.03)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "expected"),
+    [
+        (0.33, 0.004, (0.15, 0.6, 0.012)),  # three times as wide as the estimate
+        (0.33, 0.0001, (0.15, 0.6, 0.003)),  # a tenth of before
+        (0.33, 0.02, (0.15, 0.6, 0.03)),  # never wider than before
+        (0.1, 0.004, (0.1, 0.6, 0.012)),  # what turned out was plausible
+        (0.7, 0.004, (0.15, 0.7, 0.012)),
+    ],
+)
+def test_bounds_hold_the_value_and_the_prior_becomes_tighter(
+    value: float, std: float, expected: tuple[float, float, float]
+) -> None:
+    found = identified(PARAMETER, estimated(value, std))
+    assert (found.min, found.max, found.std) == expected
+    assert found.value == value
+
+
+def test_a_frozen_parameter_and_one_without_prior_stay_as_they_are() -> None:
+    assert identified(PARAMETER, estimated(0.36, 0.0, frozen=True)).std == 0.03
+    bare = identified(Parameter(value=1.0, unit="m"), estimated(0.9, 0.01))
+    assert (bare.min, bare.max, bare.std) == (None, None, None)
+    assert identified(PARAMETER, estimated(0.33, 0.004), tighten=False).std == 0.03
+
+
+def test_a_bundled_file_written_anew_keeps_its_head_and_its_priors() -> None:
+    before = load_vehicle_config("mushr")
+    subject = load_subject("mushr")
+    lines = vehicle_text(
+        bundled.folder("vehicle"), before.name, before.description, ["# head"], subject, RESULT.parameters, RECORD,
+        tighten=False,
+    ).splitlines()  # fmt: skip
+    old = (bundled.folder("vehicle") / "mushr.yaml").read_text().splitlines()
+    assert lines[0] == "# head"
+    assert lines[1:4] == [line for line in old if not line.startswith("#")][:3]
+    assert "  L: {value: 0.33, unit: m, min: 0.15, max: 0.6, std: 0.03, description: wheelbase}" in lines
+    assert [line for line in old if line.startswith(("model", "top_speed"))] == [
+        line for line in lines if line.startswith(("model", "top_speed"))
+    ]
+
+
+def test_code_becomes_a_file_that_finds_it_from_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "robot.py").write_text(CODE)
+    config = written(tmp_path / "out" / "r.yaml", "code/robot.py:ROBOT", {"gain": estimated(1.5, 0.1, unit="")})
+    assert config.model == "../code/robot.py:ROBOT"
+    assert (config.footprint.offset, config.top_speed, config.parameters["gain"].unit) == (0.1, 2.5, "1")
+    assert load_vehicle("out/r.yaml").parameters == {"gain": 1.5}
+    again: Subject = load_subject("out/r.yaml")
+    write_vehicle(tmp_path / "s.yaml", again, {"gain": estimated(1.4, 0.1)}, RECORD)
+    assert load_vehicle_config(tmp_path / "s.yaml").model == "code/robot.py:ROBOT"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.yaml", "name: mine\n", "a.yaml: is there already, and kraft sysid did not write it; expected a new file"),
+        ("a.json", None, "a.json: is not the name of a vehicle file; expected a name that ends in .yaml"),
+    ],
+)
+def test_a_file_of_somebody_else_is_not_replaced(name: str, content: str | None, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        check_target(path)
+    assert expected in str(caught.value)
+
+
+def test_an_identified_file_may_be_replaced(tmp_path: Path) -> None:
+    written(tmp_path / "mine.yaml")
+    check_target(tmp_path / "mine.yaml")
+    unicycle = bundled.folder("vehicle") / "unicycle2.yaml"
+    with pytest.raises(InputError, match="did not write it"):
+        check_target(unicycle)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("interval: sandwich", "interval: guess", "identification.interval"),
+        ("names: [L, phi_diff, v_delta]", "names: [L, phi_diff]", "identification.covariance.matrix: has another size"),
+        ("started_from: mushr", "began_with: mushr", "identification.began_with: unknown key"),
+    ],
+)
+def test_a_damaged_record_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    written(path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        load_vehicle_config(path)
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("count", "fraction", "held"),
+    [(1, None, 0), (3, None, 0), (4, None, 1), (8, None, 2), (40, None, 10), (41, 0.5, 20), (2, 0.5, 1), (2, 0.99, 1),
+     (3, 0.01, 1), (10, 0.0, 0), (1, 0.0, 0)],
+)  # fmt: skip
+def test_a_quarter_is_held_out_of_four_logs_or_more(count: int, fraction: float | None, held: int) -> None:
+    logs = tuple(fake_log(f"run_{k:02d}", 0.1, 1.0) for k in range(count))
+    parted = split(logs, fraction)
+    assert len(parted.held_out) == held
+    assert sorted((*parted.fitted, *parted.held_out), key=lambda log: log.name) == list(logs)
+    assert split(logs, fraction).held_out == parted.held_out
+    assert all(log.name in parted.note for log in parted.held_out)
+
+
+@pytest.mark.parametrize(("count", "fraction"), [(4, 1.0), (4, -0.1), (4, float("nan")), (1, 0.5)])
+def test_an_impossible_holdout_is_refused(count: int, fraction: float) -> None:
+    with pytest.raises(InputError, match="--holdout"):
+        split(LOGS[:count], fraction)
+
+
+def test_what_the_logs_do_not_show_is_an_objection() -> None:
+    assert objections(RESULT, PREDICTED) == ()
+    assert objections(replace(RESULT, converged=False), PREDICTED) == ("the fit did not converge",)
+    assert objections(replace(RESULT, unidentified=("L", "v_delta")), PREDICTED) == ("the logs do not show L, v_delta",)
+    assert objections(replace(RESULT, unidentified=("delay",)), PREDICTED) == ()  # an extra that planning does not use
+    frozen = replace(RESULT, names=(), covariance=np.zeros((0, 0)), graph_covariance=np.zeros((0, 0)))
+    assert objections(frozen, PREDICTED) == ("every parameter that is left is frozen, and the data show no other",)
+    one = RESULT.graph_covariance.copy()
+    one[0, 1] = one[1, 0] = -0.995 * np.sqrt(one[0, 0] * one[1, 1])
+    assert objections(replace(RESULT, graph_covariance=one), PREDICTED) == ("L and phi_diff cannot be told apart",)
+
+
+@pytest.mark.parametrize(("identified_drift", "warned", "refused"), [(0.1005, 0, 0), (0.11, 1, 0), (0.2, 1, 1)])
+def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far_worse_ones_refused(
+    identified_drift: float, warned: int, refused: int
+) -> None:
+    unseen = Forecast(fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1))
+    assert len(no_better(unseen)) == warned
+    found = objections(RESULT, replace(PREDICTED, held_out=unseen))
+    assert len(found) == refused
+    for said in (*no_better(unseen), *found):
+        assert re.search(r"\d\d\.\d\d cm identified, \d\d\.\d\d cm initial", said)
+    assert objections(RESULT, replace(PREDICTED, held_out=None)) == ()

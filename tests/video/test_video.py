@@ -1,0 +1,234 @@
+"""Films of trials: complete or not there, in the trial's time, and without any influence on it."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import subprocess
+import sys
+from ctypes.util import find_library
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image as Pillow
+from support.paths import ROOT
+
+from kraft.driving.method import load_method
+from kraft.errors import InputError, MissingDependency
+from kraft.scenario import Scenario, load_scenario
+from kraft.simulation.world import World
+from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
+from kraft.trial.trial import run_trial
+from kraft.vehicles.load import load_vehicle
+from kraft.video import palette
+from kraft.video.gl import check_video, check_view, offscreen_context
+from kraft.video.mp4 import Image, Mp4Writer
+from kraft.video.overlay import font, wrapped
+from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width, write_still
+from kraft.video.smooth import smoothed
+
+SECONDS = 0.4
+
+
+@pytest.fixture(scope="module")
+def drawing() -> None:
+    """Skips where neither EGL nor OSMesa can draw."""
+    try:
+        offscreen_context(16, 16).free()
+    except MissingDependency as error:
+        pytest.skip(f"nothing can be drawn on this machine: {error}")
+
+
+def short_trial() -> TrialSpec:
+    """A drive on the leaning floor that is over at once."""
+    scenario = load_scenario("slope")
+    short = scenario.trial.model_copy(update={"timeout": SECONDS})
+    return TrialSpec(
+        dataclasses.replace(scenario, trial=short), load_method("conservative-kraft"), load_vehicle("mushr"), 3
+    )
+
+
+@pytest.fixture(scope="module")
+def film(drawing: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrialResult]:
+    path = tmp_path_factory.mktemp("films") / "short.mp4"
+    with VideoRecorder(path, spec := short_trial()) as recorder:
+        result = run_trial(spec, recorder.on_cycle, recorder.on_step, keep_trees=True)
+        recorder.finish(result)
+    return path, result
+
+
+def pictures(path: Path) -> list[Image]:
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def share_of(colour: str, picture: Image) -> float:
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
+    return float((np.abs(picture.astype(int) - wanted).max(axis=-1) < 25).mean())
+
+
+def test_a_second_of_the_film_is_a_second_of_the_trial(film: tuple[Path, TrialResult]) -> None:
+    with av.open(str(film[0])) as container:
+        stream = container.streams.video[0]
+        assert stream.average_rate == FPS
+        coding = stream.codec_context
+        assert (coding.name, coding.pix_fmt, coding.width, coding.height) == ("h264", "yuv420p", *SIZE)
+        assert int(coding.colorspace) == 1  # BT.709, as players expect
+        assert float(stream.duration * stream.time_base) == pytest.approx(SECONDS + HOLD, abs=0.04)
+    assert len(pictures(film[0])) == round((SECONDS + HOLD) * FPS)
+
+
+def test_the_film_of_the_documentation_can_be_made(
+    drawing: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROOT / "docs" / "run.md").read_text(encoding="utf-8")
+    block = text.split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(tmp_path)
+    spec = short_trial()
+    monkeypatch.setattr("kraft.scenario.load_scenario", lambda _: spec.scenario)
+    exec(block, {})  # the block's own names and no others
+    assert len(pictures(tmp_path / "bump.mp4")) == round((SECONDS + HOLD) * FPS)
+
+
+def test_the_last_picture_says_how_it_ended(film: tuple[Path, TrialResult]) -> None:
+    first, *_, last = pictures(film[0])
+    assert film[1].outcome is Outcome.TIMEOUT
+    assert share_of(palette.FAILURE, first) < 0.001
+    assert share_of(palette.FAILURE, last) > 0.02
+
+
+def test_both_views_show_scene_car_and_plan(film: tuple[Path, TrialResult]) -> None:
+    last = pictures(film[0])[-1]
+    edge = SIZE[0] - map_width(load_scenario("slope").bounds)
+    for view in (last[:, :edge], last[:, edge:]):
+        assert view.std() > 20
+        red = (view[..., 0] > 150) & (view[..., 1] < 90) & (view[..., 2] < 70)
+        assert red.mean() > 0.001, "no car to be seen"
+
+
+def test_filming_changes_nothing(film: tuple[Path, TrialResult]) -> None:
+    alone = run_trial(short_trial())
+    assert [step.pose for step in alone.steps] == [step.pose for step in film[1].steps]
+    assert [cycle.kind for cycle in alone.cycles] == [cycle.kind for cycle in film[1].cycles]
+
+
+def test_an_interrupted_film_leaves_what_was_there(drawing: None, tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"before")
+
+    def drive() -> None:
+        with VideoRecorder(path, spec := short_trial()) as recorder:
+
+            def stop(world: World, step: Step) -> None:
+                recorder.on_step(world, step)
+                if step.time > 0.1:
+                    raise KeyboardInterrupt
+
+            run_trial(spec, recorder.on_cycle, stop)
+
+    with pytest.raises(KeyboardInterrupt):
+        drive()
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("a.mp4", b"before")]
+
+
+def test_a_file_is_there_when_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "a.mp4"
+    writer = Mp4Writer(path, (64, 48), 30)
+    for shade in (0, 128, 255):
+        writer.add(np.full((48, 64, 3), shade, np.uint8))
+    assert not path.exists()
+    writer.finish()
+    writer.discard()
+    assert [round(float(picture.mean()), -1) for picture in pictures(path)] == [0, 130, 260]
+    assert [file.name for file in path.parent.iterdir()] == ["a.mp4"]
+    assert path.stat().st_mode & 0o444 == 0o444
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a", "file/a.mp4", "folder.mp4"])
+def test_what_cannot_be_a_film_is_refused_before_the_drive(name: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.mp4").mkdir()
+    with pytest.raises(InputError):
+        check_video(tmp_path / name)
+
+
+def test_without_opengl_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    with pytest.raises(MissingDependency, match="MUJOCO_GL=disable draws nothing; unset it"):
+        check_video(tmp_path / "a.mp4")
+    monkeypatch.delenv("MUJOCO_GL")
+
+    def missing(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    with pytest.raises(MissingDependency, match=r"libegl1 libgl1-mesa-dri.*MUJOCO_GL=osmesa"):
+        check_video(tmp_path / "a.mp4")
+
+
+@pytest.mark.parametrize("backend", ["glfw", "osmesa", "foo"])
+def test_a_way_to_draw_that_draws_nothing_is_told_in_one_line_before_the_drive(backend: str, tmp_path: Path) -> None:
+    """Each in a process of its own: MuJoCo takes MUJOCO_GL when it is loaded."""
+    hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment = {**hidden, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-m", "kraft_cli", "run", "turns", "--video", "a.mp4"],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if backend == "osmesa" and find_library("OSMesa") is not None:
+        pytest.skip("OSMesa is installed")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.startswith("error: a video needs OpenGL without a window: ")
+    assert "nset" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(MissingDependency, match="needs a screen"):
+        check_view()
+
+
+def test_the_map_is_as_wide_as_the_scene_needs() -> None:
+    tall: Scenario = load_scenario("turns")
+    wide = tall.bounds.model_copy(update={"x": tall.bounds.y, "y": tall.bounds.x})
+    square = tall.bounds.model_copy(update={"x": (0.0, 9.0), "y": (0.0, 9.0)})
+    assert map_width(tall.bounds) == map_width(wide) == pytest.approx(272, abs=4)
+    assert map_width(square) < SIZE[0] / 2
+    assert map_width(square) % 2 == 0
+
+
+def test_only_edges_are_smoothed() -> None:
+    rng = np.random.default_rng(0)
+    flat = np.full((40, 40, 3), 90, np.uint8) + rng.integers(0, 4, (40, 40, 1), np.uint8)
+    assert np.array_equal(smoothed(flat), flat)
+    rows, columns = np.mgrid[:40, :40]
+    stairs = np.where((columns > rows / 3)[..., None], np.uint8(220), np.uint8(30)).repeat(3, axis=2)
+    blurred = smoothed(stairs).astype(int)
+    changed = (blurred != stairs).any(axis=-1)
+    assert changed.any()
+    assert (np.abs(columns - rows / 3)[changed] < 3).all()
+    assert blurred.min() >= 30
+    assert blurred.max() <= 220
+
+
+def test_long_reasons_are_cut_to_their_lines() -> None:
+    assert wrapped("", 13, 100, 2) == []
+    assert wrapped("short", 13, 100, 2) == ["short"]
+    lines = wrapped("from the latest estimate no manoeuvre stops safely after the plan " * 3, 13, 300, 2)
+    assert len(lines) == 2
+    assert lines[1].endswith("…")
+    assert all(font(13).getlength(line) <= 300 for line in lines)
+    assert wrapped("w" * 200, 13, 100, 1)[0].endswith("…")
+
+
+def test_a_still_is_what_the_film_shows(film: tuple[Path, TrialResult], tmp_path: Path) -> None:
+    write_still(tmp_path / "a.png", short_trial(), 0.2)
+    with Pillow.open(tmp_path / "a.png") as picture:
+        still = np.asarray(picture).astype(int)
+    assert np.abs(still - pictures(film[0])[6]).mean() < 6
