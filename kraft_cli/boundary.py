@@ -7,11 +7,12 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Final
 
 import typer
 
-from kraft.errors import Defect, InputError, KraftError, MissingError, NegativeResult, Unreachable
+from kraft.errors import Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -71,7 +72,7 @@ def explain(terminal: Terminal, error: Exception) -> ExitStatus:
     """Say what went wrong and return the exit code for it."""
     if isinstance(error, InputError | Unreachable):
         for diagnostic in error.diagnostics:
-            terminal.problem(str(diagnostic))
+            terminal.problem(str(_with_option(diagnostic)))
         return ExitStatus.INVALID if isinstance(error, InputError) else ExitStatus.NEGATIVE
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
@@ -89,6 +90,13 @@ def explain(terminal: Terminal, error: Exception) -> ExitStatus:
     if not terminal.traceback:
         terminal.problem("run it again with --traceback and report what it prints")
     return ExitStatus.INTERNAL
+
+
+def _with_option(diagnostic: Diagnostic) -> Diagnostic:
+    """The same problem, reported at the command's option instead of at the library's argument."""
+    if not diagnostic.argument:
+        return diagnostic
+    return replace(diagnostic, file=f"--{diagnostic.file.replace('_', '-')}", argument=False)
 
 
 def _explain_usage(terminal: Terminal, error: typer.TyperException) -> ExitStatus:
