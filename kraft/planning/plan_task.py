@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
+import time as clock
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from kraft.errors import Defect
 from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
 from kraft.planning.search import Budget, Found, Previous, search_of
-from kraft.planning.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
-from kraft.scenario import Task
+from kraft.planning.workspace import (
+    goal_of,
+    heading_of,
+    safety_of,
+    settings_of,
+    start_state,
+    vehicle_of_task,
+    workspace_of,
+)
+from kraft.scenario import Scenario, Task, load_scenario
 from kraft.text import counted
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress
@@ -85,20 +95,52 @@ def plan_task(
         previous.check(vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
-    began = time.perf_counter()
+    began = clock.perf_counter()
     dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
     spare = dirt.start(state, seed)
-    setup_seconds = time.perf_counter() - began
+    setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
     reason = _hopeless(dirt, state, spare)
     found = Found(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
-    began = time.perf_counter()
+    began = clock.perf_counter()
     verification = verify(dirt, found.plan) if found.plan is not None else None
-    verify_seconds = time.perf_counter() - began
+    verify_seconds = clock.perf_counter() - began
     plan, unfit = _accepted(found, verification, seed)
     reason = reason or unfit or _shortfall(plan, found.progress)
     judged = verification if plan is not None else None
     return PlanResult(plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds)
+
+
+def plan(
+    scenario: Task | str | Path,
+    vehicle: Vehicle | str | None = None,
+    *,
+    iterations: int | None = None,
+    time: float | None = None,
+    seed: int = 0,
+    previous: Previous | None = None,
+) -> PlanResult:
+    """Plan a scenario, as `plan_task` does with what is already loaded.
+
+    Args:
+        scenario: a bundled name, the path of a file, a loaded scenario, or a task.
+        vehicle: a reference as in `kraft.load_vehicle`, or a vehicle; by default the scenario's.
+        iterations: budget instead of the scenario's.
+        time: budget instead of the scenario's, in s of wall-clock time; at most one of the two.
+        seed: the same seed and iterations give the same plan, bit for bit.
+        previous: an earlier plan to begin with.
+
+    Raises:
+        InputError: with what is wrong with scenario, vehicle or budget, or as `plan_task`.
+        Defect: if the plan found does not pass exact verification.
+    """
+    loaded = load_scenario(scenario) if isinstance(scenario, str | Path) else scenario
+    task = loaded.task() if isinstance(loaded, Scenario) else loaded
+    model = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle) if vehicle else vehicle_of_task(task)
+    budget = None
+    if iterations is not None or time is not None:
+        budget = budget_of(replace(task, planning=task.planning.with_budget(iterations=iterations, time=time)))
+    return plan_task(task, model, budget, seed, previous)
 
 
 def _accepted(found: Found, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:

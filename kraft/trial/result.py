@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 
 from kraft.driving.messages import Cycle, Observation
-from kraft.driving.method import Method
-from kraft.scenario import Scenario
+from kraft.driving.method import Method, load_method
+from kraft.errors import InputError
+from kraft.planning.workspace import vehicle_of_task
+from kraft.scenario import Scenario, load_scenario
+from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
@@ -33,6 +38,39 @@ class TrialSpec:
     vehicle: Vehicle
     seed: int
     realtime: bool = False
+
+    @classmethod
+    def load(
+        cls, scenario: str | Path, method: str | Path = "kraft", vehicle: str | None = None, seed: int = 0
+    ) -> TrialSpec:
+        """Load a trial by bundled names or paths; `vehicle` replaces the method's and the scenario's.
+
+        Raises:
+            InputError: with what is wrong with scenario, method or vehicle.
+        """
+        scene, how = load_scenario(scenario), load_method(method)
+        return cls(scene, how, load_vehicle_of_trial(scene, how, vehicle)[1], seed)
+
+
+def load_vehicle_of_trial(scenario: Scenario, method: Method, vehicle: str | None = None) -> tuple[str, Vehicle]:
+    """Reference and model that a robot plans with: `vehicle`, else the method's own, else the scenario's.
+
+    A method's own path is relative to the method's file.
+
+    Raises:
+        InputError: if it cannot be loaded, reported at the line that names it.
+    """
+    reference = vehicle or _vehicle_of_method(method) or scenario.vehicle
+    return reference, vehicle_of_task(scenario) if reference == scenario.vehicle else load_vehicle(reference)
+
+
+def _vehicle_of_method(method: Method) -> str | None:
+    if method.planner.vehicle is None:
+        return None
+    try:
+        return resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
+    except VehicleProblem as error:
+        raise InputError([method.source.diagnostic("planner.vehicle", error.problem, error.expected)]) from None
 
 
 @dataclass(frozen=True)
