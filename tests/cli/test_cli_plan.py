@@ -115,7 +115,7 @@ def test_parameters_replace_those_of_the_vehicle(capsys: pytest.CaptureFixture[s
 
 
 def test_a_vehicle_of_ones_own_plans_at_full_speed(capsys: pytest.CaptureFixture[str]) -> None:
-    content = run_json(capsys, "turns", "--vehicle", f"{ROOT}/examples/skid_steer.py:VEHICLE", "--iterations", "3000")
+    content = run_json(capsys, "turns", "--vehicle", f"{ROOT}/examples/05_vehicle.py:VEHICLE", "--iterations", "3000")
     assert content["solved"] is True
     assert content["vehicle"] == "skid-steer"
     assert content["edges_per_s"] > 5e5

@@ -24,7 +24,7 @@ PLAN = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
 
 def test_the_vehicle_shown_is_the_example() -> None:
     block = VEHICLES.split("```python\n")[1].split("```")[0]
-    assert (ROOT / "examples" / "skid_steer.py").read_text().endswith(block)
+    assert (ROOT / "examples" / "05_vehicle.py").read_text().endswith(block)
 
 
 def test_the_vehicle_file_shown_is_that_of_mushr(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from kraft.sysid.uncertainty import Uncertainty, uncertainty
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 
-SKID_STEER = str(ROOT / "examples" / "skid_steer.py") + ":VEHICLE"
+SKID_STEER = str(ROOT / "examples" / "05_vehicle.py") + ":VEHICLE"
 EXTRAS = {"delay": 0.12, "lever": 0.15, "yaw_offset": 0.05, "dead_band_steering": 0.03}
 
 

@@ -164,7 +164,7 @@ def test_reweighted_gradients_are_those_of_the_robust_cost() -> None:
     assert factors.total_gradient == pytest.approx(gradient, rel=1e-2, abs=1e-2 * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("name", ["mushr-lag", "examples/skid_steer.py:VEHICLE", "unicycle2"])
+@pytest.mark.parametrize("name", ["mushr-lag", "examples/05_vehicle.py:VEHICLE", "unicycle2"])
 def test_derivatives_of_steps_are_those_of_any_vehicle(name: str) -> None:
     vehicle = load_vehicle(name)
     motion, rng = Motion(vehicle), np.random.default_rng(1)

@@ -12,7 +12,7 @@ from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 
-EXAMPLE = ROOT / "examples" / "skid_steer.py"
+EXAMPLE = ROOT / "examples" / "05_vehicle.py"
 
 CODE = """from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative

@@ -1,6 +1,6 @@
 """A skid-steered robot: commanded by the speeds of its two sides, which it follows with a lag.
 
-kraft plan turns --vehicle examples/skid_steer.py:VEHICLE
+kraft plan turns --vehicle examples/05_vehicle.py:VEHICLE
 """
 
 from ompl_ext.trigonometry import cos, sin
