@@ -11,6 +11,7 @@ from ompl_ext import DIRT, Goal, Workspace, box, simple_setup
 
 
 def main() -> None:
+    """Plan with DIRT and with RRT."""
     workspace = Workspace(bounds=((0, 5), (0, 5)), obstacles=(box((2.5, 2.0), (1.0, 3.0)),))
     setup = simple_setup(MUSHR, workspace, start=np.array([0.5, 0.5, 0, 0]), goal=Goal((4.5, 0.5), 0.25))
     information = setup.getSpaceInformation()
