@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kraft import files as atomic_file
 from kraft.errors import InputError
-from kraft.files import write_whole
 from kraft.planning.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
 from kraft.planning.plan_task import PlanResult, plan_task
 from kraft.planning.search import Budget, Previous
@@ -215,25 +211,3 @@ def test_a_plan_replaces_a_plan_and_nothing_else(
     assert path.read_text() == '{"recipe": "soup"}'
     with pytest.raises(InputError, match="is a folder; expected the name of a file"):
         write_plan(tmp_path, task, mushr, result, ORIGIN)
-
-
-def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "plan.json"
-    write_whole(path, b"before")
-
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(atomic_file.os, "fsync", full)
-    with pytest.raises(InputError, match=r"plan\.json: cannot be written: No space left on device"):
-        write_whole(path, b"after")
-    assert path.read_bytes() == b"before"
-    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
-
-
-def test_a_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"cannot be written: .*/file is not a folder"):
-        atomic_file.check_writable(tmp_path / "file" / "plan.json")
-    with pytest.raises(InputError, match="cannot be written: "):
-        write_whole(tmp_path / "file" / "plan.json", b"")
