@@ -18,7 +18,6 @@ from kraft.errors import Diagnostic, InputError
 from kraft.text import nearest, suggestion
 
 Model = TypeVar("Model", bound=BaseModel)
-
 _NOUNS = {
     "float_type": "a number",
     "finite_number": "a finite number",
@@ -71,15 +70,6 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
     return (None if problems else value), problems
 
 
-def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
-    """What is wrong between the keys of the whole file, which pydantic looks at only if every key is right."""
-    if issubclass(model, FileModel) and isinstance(document.data, dict):
-        for error in model.across_keys(document.data):
-            context = error.context or {}
-            if not _already_reported(context["at"], document):
-                yield document.source.diagnostic(context["at"], context["problem"], context["expected"])
-
-
 def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
     """Make a model from values that come from elsewhere than a file; ``origin`` is what errors name.
 
@@ -100,17 +90,13 @@ def part(model: type[Model], value: Value) -> Model | None:
         return None
 
 
-def describe(value: object) -> str:
-    """Name a value for a sentence: ``the text 'x'``, ``the number 3``, ``a list``."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
-    if isinstance(value, str):
-        return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
-    return "a mapping" if isinstance(value, Mapping) else "a list"
+def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
+    """What is wrong between the keys of the whole file, which pydantic looks at only if every key is right."""
+    if issubclass(model, FileModel) and isinstance(document.data, dict):
+        for error in model.across_keys(document.data):
+            context = error.context or {}
+            if not _already_reported(context["at"], document):
+                yield document.source.diagnostic(context["at"], context["problem"], context["expected"])
 
 
 def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
@@ -175,6 +161,19 @@ def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) ->
     return source.diagnostic(path, "the key is missing", expected)
 
 
+def describe(value: object) -> str:
+    """Name a value for a sentence: ``the text 'x'``, ``the number 3``, ``a list``."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
+    if isinstance(value, str):
+        return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
+    return "a mapping" if isinstance(value, Mapping) else "a list"
+
+
 @dataclass(frozen=True)
 class Known:
     """What the schema says about one place."""
@@ -183,30 +182,6 @@ class Known:
     keys: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
     length: int = 0
-
-
-def _bare(annotation: Any) -> Any:
-    """Strip ``Annotated`` and ``| None``."""
-    origin = get_origin(annotation)
-    if origin is Annotated:
-        return _bare(get_args(annotation)[0])
-    if origin in (Union, types.UnionType):
-        members = [a for a in get_args(annotation) if a is not type(None)]
-        return _bare(members[0]) if len(members) == 1 else annotation
-    return annotation
-
-
-def _kinds(annotation: Any) -> dict[str, Any]:
-    """Members of a union of models by their ``kind``, empty if the annotation is no such union."""
-    if get_origin(annotation) not in (Union, types.UnionType):
-        return {}
-    members = [m for m in get_args(annotation) if isinstance(m, type) and issubclass(m, BaseModel)]
-    return {get_args(m.model_fields["kind"].annotation)[0]: m for m in members if "kind" in m.model_fields}
-
-
-def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:
-    """Return a key path of pydantic's, which has the kind of a union's member as if it were a key, as in the file."""
-    return tuple(part for i, part in enumerate(path) if part not in _kinds(_bare(_follow(model, path[:i])[0])))
 
 
 def lookup(model: type[BaseModel], path: KeyPath) -> Known:
@@ -220,6 +195,11 @@ def lookup(model: type[BaseModel], path: KeyPath) -> Known:
         keys = tuple(annotation.model_fields)
     choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
     return Known(description, keys, choices, length)
+
+
+def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:
+    """Return a key path of pydantic's, which has the kind of a union's member as if it were a key, as in the file."""
+    return tuple(part for i, part in enumerate(path) if part not in _kinds(_bare(_follow(model, path[:i])[0])))
 
 
 def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int]:
@@ -248,3 +228,22 @@ def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int
         else:
             return None, None, 0
     return annotation, description, length
+
+
+def _bare(annotation: Any) -> Any:
+    """Strip ``Annotated`` and ``| None``."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _bare(get_args(annotation)[0])
+    if origin in (Union, types.UnionType):
+        members = [a for a in get_args(annotation) if a is not type(None)]
+        return _bare(members[0]) if len(members) == 1 else annotation
+    return annotation
+
+
+def _kinds(annotation: Any) -> dict[str, Any]:
+    """Members of a union of models by their ``kind``, empty if the annotation is no such union."""
+    if get_origin(annotation) not in (Union, types.UnionType):
+        return {}
+    members = [m for m in get_args(annotation) if isinstance(m, type) and issubclass(m, BaseModel)]
+    return {get_args(m.model_fields["kind"].annotation)[0]: m for m in members if "kind" in m.model_fields}

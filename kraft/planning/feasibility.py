@@ -27,6 +27,7 @@ from ompl_ext.query import make_problem
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)
+UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
 
 
 def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | None = None) -> None:
@@ -78,9 +79,6 @@ def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[f
 def _collides(task: Task, footprint: Footprint, pose: tuple[float, float, float], obstacle: Obstacle) -> bool:
     alone = Workspace((task.bounds.x, task.bounds.y), (obstacle,))
     return ExactClearance(alone, footprint).distance(*pose) <= 0.0
-
-
-UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
 
 
 def check_reachable(task: Task, vehicle: Vehicle) -> None:

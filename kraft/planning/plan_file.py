@@ -28,6 +28,9 @@ from ompl_ext.plan import Contingency, Plan
 from ompl_ext.vehicle import Vehicle
 
 NAME: Final = "plan.json"
+SCHEMA: Final = "kraft.plan-file/1"
+SIZE_MAX: Final = 256 * 1024 * 1024  # bytes
+TOLERANCE: Final = 1e-6  # s, between numbers that say the same thing twice
 
 
 @dataclass(frozen=True)
@@ -62,26 +65,6 @@ def check_target(path: Path) -> None:
         except InputError:
             problem = "there is a file that is not a plan file"
             raise InputError.of(str(path), problem, "expected a folder without it, or an earlier plan") from None
-
-
-def read_plan(path: Path) -> Plan:
-    """Read the plan of a plan file.
-
-    Raises:
-        InputError: if it is not a plan file or something in it is missing, misshapen, or not a finite number.
-    """
-    return plan_from(path)
-
-
-def planned_scenario(path: Path) -> str | None:
-    """Name of the scenario that a plan file says its plan is for; None if it does not say.
-
-    Raises:
-        InputError: if it is not a plan file.
-    """
-    scenario = read_object(path).get("scenario")
-    name = scenario.get("name") if isinstance(scenario, dict) else None
-    return name if isinstance(name, str) else None
 
 
 def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) -> str:
@@ -178,9 +161,13 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-SCHEMA: Final = "kraft.plan-file/1"
-SIZE_MAX: Final = 256 * 1024 * 1024  # bytes
-TOLERANCE: Final = 1e-6  # s, between numbers that say the same thing twice
+def read_plan(path: Path) -> Plan:
+    """Read the plan of a plan file.
+
+    Raises:
+        InputError: if it is not a plan file or something in it is missing, misshapen, or not a finite number.
+    """
+    return plan_from(path)
 
 
 def plan_from(path: Path) -> Plan:
@@ -194,6 +181,17 @@ def plan_from(path: Path) -> Plan:
     if reader.problems or plan is None:
         raise InputError(reader.problems)
     return plan
+
+
+def planned_scenario(path: Path) -> str | None:
+    """Name of the scenario that a plan file says its plan is for; None if it does not say.
+
+    Raises:
+        InputError: if it is not a plan file.
+    """
+    scenario = read_object(path).get("scenario")
+    name = scenario.get("name") if isinstance(scenario, dict) else None
+    return name if isinstance(name, str) else None
 
 
 def read_object(path: Path) -> dict[str, Any]:

@@ -27,15 +27,15 @@ from kraft.vehicles.reference import is_attribute, split_file
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Quantity = Annotated[float, Field(ge=-1e9, le=1e9)]
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+_SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
 
 def _model_reference(text: str) -> str:
     if not is_attribute(text) and split_file(text) is None:
         raise refuse(f"is {text!r}", "expected module:attribute, as in kraft.vehicles.mushr:MUSHR")
     return text
-
-
-_SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
 
 def _speed(value: object) -> float | str:
@@ -47,44 +47,6 @@ def _speed(value: object) -> float | str:
 
 
 _SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
-
-
-class Parameter(FileModel):
-    """One number of a model, with what system identification may do to it."""
-
-    value: Quantity
-    """nominal value, in the unit given"""
-    unit: str
-    """unit, `1` if it has none"""
-    description: str = ""
-    """what it is"""
-    min: Quantity | None = None
-    """smallest plausible value"""
-    max: Quantity | None = None
-    """largest plausible value"""
-    std: Positive | None = None
-    """standard deviation of what is known beforehand"""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.min is not None and self.max is not None and self.min >= self.max:
-            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",))
-        if self.min is not None and self.value < self.min:
-            raise refuse(f"is {self.value:g}, below min", f"expected at least {self.min:g}", ("value",))
-        if self.max is not None and self.value > self.max:
-            raise refuse(f"is {self.value:g}, above max", f"expected at most {self.max:g}", ("value",))
-        return self
-
-
-class Footprint(FileModel):
-    """The rectangle that must not touch anything."""
-
-    length: Length
-    """extent along x, m"""
-    width: Length
-    """extent along y, m"""
-    offset: Annotated[float, Field(ge=-100, le=100)] = 0.0
-    """distance of the rectangle's centre ahead of the body frame, m"""
 
 
 class VehicleConfig(FileModel):
@@ -172,8 +134,69 @@ def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
     return config
 
 
-Number = Annotated[float, Field(ge=-1e12, le=1e12)]
-Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+class Parameter(FileModel):
+    """One number of a model, with what system identification may do to it."""
+
+    value: Quantity
+    """nominal value, in the unit given"""
+    unit: str
+    """unit, `1` if it has none"""
+    description: str = ""
+    """what it is"""
+    min: Quantity | None = None
+    """smallest plausible value"""
+    max: Quantity | None = None
+    """largest plausible value"""
+    std: Positive | None = None
+    """standard deviation of what is known beforehand"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",))
+        if self.min is not None and self.value < self.min:
+            raise refuse(f"is {self.value:g}, below min", f"expected at least {self.min:g}", ("value",))
+        if self.max is not None and self.value > self.max:
+            raise refuse(f"is {self.value:g}, above max", f"expected at most {self.max:g}", ("value",))
+        return self
+
+
+class Footprint(FileModel):
+    """The rectangle that must not touch anything."""
+
+    length: Length
+    """extent along x, m"""
+    width: Length
+    """extent along y, m"""
+    offset: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    """distance of the rectangle's centre ahead of the body frame, m"""
+
+
+class IdentificationRecord(FileModel):
+    """How the parameters were identified, and how well they are known."""
+
+    started_from: str
+    """the vehicle whose model, footprint and initial values were taken"""
+    interval: Literal["graph", "sandwich"]
+    """what the covariance follows from: the noise of the poses, or how much the logs differ from each other"""
+    covariance: Covariance
+    """covariance {names, matrix} of what was estimated"""
+    extras: Mapping[str, Extra] = Field(default_factory=dict)
+    """parameters of the logs beside the model's, which planning does not use"""
+    noise: PoseNoise
+    """noise of the poses {position, yaw, measured}"""
+    fitted: Prediction
+    """prediction errors on the logs that were fitted"""
+    held_out: Prediction | None = None
+    """prediction errors on logs that were held out"""
+    held_out_before: Prediction | None = None
+    """the same with the values before the identification"""
+    warnings: tuple[str, ...] = ()
+    """what the identification warned of"""
+    logs: tuple[Logged, ...]
+    """every log that was used"""
+    versions: Mapping[str, str]
+    """versions of what shaped the result"""
 
 
 class Covariance(FileModel):
@@ -238,30 +261,3 @@ class PoseNoise(FileModel):
     """rad"""
     measured: bool
     """whether it was measured from the logs, rather than stated"""
-
-
-class IdentificationRecord(FileModel):
-    """How the parameters were identified, and how well they are known."""
-
-    started_from: str
-    """the vehicle whose model, footprint and initial values were taken"""
-    interval: Literal["graph", "sandwich"]
-    """what the covariance follows from: the noise of the poses, or how much the logs differ from each other"""
-    covariance: Covariance
-    """covariance {names, matrix} of what was estimated"""
-    extras: Mapping[str, Extra] = Field(default_factory=dict)
-    """parameters of the logs beside the model's, which planning does not use"""
-    noise: PoseNoise
-    """noise of the poses {position, yaw, measured}"""
-    fitted: Prediction
-    """prediction errors on the logs that were fitted"""
-    held_out: Prediction | None = None
-    """prediction errors on logs that were held out"""
-    held_out_before: Prediction | None = None
-    """the same with the values before the identification"""
-    warnings: tuple[str, ...] = ()
-    """what the identification warned of"""
-    logs: tuple[Logged, ...]
-    """every log that was used"""
-    versions: Mapping[str, str]
-    """versions of what shaped the result"""
