@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 from kraft.config.source import KeyPath
 
 
-class FileModel(BaseModel):
+class StrictModel(BaseModel):
     """One mapping of a configuration file: frozen, no unknown keys, no conversions between types."""
 
     model_config = ConfigDict(

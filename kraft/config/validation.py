@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from kraft.config.schema import FileModel
+from kraft.config.schema import StrictModel
 from kraft.config.source import KeyPath, Source
 from kraft.config.yaml_reader import Document, Value, read_document
 from kraft.errors import Diagnostic, InputError
@@ -92,7 +92,7 @@ def part(model: type[Model], value: Value) -> Model | None:
 
 def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
     """What is wrong between the keys of the whole file, which pydantic looks at only if every key is right."""
-    if issubclass(model, FileModel) and isinstance(document.data, dict):
+    if issubclass(model, StrictModel) and isinstance(document.data, dict):
         for error in model.across_keys(document.data):
             context = error.context or {}
             if not _already_reported(context["at"], document):

@@ -12,7 +12,7 @@ from kraft.planning.workspace import (
     heading_of,
     planar_obstacle,
     pose_text,
-    safety_of,
+    safety_of_task,
     settings_of,
     workspace_of,
 )
@@ -87,7 +87,7 @@ def check_reachable(task: Task, vehicle: Vehicle) -> None:
     Raises:
         Unreachable: at the goal, if there is none.
     """
-    problem = make_problem(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
+    problem = make_problem(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
     if not reachable(problem, task.start.x, task.start.y):
         expected = "expected a goal that the vehicle can get to"
         raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected)])

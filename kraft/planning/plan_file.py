@@ -48,11 +48,11 @@ def write_plan(path: Path, task: Task, vehicle: Vehicle, result: PlanResult, ori
     Raises:
         InputError: if something else than a plan file is there, or it cannot be written.
     """
-    check_target(path)
+    check_plan_target(path)
     write_whole(path, plan_text(task, vehicle, result, origin).encode())
 
 
-def check_target(path: Path) -> None:
+def check_plan_target(path: Path) -> None:
     """Refuse to replace a file that is not a plan file, and a place that cannot be written.
 
     Raises:

@@ -60,22 +60,22 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search found, as the planner claims it, and how it went.
 
-    `strict` is whether the planner promises SAFETY and the clearance delta; OMPL's own planners know neither.
+    `promises_safety` is whether the planner promises SAFETY and the clearance delta; OMPL's own planners know neither.
     """
 
     plan: Plan | None
     progress: Progress
-    strict: bool = True
+    promises_safety: bool = True
 
 
-Search = Callable[[Dirt, Floats, Budget, int, Previous | None], Found]
+Search = Callable[[Dirt, Floats, Budget, int, Previous | None], SearchResult]
 """Search from a state with a budget and a seed.  The `Dirt` holds the query and has been started at the state."""
 
 
-def search_of(planner: str) -> Search:
+def search_named(planner: str) -> Search:
     """The search of a planner.
 
     Raises:
@@ -86,15 +86,15 @@ def search_of(planner: str) -> Search:
     return _SEARCHES[planner]
 
 
-def _dirt(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> Found:
+def _dirt_search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
     if previous is not None:
         dirt.retain(previous.plan, previous.elapsed)
     progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds)
-    return Found(dirt.plan(), progress)
+    return SearchResult(dirt.plan(), progress)
 
 
-def _peer(name: str) -> Search:
-    def search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> Found:
+def _ompl_search(name: str) -> Search:
+    def search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
         from ompl_ext.peers import plan_with_ompl
 
         if previous is not None:
@@ -107,9 +107,11 @@ def _peer(name: str) -> Search:
         solved = result.plan is not None and result.plan.reaches_goal
         history = ((result.seconds, result.plan.cost),) if result.plan is not None and solved else ()
         progress = Progress(result.seconds, result.iterations, nodes=result.nodes, history=history)
-        return Found(result.plan, progress, strict=False)
+        return SearchResult(result.plan, progress, promises_safety=False)
 
     return search
 
 
-_SEARCHES: Final[dict[str, Search]] = {name: _dirt if name == "dirt" else _peer(name) for name in PLANNERS}
+_SEARCHES: Final[dict[str, Search]] = {
+    name: _dirt_search if name == "dirt" else _ompl_search(name) for name in PLANNERS
+}

@@ -59,7 +59,7 @@ def goal_of(task: Task) -> Goal:
     return Goal(goal.center, goal.radius, goal.heading, goal.heading_tolerance)
 
 
-def safety_of(task: Task) -> Safety:
+def safety_of_task(task: Task) -> Safety:
     """SAFETY where the plan leaves its first cycle, with the clearance that the task asks for."""
     margin = task.planning.safety
     return Safety(

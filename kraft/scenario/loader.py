@@ -46,7 +46,7 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
         InputError: with every problem of the document and of the maps it names.
     """
     content, problems = check(ScenarioFile, document)
-    problems += _misplaced(document)
+    problems += _outside_bounds(document)
     vehicle, vehicle_problems = _vehicle(document, folder)
     maps, map_problems = _maps(document, folder)
     problems += vehicle_problems + map_problems
@@ -68,7 +68,7 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
     )
 
 
-def _misplaced(document: Document) -> list[Diagnostic]:
+def _outside_bounds(document: Document) -> list[Diagnostic]:
     """Find start and goal outside the bounds, as far as these sections are right in themselves."""
     bounds = part(Bounds, _at(document.data, ("bounds",)))
     start = part(StartFile, _at(document.data, ("start",)))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from pydantic import BeforeValidator, Field, model_validator
 
-from kraft.config.schema import Angle, Coordinate, FileModel, Probability, refuse
+from kraft.config.schema import Angle, Coordinate, Probability, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
 from kraft.errors import InputError
@@ -44,7 +44,7 @@ def _as_flag(value: object) -> object:
     return int(value) if isinstance(value, bool) else value
 
 
-class MapServerFile(FileModel):
+class MapServerFile(StrictModel):
     """The YAML file of a map."""
 
     image: Annotated[str, Field(min_length=1)]

@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from kraft.config.schema import FileModel, NonNegative, Probability, refuse
+from kraft.config.schema import NonNegative, Probability, StrictModel, refuse
 from kraft.config.validation import build
 
 PLANNERS: Final[dict[str, str]] = {
@@ -24,7 +24,7 @@ Duration = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 
 
-class Safety(FileModel):
+class Safety(StrictModel):
     """Clearance that every contingency manoeuvre must keep: delta(v) = delta + delta_per_speed |v|."""
 
     delta: NonNegative = 0.0
@@ -39,7 +39,7 @@ class Safety(FileModel):
         return self.delta + self.delta_per_speed * abs(speed)
 
 
-class Planning(FileModel):
+class Planning(StrictModel):
     """Settings of the planner; all of them have defaults."""
 
     planner: Literal["dirt", "rrt", "est", "kpiece1"] = "dirt"

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
 
-from kraft.config.schema import Angle, Coordinate, FileModel, Length, Point, Size, Span, refuse
+from kraft.config.schema import Angle, Coordinate, Length, Point, Size, Span, StrictModel, refuse
 from kraft.scenario.geometry import crossing_edges
 from kraft.scenario.planning import Planning
 from kraft.scenario.trial import Sensing, Trial
@@ -18,7 +18,7 @@ VERTICES_MAX = 1000
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 
 
-class Bounds(FileModel):
+class Bounds(StrictModel):
     """The workspace. The footprint may not leave it."""
 
     x: Span
@@ -34,7 +34,7 @@ class Bounds(FileModel):
         return None
 
 
-class BoxFile(FileModel):
+class BoxFile(StrictModel):
     """A rectangle."""
 
     center: Point
@@ -47,7 +47,7 @@ class BoxFile(FileModel):
     """height in the physics world, m"""
 
 
-class CircleFile(FileModel):
+class CircleFile(StrictModel):
     """A disc."""
 
     center: Point
@@ -76,7 +76,7 @@ def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
     return vertices
 
 
-class PolygonFile(FileModel):
+class PolygonFile(StrictModel):
     """A simple polygon, convex or not."""
 
     vertices: Annotated[tuple[Point, ...], Field(min_length=3, max_length=VERTICES_MAX), AfterValidator(_simple)]
@@ -85,7 +85,7 @@ class PolygonFile(FileModel):
     """height in the physics world, m"""
 
 
-class MapFile(FileModel):
+class MapFile(StrictModel):
     """An occupancy map in the format of ROS's map_server. Unknown cells count as occupied."""
 
     file: str
@@ -97,7 +97,7 @@ class MapFile(FileModel):
 SHAPES = ("box", "circle", "polygon", "map")
 
 
-class ObstacleFile(FileModel):
+class ObstacleFile(StrictModel):
     """One obstacle: exactly one shape, and perhaps a name."""
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [shape]} for shape in SHAPES]})
@@ -122,7 +122,7 @@ class ObstacleFile(FileModel):
         return self
 
 
-class StartFile(FileModel):
+class StartFile(StrictModel):
     """Where the vehicle starts."""
 
     x: Coordinate
@@ -135,7 +135,7 @@ class StartFile(FileModel):
     """forward speed, m/s"""
 
 
-class GoalFile(FileModel):
+class GoalFile(StrictModel):
     """Where the vehicle has to arrive."""
 
     center: Point
@@ -157,7 +157,7 @@ class GoalFile(FileModel):
         return self
 
 
-class ScenarioFile(FileModel):
+class ScenarioFile(StrictModel):
     """A scene, what to do in it, and what the planner is not told."""
 
     name: Name

@@ -17,7 +17,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
-from kraft.config.schema import FileModel, Length, NonNegative, Positive, refuse
+from kraft.config.schema import Length, NonNegative, Positive, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import build, describe, read_model
 from kraft.errors import Diagnostic, InputError
@@ -49,7 +49,7 @@ def _speed(value: object) -> float | str:
 _SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
 
 
-class VehicleConfig(FileModel):
+class VehicleConfig(StrictModel):
     """A vehicle file. The order of the parameters is the order in which the model takes them."""
 
     name: Name
@@ -134,7 +134,7 @@ def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
     return config
 
 
-class Parameter(FileModel):
+class Parameter(StrictModel):
     """One number of a model, with what system identification may do to it."""
 
     value: Quantity
@@ -161,7 +161,7 @@ class Parameter(FileModel):
         return self
 
 
-class Footprint(FileModel):
+class Footprint(StrictModel):
     """The rectangle that must not touch anything."""
 
     length: Length
@@ -172,7 +172,7 @@ class Footprint(FileModel):
     """distance of the rectangle's centre ahead of the body frame, m"""
 
 
-class IdentificationRecord(FileModel):
+class IdentificationRecord(StrictModel):
     """How the parameters were identified, and how well they are known."""
 
     started_from: str
@@ -199,7 +199,7 @@ class IdentificationRecord(FileModel):
     """versions of what shaped the result"""
 
 
-class Covariance(FileModel):
+class Covariance(StrictModel):
     """How uncertain the estimated parameters are, and how they depend on each other."""
 
     names: tuple[str, ...]
@@ -215,7 +215,7 @@ class Covariance(FileModel):
         return self
 
 
-class Extra(FileModel):
+class Extra(StrictModel):
     """A parameter of the logs that the model does not have, such as the delay of the commands."""
 
     value: Number
@@ -228,7 +228,7 @@ class Extra(FileModel):
     """what it is"""
 
 
-class Logged(FileModel):
+class Logged(StrictModel):
     """A log that was used."""
 
     name: str
@@ -239,7 +239,7 @@ class Logged(FileModel):
     """SHA-256 of each of its files, by path"""
 
 
-class Prediction(FileModel):
+class Prediction(StrictModel):
     """Root mean square errors of open-loop prediction over windows of up to 3 s."""
 
     position: tuple[NonNegative, ...]
@@ -252,7 +252,7 @@ class Prediction(FileModel):
     """yaw over all poses of all windows, rad"""
 
 
-class PoseNoise(FileModel):
+class PoseNoise(StrictModel):
     """Standard deviations of one observed pose."""
 
     position: Positive
