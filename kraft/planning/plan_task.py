@@ -17,7 +17,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Verification, verify
+from ompl_ext.verify import Requirement, Verification, verify
 
 
 @dataclass(frozen=True)
@@ -109,12 +109,13 @@ def _accepted(found: SearchResult, verification: Verification | None, seed: int)
     """
     if found.plan is None or verification is None or not verification.problems:
         return found.plan, ""
-    told = "; ".join(verification.problems)
+    problems = "; ".join(map(str, verification.problems))
     if found.promises_safety:
-        raise Defect(f"the plan of seed {seed} fails verification: {told}")
-    if verification.min_clearance > 0.0 and not any("collides" in problem for problem in verification.problems):
+        raise Defect(f"the plan of seed {seed} fails verification: {problems}")
+    collides = any(problem.requirement is Requirement.COLLISION for problem in verification.problems)
+    if verification.min_clearance > 0.0 and not collides:
         return found.plan, ""  # free of collisions, and that is all this planner promises
-    return None, f"the planner's plan was refused: {told}"
+    return None, f"the planner's plan was refused: {problems}"
 
 
 def _infeasible_start(dirt: Dirt, state: Floats, spare: float) -> str:

@@ -86,7 +86,7 @@ def run_plan(
     timer.report("loaded and checked")
     ensure_compiled(vehicle, say)
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
-    timer.report("outcome, with maps and verification,")
+    timer.report("planned, with maps and verification,")
     if target is not None and result.plan is not None:
         origin = Origin(request.scenario, request.vehicle or task.vehicle, previous)
         write_plan(target, task, vehicle, result, origin)
@@ -202,7 +202,7 @@ def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
         "contingency": plan.contingency.manoeuvre if plan and plan.contingency else None,
         "contingency_clearance_m": _finite(verification.contingency_clearance) if verification else None,
         "safe": result.safe,
-        "problems": list(verification.problems) if verification else [],
+        "problems": [str(problem) for problem in verification.problems] if verification else [],
         "plan_file": str(outcome.plan_file) if outcome.plan_file else None,
     }
 
@@ -227,7 +227,7 @@ def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
             ("contingency", f"{stop.manoeuvre} at {stop.times[0]:.2f} s, stands {stands:.1f} s later, {clearance}")
         )
     if result.verification is not None and result.verification.problems:
-        rows.append(("not safe", "\n".join(result.verification.problems)))
+        rows.append(("not safe", "\n".join(map(str, result.verification.problems))))
     if progress.retained:
         rows.append(("retained", f"{counted(progress.retained, 'edge')} of the earlier plan"))
     if progress.iterations:
