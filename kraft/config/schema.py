@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from kraft.config.source import KeyPath
+from kraft.errors import Code
 
 
 class StrictModel(BaseModel):
@@ -27,9 +28,9 @@ class StrictModel(BaseModel):
         yield from ()
 
 
-def refuse(problem: str, expected: str, at: KeyPath = ()) -> PydanticCustomError:
+def refuse(problem: str, expected: str, at: KeyPath = (), code: Code = Code.VALUE) -> PydanticCustomError:
     """Make the error that a validator raises; ``at`` is where, relative to what is being validated."""
-    context = {"problem": problem, "expected": expected, "at": at}
+    context = {"problem": problem, "expected": expected, "at": at, "code": code}
     return PydanticCustomError("kraft", "{problem}; {expected}", context)
 
 

@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 from kraft.config.schema import StrictModel
 from kraft.config.source import KeyPath, Source
 from kraft.config.yaml_reader import Document, Value, read_document
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import nearest, suggestion
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -96,7 +96,8 @@ def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnos
         for error in model.across_keys(document.data):
             context = error.context or {}
             if not _already_reported(context["at"], document):
-                yield document.source.diagnostic(context["at"], context["problem"], context["expected"])
+                problem, expected = context["problem"], context["expected"]
+                yield document.source.diagnostic(context["at"], problem, expected, code=context["code"])
 
 
 def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
@@ -125,10 +126,12 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     known = lookup(model, detail["loc"])
     about = f" ({known.description})" if known.description else ""
     if kind == "kraft":
-        return source.diagnostic((*path, *context["at"]), context["problem"], context["expected"])
+        at, problem, expected = context["at"], context["problem"], context["expected"]
+        return source.diagnostic((*path, *at), problem, expected, code=context["code"])
     if kind == "extra_forbidden":
         siblings = lookup(model, detail["loc"][:-1]).keys
-        return source.diagnostic(path, "unknown key", suggestion(str(path[-1]), siblings), at_key=True)
+        expected = suggestion(str(path[-1]), siblings)
+        return source.diagnostic(path, "unknown key", expected, at_key=True, code=Code.UNKNOWN)
     if kind in ("missing", "union_tag_not_found"):
         return _missing(source, path, known, "kind" if kind == "union_tag_not_found" else "")
     if kind == "union_tag_invalid":
@@ -146,7 +149,8 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     if kind == "string_pattern_mismatch":
         return source.diagnostic(path, f"is {describe(given)}", f"expected a {known.description}")
     if kind in _NOUNS:
-        return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}")
+        code = Code.VALUE if kind == "finite_number" else Code.TYPE
+        return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}", code=code)
     return source.diagnostic(path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}")
 
 
@@ -158,7 +162,7 @@ def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) ->
         return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
     else:
         expected = f"expected {known.description or 'it'}"
-    return source.diagnostic(path, "the key is missing", expected)
+    return source.diagnostic(path, "the key is missing", expected, code=Code.MISSING)
 
 
 def describe(value: object) -> str:

@@ -16,7 +16,7 @@ from typing import Any, Final, TypeAlias
 import yaml
 
 from kraft.config.source import KeyPath, Position, Source
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 
 BYTES_MAX: Final = 256 * 1024
 DEPTH_MAX: Final = 50
@@ -83,10 +83,11 @@ def read_bytes(path: Path) -> bytes:
         with path.open("rb") as stream:
             return stream.read(BYTES_MAX + 1)
     except FileNotFoundError:
-        raise InputError.of(file, "there is no such file", "expected a YAML file") from None
+        raise InputError.of(file, "there is no such file", "expected a YAML file", Code.NOT_FOUND) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError.of(file, f"cannot be read ({reason})", "expected a readable YAML file") from error
+        problem = f"cannot be read ({reason})"
+        raise InputError.of(file, problem, "expected a readable YAML file", Code.UNREADABLE) from error
 
 
 def compose(content: bytes | str, file: str) -> yaml.Node:
@@ -96,11 +97,12 @@ def compose(content: bytes | str, file: str) -> yaml.Node:
         InputError: if it is empty, too large, not UTF-8, or not one YAML document.
     """
     if len(content) > BYTES_MAX:
-        raise InputError.of(file, f"is larger than {BYTES_MAX // 1024} KiB", "expected a configuration file")
+        problem = f"is larger than {BYTES_MAX // 1024} KiB"
+        raise InputError.of(file, problem, "expected a configuration file", Code.UNREADABLE)
     text = _decoded(content, file) if isinstance(content, bytes) else content.removeprefix("\ufeff")
     root = _composed(text, file)
     if root is None:
-        raise InputError([Diagnostic(file, "the file is empty", "expected a mapping", 1, 1)])
+        raise _syntax_error(file, None, "the file is empty", "expected a mapping")
     return root
 
 
@@ -110,8 +112,9 @@ def _decoded(content: bytes, file: str) -> str:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
-        problem = "is not UTF-8 text"
-        raise InputError([Diagnostic(file, problem, "expected the file saved as UTF-8", line, column)]) from error
+        raise _syntax_error(
+            file, Position(line, column), "is not UTF-8 text", "expected the file saved as UTF-8"
+        ) from error
 
 
 def _composed(text: str, file: str) -> yaml.Node | None:
@@ -124,12 +127,13 @@ def _composed(text: str, file: str) -> yaml.Node | None:
         line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
         code = error.character if isinstance(error.character, int) else ord(str(error.character))
         problem = f"the character U+{code:04X} is not allowed"
-        raise InputError([Diagnostic(file, problem, "expected printable text", line, column)]) from error
+        raise _syntax_error(file, Position(line, column), problem, "expected printable text") from error
     except yaml.MarkedYAMLError as error:
-        raise _syntax_error(file, error.problem_mark or error.context_mark, *_explained(error)) from error
+        mark = error.problem_mark or error.context_mark
+        raise _syntax_error(file, _marked(mark), *_explained(error)) from error
     except (ValueError, OverflowError) as error:  # PyYAML lets these out for absurd escapes and directives
-        mark = loader.get_mark() if loader else None
-        raise _syntax_error(file, mark, "not valid YAML (a number out of range)", _VALID) from error
+        position = _marked(loader.get_mark()) if loader else None
+        raise _syntax_error(file, position, "not valid YAML (a number out of range)", _VALID) from error
     return node
 
 
@@ -165,9 +169,14 @@ def _explained(error: yaml.MarkedYAMLError) -> tuple[str, str]:
     return f"not valid YAML ({problem}{f', {error.context}' if error.context else ''})", _VALID
 
 
-def _syntax_error(file: str, mark: Any, problem: str, expected: str) -> InputError:
-    line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-    return InputError([Diagnostic(file, problem, expected, line, column)])
+def _syntax_error(file: str, at: Position | None, problem: str, expected: str) -> InputError:
+    """Error at a position, by default the beginning of the file."""
+    line, column = (at.line, at.column) if at else (1, 1)
+    return InputError([Diagnostic(file, problem, expected, line, column, code=Code.SYNTAX)])
+
+
+def _marked(mark: Any) -> Position | None:
+    return Position(mark.line + 1, mark.column + 1) if mark else None
 
 
 @dataclass
@@ -187,12 +196,12 @@ class _Converter:
         source = Source(self.file, self.values, self.keys)
         return Document(data, source, tuple(self.problems), frozenset(self.unusable))
 
-    def report(self, node: yaml.Node, path: KeyPath, problem: str, expected: str) -> None:
+    def report(self, node: yaml.Node, path: KeyPath, problem: str, expected: str, code: Code = Code.SYNTAX) -> None:
         at = Source(self.file, {path: _position(node)})
-        self.problems.append(at.diagnostic(path, problem, expected))
+        self.problems.append(at.diagnostic(path, problem, expected, code=code))
 
-    def reject(self, node: yaml.Node, path: KeyPath, problem: str, expected: str) -> Unusable:
-        self.report(node, path, problem, expected)
+    def reject(self, node: yaml.Node, path: KeyPath, problem: str, expected: str, code: Code = Code.SYNTAX) -> Unusable:
+        self.report(node, path, problem, expected, code)
         self.unusable.add(path)
         return Unusable()
 
@@ -230,7 +239,7 @@ class _Converter:
         try:
             return plain_scalar(text)
         except AmbiguousScalar as error:
-            return self.reject(node, path, error.problem, error.expected)
+            return self.reject(node, path, error.problem, error.expected, Code.VALUE)
 
     def mapping(self, node: yaml.MappingNode, path: KeyPath) -> dict[str, Value]:
         result: dict[str, Value] = {}
@@ -241,7 +250,8 @@ class _Converter:
             inner = (*path, key)
             if key in result:
                 first = self.keys[inner]
-                self.report(key_node, inner, f"the key is repeated; it is first at {first}", "expected it once")
+                problem = f"the key is repeated; it is first at {first}"
+                self.report(key_node, inner, problem, "expected it once", Code.DUPLICATE)
                 continue
             self.keys[inner] = _position(key_node)
             result[key] = self.value(value_node, inner)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from kraft.errors import Diagnostic, InputError, Unreachable
+from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.planning.workspace import (
     fence,
     goal_of,
@@ -49,16 +49,17 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         problem = f"{vehicle.name} at {pose_text(x, y, heading)} {hit}"
         expected = "expected a start that is free and inside the bounds"
         if origin is None:
-            problems.append(task.source.diagnostic("start", problem, expected))
+            problems.append(task.source.diagnostic("start", problem, expected, code=Code.GEOMETRY))
         else:
-            problems.append(Diagnostic(origin, problem, expected))
+            problems.append(Diagnostic(origin, problem, expected, code=Code.GEOMETRY))
     if origin is None and abs(task.start.speed) > vehicle.top_speed:
         problem = f"is {task.start.speed:g} m/s, faster than {vehicle.name} can be"
         expected = f"expected at most {vehicle.top_speed:g} m/s"
         problems.append(task.source.diagnostic("start.speed", problem, expected))
     if hit := _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0)):
         problem = f"the goal's centre {hit}"
-        problems.append(task.source.diagnostic("goal.center", problem, "expected a free place"))
+        expected = "expected a free place"
+        problems.append(task.source.diagnostic("goal.center", problem, expected, code=Code.GEOMETRY))
     if problems:
         raise InputError(problems)
 
@@ -90,7 +91,7 @@ def check_reachable(task: Task, vehicle: Vehicle) -> None:
     problem = make_problem(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
     if not reachable(problem, task.start.x, task.start.y):
         expected = "expected a goal that the vehicle can get to"
-        raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected)])
+        raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected, code=Code.GEOMETRY)])
 
 
 def reachable(problem: Problem, x: float, y: float) -> bool:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
@@ -45,7 +45,7 @@ class Previous:
         if sizes != wanted:
             problem = f"the plan has {sizes[0]} state components and {sizes[1]} controls"
             expected = f"expected a plan of {vehicle.name}, which has {wanted[0]} and {wanted[1]}"
-            raise InputError.of(self.origin, problem, expected)
+            raise InputError.of(self.origin, problem, expected, Code.MISMATCH)
         if not 0.0 <= self.elapsed < plan.cost:
             problem = f"the plan is over after {plan.cost:.6g} s, asked for is {self.elapsed:.6g} s"
             raise InputError.of(self.origin, problem, f"expected from 0 to less than {plan.cost:.6g} s")
@@ -82,7 +82,7 @@ def search_named(planner: str) -> Search:
         InputError: if there is no planner of this name.
     """
     if planner not in _SEARCHES:
-        raise InputError.of(planner, "there is no planner of this name", suggestion(planner, _SEARCHES))
+        raise InputError.of_argument("planner", f"is {planner!r}", suggestion(planner, _SEARCHES), Code.NOT_FOUND)
     return _SEARCHES[planner]
 
 
@@ -98,7 +98,8 @@ def _ompl_search(name: str) -> Search:
         from ompl_ext.peers import plan_with_ompl
 
         if previous is not None:
-            raise InputError.of(name, "cannot keep an earlier plan", "expected the planner dirt with --from")
+            problem = f"is {name!r}, which cannot keep an earlier plan"
+            raise InputError.of_argument("planner", problem, "expected 'dirt'", Code.CONFLICT)
         assert dirt.goal is not None, "a task has a goal"
         result = plan_with_ompl(
             name, dirt.vehicle, dirt.workspace, state, dirt.goal, safety=dirt.safety, settings=dirt.settings,

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from kraft.config.schema import NonNegative, Probability, StrictModel, refuse
 from kraft.config.validation import build
+from kraft.errors import Code
 
 PLANNERS: Final[dict[str, str]] = {
     "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
@@ -73,9 +74,9 @@ class Planning(StrictModel):
             raise refuse(problem, "expected [shortest, longest]", ("edge_duration",))
         if self.integration_step > shortest:
             problem = f"is {self.integration_step:g}, longer than the shortest edge"
-            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",))
+            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
         if self.iterations is not None and self.time is not None:
-            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",))
+            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",), Code.CONFLICT)
         return self
 
     def with_budget(self, *, iterations: int | None = None, time: float | None = None) -> Planning:

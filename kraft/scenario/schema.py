@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
 
 from kraft.config.schema import Angle, Coordinate, Length, Point, Size, Span, StrictModel, refuse
+from kraft.errors import Code
 from kraft.scenario.geometry import crossing_edges
 from kraft.scenario.planning import Planning
 from kraft.scenario.trial import Sensing, Trial
@@ -61,18 +62,18 @@ class CircleFile(StrictModel):
 def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
     if vertices[0] == vertices[-1]:
         problem = "the last vertex repeats the first"
-        raise refuse(problem, "expected each vertex once (it closes by itself)", (len(vertices) - 1,))
+        raise refuse(problem, "expected each vertex once (it closes by itself)", (len(vertices) - 1,), Code.GEOMETRY)
     seen: dict[Point, int] = {}
     for i, vertex in enumerate(vertices):
         if vertex in seen:
-            raise refuse(f"repeats vertex {seen[vertex]}", "expected each vertex once", (i,))
+            raise refuse(f"repeats vertex {seen[vertex]}", "expected each vertex once", (i,), Code.GEOMETRY)
         seen[vertex] = i
     array = np.array(vertices, dtype=np.float64)
     if np.linalg.matrix_rank(array - array[0]) < 2:
-        raise refuse("the polygon has no area", "expected vertices that are not on one line")
+        raise refuse("the polygon has no area", "expected vertices that are not on one line", code=Code.GEOMETRY)
     if crossing := crossing_edges(array):
         problem = f"the polygon meets itself: edge {crossing[0]} and edge {crossing[1]}"
-        raise refuse(problem, "expected a simple polygon (edge i runs from vertex i to the next)")
+        raise refuse(problem, "expected a simple polygon (edge i runs from vertex i to the next)", code=Code.GEOMETRY)
     return vertices
 
 
@@ -118,7 +119,8 @@ class ObstacleFile(StrictModel):
         given = [shape for shape in SHAPES if getattr(self, shape) is not None]
         if len(given) != 1:
             problem = f"holds {' and '.join(given)}" if given else "holds no shape"
-            raise refuse(problem, "expected exactly one of box, circle, polygon, map")
+            code = Code.CONFLICT if given else Code.MISSING
+            raise refuse(problem, "expected exactly one of box, circle, polygon, map", code=code)
         return self
 
 
@@ -153,7 +155,7 @@ class GoalFile(StrictModel):
             given, other = "heading_deg", "heading_tolerance_deg"
             if self.heading_deg is None:
                 given, other = other, given
-            raise refuse(f"is given without {other}", "expected both or none", (given,))
+            raise refuse(f"is given without {other}", "expected both or none", (given,), Code.CONFLICT)
         return self
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from kraft.config.schema import Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
+from kraft.errors import Code
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]
@@ -79,7 +80,9 @@ class Tilt(StrictModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if (self.angle is None) == (self.angle_deg is None):
-            raise refuse("needs one of `angle` and `angle_deg`", "expected angle in rad or angle_deg in degrees")
+            code = Code.MISSING if self.angle is None else Code.CONFLICT
+            expected = "expected angle in rad or angle_deg in degrees"
+            raise refuse("needs one of `angle` and `angle_deg`", expected, code=code)
         return self
 
     @property

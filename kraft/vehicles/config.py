@@ -20,7 +20,7 @@ from kraft.config import bundled
 from kraft.config.schema import Length, NonNegative, Positive, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import build, describe, read_model
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles.reference import is_attribute, split_file
 
@@ -80,7 +80,7 @@ class VehicleConfig(StrictModel):
         """Whether the top speed is the name of a parameter, if it is a name."""
         speed, parameters = content.get("top_speed"), content.get("parameters", {})
         if isinstance(speed, str) and isinstance(parameters, Mapping) and speed not in parameters:
-            yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",))
+            yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",), Code.UNKNOWN)
 
     @property
     def source(self) -> Source:
@@ -104,7 +104,7 @@ class VehicleConfig(StrictModel):
             InputError: for parameters that the vehicle does not have and values outside their limits.
         """
         problems = [
-            Diagnostic(name, f"{self.name} has no such parameter", suggestion(name, self.parameters))
+            Diagnostic(name, f"{self.name} has no such parameter", suggestion(name, self.parameters), code=Code.UNKNOWN)
             for name in values
             if name not in self.parameters
         ]
@@ -153,7 +153,7 @@ class Parameter(StrictModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.min is not None and self.max is not None and self.min >= self.max:
-            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",))
+            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",), Code.CONFLICT)
         if self.min is not None and self.value < self.min:
             raise refuse(f"is {self.value:g}, below min", f"expected at least {self.min:g}", ("value",))
         if self.max is not None and self.value > self.max:
@@ -211,7 +211,9 @@ class Covariance(StrictModel):
     def _square(self) -> Self:
         size = len(self.names)
         if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
-            raise refuse("has another size than names", f"expected {size} rows of {size} numbers", ("matrix",))
+            raise refuse(
+                "has another size than names", f"expected {size} rows of {size} numbers", ("matrix",), Code.MISMATCH
+            )
         return self
 
 

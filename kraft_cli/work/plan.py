@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.plan_file import NAME, Origin, check_plan_target, planned_scenario, read_plan, write_plan
 from kraft.planning.plan_task import PlanResult, budget_of, plan_task
-from kraft.planning.search import Previous
+from kraft.planning.search import Previous, search_named
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
-from kraft.scenario.planning import PLANNERS
-from kraft.text import counted, grouped, suggestion
+from kraft.text import counted, grouped
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
@@ -117,10 +115,9 @@ def _task(request: PlanRequest) -> Task:
     if request.time is not None or request.iterations is not None:
         planning = planning.with_budget(iterations=request.iterations, time=request.time)
     if request.planner is not None:
-        if request.planner not in PLANNERS:
-            raise InputError.of("--planner", f"is {request.planner!r}", suggestion(request.planner, PLANNERS))
+        search_named(request.planner)
         planning = planning.model_copy(update={"planner": request.planner})
-    return dataclasses.replace(task, planning=planning)
+    return replace(task, planning=planning)
 
 
 def _report_inputs(detail: Callable[[str], None], request: PlanRequest, task: Task, vehicle: Vehicle) -> None:
@@ -150,13 +147,13 @@ def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]
     name = rest.partition(".")[0] if section == "parameters" else diagnostic.file
     where = f"--param {name}" if name in parameters else "--param"
     path = "" if name in parameters else diagnostic.path
-    return Diagnostic(where, diagnostic.problem, diagnostic.expected, path=path)
+    return replace(diagnostic, file=where, line=None, column=None, path=path)
 
 
 def _previous(request: PlanRequest, task: Task, say: Callable[[str], None]) -> Previous | None:
     if request.previous is None:
         if request.after != 0.0:
-            raise InputError.of("--after", "is given without --from", "expected both or none")
+            raise InputError.of("--after", "is given without --from", "expected both or none", Code.CONFLICT)
         return None
     if not (math.isfinite(request.after) and request.after >= 0):
         raise InputError.of("--after", f"is {request.after:g}", "expected a number of at least 0, s")

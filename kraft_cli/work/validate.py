@@ -12,7 +12,7 @@ from kraft.config import bundled
 from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.mapping import Mapping
 from kraft.planning.feasibility import check_placement
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
@@ -85,7 +85,8 @@ def _schema(document: Document) -> str | None:
         return None
     if schema != PLAN_SCHEMA:
         expected = f"expected a {', '.join(_SCHEMAS)} file, or a plan file ({PLAN_SCHEMA})"
-        raise InputError([document.source.diagnostic("schema", f"is a file that kraft wrote, {schema}", expected)])
+        problem = f"is a file that kraft wrote, {schema}"
+        raise InputError([document.source.diagnostic("schema", problem, expected, code=Code.MISMATCH)])
     return schema
 
 
@@ -132,6 +133,8 @@ def _check_vehicle(reference: str, document: Document, folder: Path) -> None:
         load_vehicle(reference, folder)
     except InputError as error:
         raise InputError(
-            document.source.diagnostic("planner.vehicle", d.problem, d.expected) if d.file == reference else d
+            document.source.diagnostic("planner.vehicle", d.problem, d.expected, code=d.code)
+            if d.file == reference
+            else d
             for d in error.diagnostics
         ) from error
