@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from kraft.config.schema import StrictModel
@@ -196,7 +197,7 @@ def lookup(model: type[BaseModel], path: KeyPath) -> Known:
     annotation = _bare(annotation)
     keys: tuple[str, ...] = ()
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        keys = tuple(annotation.model_fields)
+        keys = tuple(_fields(annotation))
     choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
     return Known(description, keys, choices, length)
 
@@ -215,7 +216,7 @@ def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int
         annotation = _bare(annotation)
         arguments = get_args(annotation)
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found = annotation.model_fields.get(str(part))
+            found = _fields(annotation).get(str(part))
             if found is None:
                 return None, None, 0
             annotation, description = found.annotation, found.description
@@ -232,6 +233,11 @@ def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int
         else:
             return None, None, 0
     return annotation, description, length
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Fields of a model by their key in the file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _bare(annotation: Any) -> Any:

@@ -72,22 +72,24 @@ def parse_document(content: bytes | str, file: str) -> Document:
     return _Converter(file).document(compose(content, file))
 
 
-def read_bytes(path: Path) -> bytes:
-    """Read a configuration file, or a little more than the largest one allowed.
+def read_bytes(path: Path, bytes_max: int = BYTES_MAX, expected: str = "expected a YAML file") -> bytes:
+    """Content of a file of at most `bytes_max` bytes; errors end with `expected`.
 
     Raises:
-        InputError: if it cannot be read.
+        InputError: if it cannot be read or is larger.
     """
     file = str(path)
     try:
         with path.open("rb") as stream:
-            return stream.read(BYTES_MAX + 1)
+            content = stream.read(bytes_max + 1)
     except FileNotFoundError:
-        raise InputError.of(file, "there is no such file", "expected a YAML file", Code.NOT_FOUND) from None
+        raise InputError.of(file, "there is no such file", expected, Code.NOT_FOUND) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        problem = f"cannot be read ({reason})"
-        raise InputError.of(file, problem, "expected a readable YAML file", Code.UNREADABLE) from error
+        raise InputError.of(file, f"cannot be read ({reason})", expected, Code.UNREADABLE) from error
+    if len(content) > bytes_max:
+        raise InputError.of(file, f"is larger than {bytes_max // 1024} KiB", expected, Code.UNREADABLE)
+    return content
 
 
 def compose(content: bytes | str, file: str) -> yaml.Node:
@@ -99,14 +101,19 @@ def compose(content: bytes | str, file: str) -> yaml.Node:
     if len(content) > BYTES_MAX:
         problem = f"is larger than {BYTES_MAX // 1024} KiB"
         raise InputError.of(file, problem, "expected a configuration file", Code.UNREADABLE)
-    text = _decoded(content, file) if isinstance(content, bytes) else content.removeprefix("\ufeff")
+    text = decode(content, file) if isinstance(content, bytes) else content.removeprefix("\ufeff")
     root = _composed(text, file)
     if root is None:
         raise _syntax_error(file, None, "the file is empty", "expected a mapping")
     return root
 
 
-def _decoded(content: bytes, file: str) -> str:
+def decode(content: bytes, file: str) -> str:
+    """Text of a file without its byte order mark.
+
+    Raises:
+        InputError: if it is not UTF-8.
+    """
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -179,6 +186,11 @@ def _marked(mark: Any) -> Position | None:
     return Position(mark.line + 1, mark.column + 1) if mark else None
 
 
+def holds_surrogate(text: str) -> bool:
+    """Whether a text holds half of a character, which escapes can write and UTF-8 cannot."""
+    return any("\ud800" <= character <= "\udfff" for character in text)
+
+
 @dataclass
 class _Converter:
     """Turns nodes into values and notes every problem and position on the way."""
@@ -232,7 +244,7 @@ class _Converter:
 
     def scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Value:
         text: str = node.value
-        if any("\ud800" <= character <= "\udfff" for character in text):
+        if holds_surrogate(text):
             return self.reject(node, path, "holds half of a character", "expected text that UTF-8 can write")
         if node.tag != PLAIN:
             return text
@@ -261,7 +273,7 @@ class _Converter:
         """Return the text of a key, or None after reporting that it is not text."""
         if not isinstance(node, yaml.ScalarNode) or node.tag not in (PLAIN, _STANDARD + "str"):
             self.report(node, path, "a key is a list, a mapping or tagged", "expected keys that are words")
-        elif any("\ud800" <= character <= "\udfff" for character in node.value):
+        elif holds_surrogate(node.value):
             self.report(node, path, "a key holds half of a character", "expected text that UTF-8 can write")
         elif node.value == "<<" and node.tag == PLAIN:
             self.report(node, path, "merge keys (<<) are not supported", "expected the keys written out")

@@ -12,7 +12,7 @@ from typing import Any
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
-from kraft.planning.plan_file import NAME, Origin, check_plan_target, planned_scenario, read_plan, write_plan
+from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
 from kraft.planning.plan_task import PlanResult, budget_of, plan_task
 from kraft.planning.search import Previous, search_named
 from kraft.planning.workspace import vehicle_of_task
@@ -157,11 +157,11 @@ def _previous(request: PlanRequest, task: Task, say: Callable[[str], None]) -> P
         return None
     if not (math.isfinite(request.after) and request.after >= 0):
         raise InputError.of("--after", f"is {request.after:g}", "expected a number of at least 0, s")
-    plan = read_plan(request.previous)
-    scenario = planned_scenario(request.previous)
+    content = read_plan_file(request.previous)
+    scenario = content.scenario.name
     if scenario != task.name:
         say(f"note: {request.previous} is a plan of {scenario or 'a scenario without a name'}, not of {task.name}")
-    return Previous(plan, request.after, str(request.previous))
+    return Previous(content.plan(), request.after, str(request.previous))
 
 
 def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:
