@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 
 EXPECTED = "expected a place that can be written, with room for it"
 
@@ -19,16 +20,16 @@ def check_writable(path: Path) -> None:
         InputError: if a folder stands there, a file stands where a folder has to be, or nothing can be made there.
     """
     if path.is_dir():
-        raise InputError.of(str(path), "is a folder", "expected the name of a file")
+        raise InputError.of(str(path), "is a folder", "expected the name of a file", Code.UNWRITABLE)
     folder = next(p for p in path.absolute().parents if os.path.lexists(p))
     if not folder.is_dir():
-        raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED)
+        raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED, Code.UNWRITABLE)
     try:  # permissions do not tell: think of /proc, and of what is mounted read-only
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".kraft-"):
             pass
     except OSError as error:
         problem = f"cannot be written: nothing can be made in {folder} ({error.strerror})"
-        raise InputError.of(str(path), problem, EXPECTED) from None
+        raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from None
 
 
 def check_all(*checks: Callable[[], object]) -> None:
@@ -48,28 +49,53 @@ def check_all(*checks: Callable[[], object]) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Put `content` at `path` in one step; folders on the way are made.
+    """Write `content` to `path` in one step; missing folders are made.
 
-    A reader sees what was there before or all of the new content, even if the machine stops in between.
+    A reader finds the earlier content or all of the new content, even if the machine stops in between.
 
     Raises:
-        InputError: if it cannot be written; what was there before is still there then.
+        InputError: if it cannot be written; the earlier content is still there then.
+    """
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Temporary file in the folder of `path` that replaces `path` when the block ends; missing folders are made.
+
+    For files that a library writes itself.  The name of the temporary file ends in ``.part`` whatever the format, so
+    a library that takes the format from the name needs it as an argument.  The file is there, and empty, when the
+    block begins.  If the block raises, the temporary file is removed and `path` stays as it was.
+
+    Raises:
+        InputError: instead of an OSError of the block or of the replacement.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        os.close(handle)
+        temporary = Path(name)
         try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+            yield temporary
+            _flush(temporary)
             os.chmod(temporary, file_mode())
             os.replace(temporary, path)
         except BaseException:
-            os.unlink(temporary)
+            temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED) from error
+        problem = f"cannot be written: {error.strerror or error}"
+        raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from error
+
+
+def _flush(path: Path) -> None:
+    """Have the content of a file on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def file_mode() -> int:

@@ -12,7 +12,7 @@ from typing import Final
 
 import typer
 
-from kraft.errors import Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
+from kraft.errors import Code, Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -54,7 +54,8 @@ def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatu
         if error.errno not in FULL:
             raise
         place = error.filename or ("stdout" if _stdout_fails() else "a file")
-        raise InputError.of(str(place), f"cannot be written: {error.strerror}", EXPECTED) from error
+        problem = f"cannot be written: {error.strerror}"
+        raise InputError.of(str(place), problem, EXPECTED, Code.UNWRITABLE) from error
     return status
 
 

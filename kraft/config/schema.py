@@ -9,9 +9,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from kraft.config.source import KeyPath
+from kraft.errors import Code
 
 
-class FileModel(BaseModel):
+class StrictModel(BaseModel):
     """One mapping of a configuration file: frozen, no unknown keys, no conversions between types."""
 
     model_config = ConfigDict(
@@ -27,9 +28,9 @@ class FileModel(BaseModel):
         yield from ()
 
 
-def refuse(problem: str, expected: str, at: KeyPath = ()) -> PydanticCustomError:
+def refuse(problem: str, expected: str, at: KeyPath = (), code: Code = Code.VALUE) -> PydanticCustomError:
     """Make the error that a validator raises; ``at`` is where, relative to what is being validated."""
-    context = {"problem": problem, "expected": expected, "at": at}
+    context = {"problem": problem, "expected": expected, "at": at, "code": code}
     return PydanticCustomError("kraft", "{problem}; {expected}", context)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from kraft.errors import Defect
 from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
-from kraft.planning.search import Budget, Found, Previous, search_of
+from kraft.planning.search import Budget, Previous, SearchResult, search_named
 from kraft.planning.workspace import (
     goal_of,
     heading_of,
-    safety_of,
+    safety_of_task,
     settings_of,
     start_state,
     vehicle_of_task,
@@ -27,7 +27,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Verification, verify
+from ompl_ext.verify import Requirement, Verification, verify
 
 
 @dataclass(frozen=True)
@@ -90,23 +90,23 @@ def plan_task(
             there is no such planner.
         Defect: if the plan found does not stand up to exact verification.
     """
-    search = search_of(task.planning.planner)
+    search = search_named(task.planning.planner)
     if previous is not None:
         previous.check(vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()
-    dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
+    dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
     spare = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
-    reason = _hopeless(dirt, state, spare)
-    found = Found(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
+    reason = _infeasible_start(dirt, state, spare)
+    found = SearchResult(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
     began = clock.perf_counter()
     verification = verify(dirt, found.plan) if found.plan is not None else None
     verify_seconds = clock.perf_counter() - began
     plan, unfit = _accepted(found, verification, seed)
-    reason = reason or unfit or _shortfall(plan, found.progress)
+    reason = reason or unfit or _failure_reason(plan, found.progress)
     judged = verification if plan is not None else None
     return PlanResult(plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds)
 
@@ -143,7 +143,7 @@ def plan(
     return plan_task(task, model, budget, seed, previous)
 
 
-def _accepted(found: Found, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:
+def _accepted(found: SearchResult, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:
     """The plan if it stands up to its verification, else why there is none.
 
     Raises:
@@ -151,15 +151,16 @@ def _accepted(found: Found, verification: Verification | None, seed: int) -> tup
     """
     if found.plan is None or verification is None or not verification.problems:
         return found.plan, ""
-    told = "; ".join(verification.problems)
-    if found.strict:
-        raise Defect(f"the plan of seed {seed} fails verification: {told}")
-    if verification.min_clearance > 0.0 and not any("collides" in problem for problem in verification.problems):
+    problems = "; ".join(map(str, verification.problems))
+    if found.promises_safety:
+        raise Defect(f"the plan of seed {seed} fails verification: {problems}")
+    collides = any(problem.requirement is Requirement.COLLISION for problem in verification.problems)
+    if verification.min_clearance > 0.0 and not collides:
         return found.plan, ""  # free of collisions, and that is all this planner promises
-    return None, f"the planner's plan was refused: {told}"
+    return None, f"the planner's plan was refused: {problems}"
 
 
-def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
+def _infeasible_start(dirt: Dirt, state: Floats, spare: float) -> str:
     """Why no plan can be found from this start, however long one searches; empty if one might be."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
     if not reachable(dirt.problem, x, y):
@@ -173,7 +174,7 @@ def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
     return ""
 
 
-def _shortfall(plan: Plan | None, progress: Progress) -> str:
+def _failure_reason(plan: Plan | None, progress: Progress) -> str:
     """Why the search ended without a plan that reaches the goal; empty if there is one."""
     if plan is not None and plan.reaches_goal:
         return ""

@@ -7,8 +7,9 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from kraft.config.schema import FileModel, NonNegative, Probability, refuse
+from kraft.config.schema import NonNegative, Probability, StrictModel, refuse
 from kraft.config.validation import build
+from kraft.errors import Code
 
 PLANNERS: Final[dict[str, str]] = {
     "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
@@ -24,7 +25,7 @@ Duration = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 
 
-class Safety(FileModel):
+class Safety(StrictModel):
     """Clearance that every contingency manoeuvre must keep: delta(v) = delta + delta_per_speed |v|."""
 
     delta: NonNegative = 0.0
@@ -39,7 +40,7 @@ class Safety(FileModel):
         return self.delta + self.delta_per_speed * abs(speed)
 
 
-class Planning(FileModel):
+class Planning(StrictModel):
     """Settings of the planner; all of them have defaults."""
 
     planner: Literal["dirt", "rrt", "est", "kpiece1"] = "dirt"
@@ -73,9 +74,9 @@ class Planning(FileModel):
             raise refuse(problem, "expected [shortest, longest]", ("edge_duration",))
         if self.integration_step > shortest:
             problem = f"is {self.integration_step:g}, longer than the shortest edge"
-            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",))
+            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
         if self.iterations is not None and self.time is not None:
-            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",))
+            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",), Code.CONFLICT)
         return self
 
     def with_budget(self, *, iterations: int | None = None, time: float | None = None) -> Planning:

@@ -17,7 +17,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft_cli.work.run_folder import check_target, write_run
-from kraft_cli.work.verbose import Stages, no_detail, vehicle_details
+from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 from kraft_cli.work.watching import NOTHING, Wanted, Watchers
 
 
@@ -46,7 +46,7 @@ def carry_out(
     request: Request,
     say: Callable[[str], None],
     on_cycle: Callable[[Cycle], None] | None = None,
-    detail: Callable[[str], None] = no_detail,
+    detail: Callable[[str], None] = discard_message,
 ) -> Run:
     """Load, check, drive, write.
 
@@ -58,28 +58,28 @@ def carry_out(
         MissingDependency: if a video or a window is asked for and nothing can be drawn here.
         Defect: if a plan does not stand up to exact verification.
     """
-    stages = Stages(detail)
+    timer = StageTimer(detail)
     experiment = _experiment(request)
     out = request.out
     check_all(*([] if out is None else [lambda: check_target(out)]), request.wanted.check)
     cell = experiment.cells[0]
     _tell(detail, cell)
-    stages.ended("loaded and checked")
+    timer.report("loaded and checked")
     ensure_compiled(cell.vehicle, say)
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
-    stages.ended("kernels, maps and simulator loaded")
+    timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
     with Watchers(request.wanted, spec, on_cycle) as watchers:
         result = run_trial(spec, watchers.on_cycle, watchers.on_step, keep_trees=watchers.keep_trees)
         watchers.finish(result)
-    stages.ended(f"{result.time:.2f} s driven" + (", drawn" if request.wanted != NOTHING else ""))
+    timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.wanted != NOTHING else ""))
     run = Run(request, spec, result)
     if request.out is not None:
         arguments = {"scenario": request.scenario, "method": request.method, "vehicle": request.vehicle}
         write_run(request.out, experiment, arguments, cell.vehicle, run.result, json_content(run))
-        stages.ended("written")
+        timer.report("written")
     return run
 
 

@@ -12,7 +12,7 @@ from kraft.config import bundled
 from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.mapping import Mapping
 from kraft.planning.feasibility import check_placement
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
@@ -39,7 +39,7 @@ _WRITTEN: Final = "kraft."
 
 
 @dataclass(frozen=True)
-class Checked:
+class FileReport:
     """What a file was taken for (None if it could not be read that far) and everything wrong with it."""
 
     file: str
@@ -47,7 +47,7 @@ class Checked:
     problems: tuple[Diagnostic, ...] = ()
 
 
-def check_file(name_or_path: str | Path) -> Checked:
+def check_file(name_or_path: str | Path) -> FileReport:
     """Check a file, or a bundled scenario, vehicle or method by name. Problems are returned, not raised."""
     kind: FileKind | None = None
     file = str(name_or_path)
@@ -58,8 +58,8 @@ def check_file(name_or_path: str | Path) -> Checked:
         kind = "plan" if _schema(document) == PLAN_SCHEMA else recognise(document)
         _check_as(kind, document, path)
     except InputError as error:
-        return Checked(file, kind, error.diagnostics)
-    return Checked(file, kind)
+        return FileReport(file, kind, error.diagnostics)
+    return FileReport(file, kind)
 
 
 def recognise(document: Document) -> FileKind:
@@ -85,7 +85,8 @@ def _schema(document: Document) -> str | None:
         return None
     if schema != PLAN_SCHEMA:
         expected = f"expected a {', '.join(_SCHEMAS)} file, or a plan file ({PLAN_SCHEMA})"
-        raise InputError([document.source.diagnostic("schema", f"is a file that kraft wrote, {schema}", expected)])
+        problem = f"is a file that kraft wrote, {schema}"
+        raise InputError([document.source.diagnostic("schema", problem, expected, code=Code.MISMATCH)])
     return schema
 
 
@@ -105,21 +106,21 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         vehicle = vehicle_of_task(task)
         check_placement(task, vehicle, start_state(task, vehicle))
     elif kind == "vehicle":
-        _checked(VehicleConfig, document)
+        _validated(VehicleConfig, document)
         load_vehicle(str(path))
     elif kind == "method":
-        method = _checked(Method, document)
+        method = _validated(Method, document)
         if method.planner.vehicle is not None:
             _check_vehicle(method.planner.vehicle, document, path.parent)
     elif kind == "plan":
         read_plan(path)
     elif kind == "mapping":
-        _checked(Mapping, document)
+        _validated(Mapping, document)
     else:
         read_map(path, height=0.2, name=None)
 
 
-def _checked(model: type[Model], document: Document) -> Model:
+def _validated(model: type[Model], document: Document) -> Model:
     value, problems = check(model, document)
     if value is None:
         raise InputError(problems)
@@ -132,6 +133,8 @@ def _check_vehicle(reference: str, document: Document, folder: Path) -> None:
         load_vehicle(reference, folder)
     except InputError as error:
         raise InputError(
-            document.source.diagnostic("planner.vehicle", d.problem, d.expected) if d.file == reference else d
+            document.source.diagnostic("planner.vehicle", d.problem, d.expected, code=d.code)
+            if d.file == reference
+            else d
             for d in error.diagnostics
         ) from error

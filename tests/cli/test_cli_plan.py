@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,10 @@ import pytest
 from support.paths import ROOT
 
 from kraft.planning import compilation as kernel_cache
-from kraft.planning import plan_task as planning
 from kraft.planning.plan_file import read_plan
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from ompl_ext.verify import Verification
+from ompl_ext.verify import Requirement, Verification, Violation
 
 SCENE = """name: room
 bounds: {x: [0, 4], y: [0, 4]}
@@ -32,6 +32,7 @@ KEYS = {
     "scenario", "planner", "seed", "solved", "cost_s", "first_solution_ms", "first_cost_s", "planning_ms", "iterations",
     "edges", "edges_per_s", "nodes", "min_clearance_m", "safe", "plan_file",
 }  # fmt: skip
+COLLISION = Violation(Requirement.COLLISION, "plan: collides")
 
 
 @pytest.fixture(autouse=True)
@@ -156,7 +157,9 @@ def test_the_plan_that_ends_nearest_is_written_and_said_not_to_arrive(capsys: py
 def test_a_plan_that_fails_verification_is_a_defect_and_not_written(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(planning, "verify", lambda *_: Verification(-1.0, None, ("plan: collides",)))
+    monkeypatch.setattr(
+        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(-1.0, None, (COLLISION,))
+    )
     assert main(["plan", "room.yaml", "--out", "out"]) == 70
     out, err = capsys.readouterr()
     assert out == ""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from importlib import import_module
 
 import numpy as np
 import pytest
 
 from kraft.errors import Defect, InputError
-from kraft.planning import plan_task as planning
 from kraft.planning.plan_task import PlanResult, plan_task
 from kraft.planning.search import Budget, Previous
 from kraft.planning.workspace import fence, workspace_of
@@ -18,7 +18,7 @@ from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Verification
+from ompl_ext.verify import Requirement, Verification, Violation
 
 SCENE = """name: room
 bounds: {x: [0, 4], y: [0, 4]}
@@ -29,6 +29,7 @@ start: {x: 0.5, y: 0.5, heading_deg: 0}
 goal: {center: [3, 3], radius: 0.3}
 """
 FEW = Budget(iterations=2000)
+COLLISION = Violation(Requirement.COLLISION, "plan: collides at t = 1.000 s")
 
 
 def room(*changes: tuple[str, str]) -> Task:
@@ -215,9 +216,28 @@ def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -
 
 
 def test_a_plan_that_fails_verification_is_a_defect(mushr: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planning, "verify", lambda *_: Verification(-1.0, None, ("plan: collides at t = 1.000 s",)))
+    monkeypatch.setattr(
+        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(-1.0, None, (COLLISION,))
+    )
     with pytest.raises(Defect, match=r"the plan of seed 3 fails verification: plan: collides at t = 1\.000 s"):
         plan_task(room(), mushr, FEW, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("requirement", "accepted"),
+    [(Requirement.COLLISION, False), (Requirement.CLEARANCE, True), (Requirement.CONTINGENCY, True)],
+)
+def test_a_plan_of_ompls_own_planners_has_to_be_free_of_collisions_and_no_more(
+    requirement: Requirement, accepted: bool, mushr: Vehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Violation(requirement, "plan: has a problem")
+    monkeypatch.setattr(
+        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(0.1, None, (problem,))
+    )
+    task = parse_scenario(SCENE + "planning: {planner: rrt}\n").task()
+    result = plan_task(task, mushr, Budget(iterations=20_000), seed=1)
+    assert (result.plan is not None) is accepted
+    assert not result.safe
 
 
 def test_an_unknown_planner_is_answered_with_the_nearest(mushr: Vehicle) -> None:

@@ -1,0 +1,62 @@
+"""Writing a file whole or not at all, by kraft or by a library."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from kraft import files
+from kraft.errors import InputError
+from kraft.files import replacing, write_whole
+
+
+def full_disk(_: int) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "plan.json"
+    write_whole(path, b"before")
+    monkeypatch.setattr(files.os, "fsync", full_disk)
+    with pytest.raises(InputError, match=r"plan\.json: cannot be written: No space left on device"):
+        write_whole(path, b"after")
+    assert path.read_bytes() == b"before"
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
+
+
+def test_a_library_writes_beside_the_file_that_it_replaces(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "film.mp4"
+    with replacing(path) as temporary:
+        assert temporary.parent == path.parent
+        assert not path.exists()
+        temporary.write_bytes(b"film")
+    assert path.read_bytes() == b"film"
+    assert list(path.parent.iterdir()) == [path]
+    assert path.stat().st_mode & 0o777 == files.file_mode()
+
+
+@pytest.mark.parametrize("error", [ValueError("a frame is missing"), KeyboardInterrupt()])
+def test_an_error_of_the_library_leaves_what_was_there(error: BaseException, tmp_path: Path) -> None:
+    path = tmp_path / "film.mp4"
+    write_whole(path, b"before")
+
+    def interrupted_halfway() -> None:
+        with replacing(path) as temporary:
+            temporary.write_bytes(b"half")
+            raise error
+
+    with pytest.raises(type(error)):
+        interrupted_halfway()
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"cannot be written: .*/file is not a folder"):
+        files.check_writable(tmp_path / "file" / "plan.json")
+    with pytest.raises(InputError, match="cannot be written: "):
+        write_whole(tmp_path / "file" / "plan.json", b"")
