@@ -12,7 +12,7 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.parameters import ParamSet
 from ompl_ext.plan import TreeView
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
@@ -20,7 +20,7 @@ BLOSSOM = 32
 
 
 class CompiledSearch:
-    """A `Dirt` behind the interface that `DIRT` needs."""
+    """A `DirtSolver` behind the interface that `DIRT` needs."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class CompiledSearch:
             quantum=step,
         )
         capacity = int(params["max_nodes"])
-        self.dirt = Dirt(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
+        self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
 
     def restart(self, seed: int) -> None:
         """Empty the tree; maps and memory stay."""

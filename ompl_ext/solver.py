@@ -47,7 +47,7 @@ class Progress:
         return self.history[0] if self.history else None
 
 
-class Dirt:
+class DirtSolver:
     """Algorithm 1 for one vehicle in one workspace towards one goal.
 
     Use: `start`, then `retain` if there is an earlier plan, then `grow` as often as wanted, and `plan` at any time.

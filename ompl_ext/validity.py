@@ -10,7 +10,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 
@@ -26,7 +26,7 @@ class SafetyValidityChecker(ob.StateValidityChecker):
     ) -> None:
         super().__init__(si)
         self.vehicle, self.workspace, self.safety_settings = vehicle, workspace, safety or Safety()
-        self._dirt = Dirt(vehicle, workspace, None, self.safety_settings, Settings(), capacity=1)
+        self._dirt = DirtSolver(vehicle, workspace, None, self.safety_settings, Settings(), capacity=1)
         self._places = tuple(vehicle.index(name) for name in ("x", "y", "theta"))
         self._limits = [tuple(pair) for pair in self._dirt.problem.limits.tolist()]
 

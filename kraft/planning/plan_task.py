@@ -15,9 +15,9 @@ from kraft.scenario import Task
 from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
-from ompl_ext.solver import Dirt, Progress
+from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Verification, verify
+from ompl_ext.verification import Verification, verify
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def plan_task(
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = time.perf_counter()
-    dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
+    dirt = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
     spare = dirt.start(state, seed)
     setup_seconds = time.perf_counter() - began
     budget = budget or budget_of(task)
@@ -117,7 +117,7 @@ def _accepted(found: Found, verification: Verification | None, seed: int) -> tup
     return None, f"the planner's plan was refused: {told}"
 
 
-def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
+def _hopeless(dirt: DirtSolver, state: Floats, spare: float) -> str:
     """Why no plan can be found from this start, however long one searches; empty if one might be."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
     if not reachable(dirt.problem, x, y):

@@ -18,7 +18,7 @@ from kraft.planning import plan_task as planning
 from kraft.planning.plan_file import read_plan
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from ompl_ext.verify import Verification
+from ompl_ext.verification import Verification
 
 SCENE = """name: room
 bounds: {x: [0, 4], y: [0, 4]}

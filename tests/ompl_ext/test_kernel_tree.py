@@ -15,7 +15,7 @@ from ompl_ext.kernels.kernel_types import Tree
 from ompl_ext.kernels.tree import closed_radius, nearest_better, select
 from ompl_ext.kernels.tree_memory import prune
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 RESOLUTION = Settings().resolution
 SETTINGS = [Settings(), Settings(blossom=4, insertions=3), Settings(child_extension=False, heading_weight=0.3)]
@@ -283,7 +283,7 @@ def test_a_point_on_the_far_corner_of_the_workspace_can_be_looked_up() -> None:
 
 
 def test_memory_is_reused_without_a_trace_of_the_query_before() -> None:
-    fresh, used = (Dirt(BENCHMARK, TURNS, GOAL, capacity=3000) for _ in range(2))
+    fresh, used = (DirtSolver(BENCHMARK, TURNS, GOAL, capacity=3000) for _ in range(2))
     used.start(np.add(START, (0.2, 0.1, 0.5, 0.0)), 7)
     used.grow(iterations=900)
     for dirt in (fresh, used):

@@ -9,7 +9,7 @@ import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import Plan
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 TOLERANCE = 1e-6  # of FCL's distances (m)
 FINE = 16  # parts that a step between samples is divided into
@@ -27,7 +27,7 @@ class Verification:
     problems: tuple[str, ...]
 
 
-def verify(dirt: Dirt, plan: Plan) -> Verification:
+def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency."""
     problems: list[str] = []
     clearance = dirt.exact.distances(_poses(dirt, plan.trajectory))
@@ -50,18 +50,20 @@ def verify(dirt: Dirt, plan: Plan) -> Verification:
     return Verification(float(clearance.min()), float(distances.min()), tuple(problems))
 
 
-def _poses(dirt: Dirt, states: Matrix) -> Matrix:
+def _poses(dirt: DirtSolver, states: Matrix) -> Matrix:
     """Columns x, y, theta of states."""
     x, y, theta = (dirt.vehicle.index(name) for name in ("x", "y", "theta"))
     heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
     return np.column_stack([states[:, x], states[:, y], heading])
 
 
-def _within_cycle(dirt: Dirt, plan: Plan) -> Bools:
+def _within_cycle(dirt: DirtSolver, plan: Plan) -> Bools:
     return plan.times <= dirt.safety.cycle + 1e-9
 
 
-def _too_close(dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Bools) -> list[str]:
+def _too_close(
+    dirt: DirtSolver, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Bools
+) -> list[str]:
     """Samples nearer to an obstacle than delta(v)."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
     delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
@@ -72,7 +74,7 @@ def _too_close(dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: 
     return [f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta asks for {delta[k]:.4f} m"]
 
 
-def _between_samples(dirt: Dirt, plan: Plan, clearance: Floats) -> list[str]:
+def _between_samples(dirt: DirtSolver, plan: Plan, clearance: Floats) -> list[str]:
     """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is halved."""
     problems = []
     ends = np.cumsum(plan.durations)
