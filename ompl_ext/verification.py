@@ -31,10 +31,10 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency."""
     problems: list[str] = []
     clearance = dirt.exact.distances(_poses(dirt, plan.trajectory))
-    problems += _too_close(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
+    problems += _clearance_violations(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
     if not np.all(clearance > 0.0):
         problems.append(f"plan: collides at t = {plan.times[np.argmin(clearance)]:.3f} s")
-    problems += _between_samples(dirt, plan, clearance)
+    problems += _collisions_between_samples(dirt, plan, clearance)
     if np.any(np.abs(plan.states[-1] - plan.trajectory[-1]) > 1e-6):
         problems.append("plan: the trajectory does not end in the last state")
     if not dirt.safety.enabled:
@@ -43,9 +43,11 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
         return Verification(float(clearance.min()), None, (*problems, "contingency: missing"))
     stop = plan.contingency
     distances = dirt.exact.distances(_poses(dirt, stop.states))
-    problems += _too_close(dirt, "contingency", stop.times, stop.states, distances, np.ones(len(distances), bool))
-    resting = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
-    if np.any(resting > dirt.safety.rest_speed):
+    problems += _clearance_violations(
+        dirt, "contingency", stop.times, stop.states, distances, np.ones(len(distances), bool)
+    )
+    final_speeds = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
+    if np.any(final_speeds > dirt.safety.rest_speed):
         problems.append("contingency: does not end at standstill")
     return Verification(float(clearance.min()), float(distances.min()), tuple(problems))
 
@@ -61,20 +63,20 @@ def _within_cycle(dirt: DirtSolver, plan: Plan) -> Bools:
     return plan.times <= dirt.safety.cycle + 1e-9
 
 
-def _too_close(
-    dirt: DirtSolver, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Bools
+def _clearance_violations(
+    dirt: DirtSolver, what: str, times: Floats, states: Matrix, clearance: Floats, required: Bools
 ) -> list[str]:
     """Samples nearer to an obstacle than delta(v)."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
     delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
-    worst = np.where(asked, clearance - delta, math.inf)
+    worst = np.where(required, clearance - delta, math.inf)
     k = int(np.argmin(worst))
     if worst[k] >= -TOLERANCE:
         return []
     return [f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta asks for {delta[k]:.4f} m"]
 
 
-def _between_samples(dirt: DirtSolver, plan: Plan, clearance: Floats) -> list[str]:
+def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: Floats) -> list[str]:
     """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is halved."""
     problems = []
     ends = np.cumsum(plan.durations)

@@ -102,7 +102,7 @@ class Proposer:
         proposal = Proposal(None)
         radius = self._goal_radius(root)
         for dirt, share in self._attempts(root):
-            dirt.aim_for(radius)
+            dirt.set_goal_radius(radius)
             proposal = self._search(number, dirt, root, previous, began, share)
             if proposal.plan is not None:
                 break
@@ -125,7 +125,7 @@ class Proposer:
     def _attempts(self, root: Floats) -> Iterator[tuple[DirtSolver, float]]:
         """Planners to ask in turn, with the share of the time that is left; the first that finds a plan decides."""
         wide, exact, delta = self._planners.planning, self._planners.checking, self._delta
-        exact.ask_for(delta)
+        exact.set_delta(delta)
         was_recovering, self._recovering = self._recovering, False
         if wide is not exact and self._spare(wide, root) >= 0.0:
             yield wide, 0.5
@@ -134,7 +134,7 @@ class Proposer:
         resting = all(abs(root[k]) <= exact.safety.rest_speed for k in exact.vehicle.rest_indices)
         self._recovering = self._settings.recover and (resting or was_recovering) and -delta < spare < 0.0
         if self._recovering:
-            exact.ask_for(max(0.0, delta + spare - LEEWAY))
+            exact.set_delta(max(0.0, delta + spare - LEEWAY))
             yield exact, 1.0
 
     def _spare(self, dirt: DirtSolver, root: Floats) -> float:

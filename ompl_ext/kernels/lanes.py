@@ -45,13 +45,13 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Retained,
     Tree,
 )
-from ompl_ext.kernels.specialise import take_target, vehicle_cache_folder
+from ompl_ext.kernels.specialise import vehicle_being_compiled, vehicle_cache_folder
 from ompl_ext.kernels.unroll import per_component, store_components, total_of_components
 from ompl_ext.trigonometry import cos, sin
 
 Values = tuple[float, ...]
 
-VEHICLE = take_target()
+VEHICLE = vehicle_being_compiled()
 FOLDER = vehicle_cache_folder(VEHICLE)
 NX = len(VEHICLE.state)
 NU = len(VEHICLE.controls)
@@ -309,21 +309,21 @@ def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
     load_source(source, brake, manoeuvres, low, high)
     for i in range(manoeuvres):
         brake.block[AT_STEP + i] = problem.scalar[BRAKE_STEP]
-    taken, moving = int64(0), True
-    while moving and taken < problem.option[BRAKE_STEPS]:
-        taken += 1
+    step, moving = int64(0), True
+    while moving and step < problem.option[BRAKE_STEPS]:
+        step += 1
         for i in range(manoeuvres):  # a manoeuvre is a control law, held over one step
             u = stop(load_state(brake.block, 0, i), p, i)
             store_input(brake.block, AT_INPUT, i, actuation(u, p))
         integrate_lanes(brake.block, manoeuvres, p, low, high, problem.scalar[REACH], problem.scalar[LENGTH])
-        record_lanes(brake, taken, manoeuvres)
+        record_lanes(brake, step, manoeuvres)
         moving = False
         for i in range(manoeuvres):
-            moving = moving or not at_rest(brake, taken, i, problem)
+            moving = moving or not at_rest(brake, step, i, problem)
     for i in range(manoeuvres):
         brake.slack[i] = -1.0
         if brake.block[AT_OUTSIDE + i] == 0.0:
-            brake.slack[i] = manoeuvre_slack(brake, i, taken, problem)
+            brake.slack[i] = manoeuvre_slack(brake, i, step, problem)
         if brake.slack[i] >= 0.0:
             return i
     return -1
@@ -336,8 +336,10 @@ def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lan
     return brake_from(brake.source, problem, brake)
 
 
-def _grow(tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, kept: Retained, iterations: int) -> None:
-    dirt.retain(tree, problem, work, brake, kept, propagate, check, safe)
+def _grow(
+    tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, retained: Retained, iterations: int
+) -> None:
+    dirt.retain(tree, problem, work, brake, retained, propagate, check, safe)
     for _ in range(iterations):
         dirt.visit(tree, problem, work, brake, q, propagate, check, safe)
         if tree.count[FULL] == 1:

@@ -12,12 +12,12 @@ from numba import types
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.kernel_types import LANE_WIDTH
-from ompl_ext.kernels.specialise import take_target, vehicle_cache_folder
+from ompl_ext.kernels.specialise import vehicle_being_compiled, vehicle_cache_folder
 from ompl_ext.kernels.unroll import per_component, store_components
 
 Values = tuple[float, ...]
 
-VEHICLE = take_target()
+VEHICLE = vehicle_being_compiled()
 FOLDER = vehicle_cache_folder(VEHICLE)
 NX = len(VEHICLE.state)
 NU = len(VEHICLE.controls)
