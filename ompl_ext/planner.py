@@ -23,6 +23,7 @@ from ompl_ext.configuration import Bounds, Configuration, ControlLayout, default
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.parameters import DIRT_PARAMETERS, ParamSet, Value
 from ompl_ext.plan import Plan, TreeView
+from ompl_ext.query import remaining_edges
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
@@ -80,12 +81,8 @@ class DIRT(ob.Planner):
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
         """Begin the next query with what is left of `path` after `elapsed` s, propagated from the new start."""
         layout = ControlLayout(self.getSpaceInformation().getControlSpace())
-        controls = [layout.read(path.getControl(k)) for k in range(path.getControlCount())]
-        durations = np.array(path.getControlDurations())
-        ends = np.cumsum(durations)
-        left = ends > elapsed + 1e-9
-        lengths = np.minimum(durations, ends - elapsed)[left]
-        self._retained = _Retained(list(range(-1, len(lengths) - 1)), np.array(controls)[left], lengths)
+        controls = np.array([layout.read(path.getControl(k)) for k in range(path.getControlCount())])
+        self._retained = _Retained(*remaining_edges(controls, np.array(path.getControlDurations()), elapsed))
 
     def retain_tree(self, tree: TreeView) -> None:
         """Begin the next query with the edges of an earlier tree, propagated from the new start."""

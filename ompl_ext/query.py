@@ -182,6 +182,18 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
     )
 
 
+def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tuple[list[int], Floats, Floats]:
+    """Parents, controls and durations of the edges that are left of a path after `elapsed` s.
+
+    `controls` has shape (edges, nu), `durations` (edges,).  Of the edge in progress the rest is left.  The parents
+    are indices of edges, -1 for the root.
+    """
+    ends = np.cumsum(durations)
+    left = ends > elapsed + 1e-9
+    durations = np.minimum(durations, ends - elapsed)[left]
+    return list(range(-1, len(durations) - 1)), controls[left], durations
+
+
 def edges_to_retain(parent: list[int], controls: Floats, durations: Floats) -> Retained:
     """Edges for `grow` to begin with; `controls` has shape (edges, nu), `durations` (edges,)."""
     edge = np.ascontiguousarray(np.column_stack([controls, durations]), dtype=float)

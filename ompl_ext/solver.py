@@ -20,7 +20,7 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
-from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem
+from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between looks at the clock until a solution is found
@@ -127,10 +127,7 @@ class DirtSolver:
 
         The edge in progress is kept in part.  What collides or is not safe is left out, with all that follows it.
         """
-        ends = np.cumsum(plan.durations)
-        left = ends > elapsed + 1e-9
-        durations = np.minimum(plan.durations, ends - elapsed)[left]
-        return self.retain_edges(list(range(-1, len(durations) - 1)), plan.controls[left], durations)
+        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
 
     def retain_edges(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
         """Add edges of an earlier tree, parents before children, -1 for the root; returns how many were added."""
