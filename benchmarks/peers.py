@@ -17,7 +17,7 @@ from benchmarks.planner import cost_after, first_solution
 from benchmarks.report import Report, Row, number, row
 from benchmarks.scenes import RK4_STEPS, SCENES, Scene, scene
 from ompl_ext.peers import PEERS
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 LOOKS = (0.1, 1.0)  # planning times at which costs are compared (s)
 PATIENCE = 30.0  # for a peer's first solution (s)
@@ -77,7 +77,7 @@ def compare(query: Scene, looks: list[float], repeats: int) -> dict[str, list[Tr
     return trials
 
 
-def dirt_trial(query: Scene, dirt: Dirt, seed: int, looks: list[float]) -> Trial:
+def dirt_trial(query: Scene, dirt: DirtSolver, seed: int, looks: list[float]) -> Trial:
     """DIRT's anytime search."""
     seconds, cost = first_solution(query, dirt, seed)
     steps = dirt.progress.edges * RK4_STEPS

@@ -11,7 +11,7 @@ from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, number, row
 from benchmarks.scenes import NO_MARGIN, RK4_STEPS, SCENES, Scene, scene
 from ompl_ext.query import Settings, make_problem
-from ompl_ext.solver import Dirt, Progress
+from ompl_ext.solver import DirtSolver, Progress
 
 TRIES = 5  # runs of one seed, of which the median counts: the same work every time, at other moments
 LOOKS = {0.005: 11.3, 0.020: 10.7, 0.100: 10.4}  # time (s) after which the cost (s) is at most this
@@ -36,7 +36,7 @@ def run(effort: Effort) -> Report:
     return Report("planner", rows, notes=notes)
 
 
-def first_solutions(query: Scene, dirt: Dirt, seeds: int) -> list[Row]:
+def first_solutions(query: Scene, dirt: DirtSolver, seeds: int) -> list[Row]:
     """Time to, and cost of, each seed's first solution."""
     seconds, costs = [], []
     for seed in range(seeds):
@@ -51,7 +51,7 @@ def first_solutions(query: Scene, dirt: Dirt, seeds: int) -> list[Row]:
     ]
 
 
-def first_solution(query: Scene, dirt: Dirt, seed: int) -> tuple[float, float]:
+def first_solution(query: Scene, dirt: DirtSolver, seed: int) -> tuple[float, float]:
     """Seconds from an empty planner to the first solution, and its cost."""
     began = time.perf_counter()
     dirt.start(query.start, seed)
@@ -59,7 +59,7 @@ def first_solution(query: Scene, dirt: Dirt, seed: int) -> tuple[float, float]:
     return time.perf_counter() - began, progress.history[0][1]
 
 
-def over_time(query: Scene, dirt: Dirt, seeds: int) -> list[Row]:
+def over_time(query: Scene, dirt: DirtSolver, seeds: int) -> list[Row]:
     """Costs as time passes, and edges per second."""
     last = max(LOOKS)
     costs: dict[float, list[float]] = {look: [] for look in LOOKS}

@@ -18,8 +18,8 @@ from benchmarks.report import Report, Target, row
 from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
-from ompl_ext.solver import Dirt
-from ompl_ext.verify import verify
+from ompl_ext.solver import DirtSolver
+from ompl_ext.verification import verify
 
 REPLAN_EVERY = 3  # of the scenes: the plan is kept where its first cycle ends, and planning goes on from there
 CAPACITY = 20_000  # nodes
@@ -63,7 +63,7 @@ def run(effort: Effort) -> Report:
         "contingencies": sum(each.braking for each in plans),
     }
     rows = [row(quantity, "", [count]) for quantity, count in counts.items()]
-    rows.append(row("plans that ompl_ext.verify refuses", "", [sum(bool(p.refused) for p in plans)], Target(0)))
+    rows.append(row("plans that ompl_ext.verification refuses", "", [sum(bool(p.refused) for p in plans)], Target(0)))
     faulty = {fault: [each.scene for each, verdict in judged if getattr(verdict, fault)] for fault in FAULTS}
     rows += [row(FAULTS[fault], "", [len(scenes)], Target(0)) for fault, scenes in faulty.items()]
     touching = [each.scene for each, verdict in judged if verdict.exact_collides]
@@ -72,7 +72,7 @@ def run(effort: Effort) -> Report:
         errors = [1e3 * verdict.integration_error for each, verdict in judged if each.vehicle == name]
         rows.append(row(f"{name}: integration error of the planner's steps", "mm", errors))
     listed = {**{FAULTS[fault]: scenes for fault, scenes in faulty.items()}, "if integrated exactly": touching}
-    listed["refused by ompl_ext.verify"] = [each.scene for each in plans if each.refused]
+    listed["refused by ompl_ext.verification"] = [each.scene for each in plans if each.refused]
     notes = [
         "Judged with models and obstacles of their own: controls rolled out, FCL asked every 5 mm of motion.",
         *(f"{what}: scenes {scenes}" for what, scenes in listed.items() if scenes),
@@ -103,7 +103,7 @@ def with_progress(outcomes: Iterable[list[Outcome]], total: int) -> Iterator[lis
 def plan_and_judge(number: int) -> list[Outcome]:
     """Plan in a scene, in some of them once more from the end of the plan's first cycle, and judge the plans."""
     query = random_scene(number)
-    dirt = Dirt(query.vehicle, query.workspace, query.goal, query.safety, query.settings, CAPACITY)
+    dirt = DirtSolver(query.vehicle, query.workspace, query.goal, query.safety, query.settings, CAPACITY)
     dirt.start(query.start, number)
     dirt.grow(iterations=query.iterations)
     plan = dirt.plan()
@@ -118,7 +118,7 @@ def plan_and_judge(number: int) -> list[Outcome]:
     return outcomes
 
 
-def outcome(query: RandomScene, dirt: Dirt, start: Floats, plan: Plan | None, *, replanned: bool) -> Outcome:
+def outcome(query: RandomScene, dirt: DirtSolver, start: Floats, plan: Plan | None, *, replanned: bool) -> Outcome:
     """Both judgements of a plan."""
     if plan is None:
         return Outcome(query.number, query.vehicle.name, replanned, planned=False)

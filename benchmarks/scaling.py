@@ -17,7 +17,7 @@ from benchmarks.scenes import SCENES, Scene, endless, scene
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.query import edges_to_retain, make_lanes
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 SMALL, LARGE = SIZES[0], SIZES[-1]
@@ -75,7 +75,7 @@ def grow(query: Scene, nodes: int, seed: int) -> list[Window]:
     return windows
 
 
-def kernel_caller(dirt: Dirt) -> Callable[[int], None]:
+def kernel_caller(dirt: DirtSolver) -> Callable[[int], None]:
     """A function that visits as many nodes as it is told, in one call of the compiled kernel."""
     vehicle, problem = dirt.vehicle, dirt.problem
     nx, nu = len(vehicle.state), len(vehicle.controls)
@@ -107,7 +107,7 @@ def memory(query: Scene, cycles: int) -> list[Row]:
     ]
 
 
-def several(query: Scene, dirt: Dirt, cycles: int) -> None:
+def several(query: Scene, dirt: DirtSolver, cycles: int) -> None:
     """Cycles as a robot plans them, with the same seeds each time."""
     for seed in range(cycles):
         dirt.start(query.start, seed)

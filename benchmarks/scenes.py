@@ -10,7 +10,7 @@ from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Goal, Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.system import SimpleSetup, simple_setup
 from ompl_ext.vehicle import Vehicle
 
@@ -30,9 +30,9 @@ class Scene:
     start: Floats
     goal: Goal
 
-    def dirt(self, capacity: int = 200_000) -> Dirt:
+    def dirt(self, capacity: int = 200_000) -> DirtSolver:
         """The compiled planner for the query, with its maps and memory."""
-        return Dirt(self.vehicle, self.workspace, self.goal, NO_MARGIN, Settings(), capacity)
+        return DirtSolver(self.vehicle, self.workspace, self.goal, NO_MARGIN, Settings(), capacity)
 
     def setup(self) -> SimpleSetup:
         """The query as OMPL planners take it."""

@@ -28,7 +28,7 @@ from kraft.driving.replanner import Replanner
 from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 DELTA = 0.08  # m
 CYCLES = 25
@@ -81,7 +81,7 @@ def episode(number: int) -> Episode:
     scene, rng = random_scene(number), np.random.default_rng([7, number])
     vehicle = vehicle_named(VEHICLES[number // 2 % len(VEHICLES)])
     safety = Safety(cycle=1.0, delta=DELTA)
-    dirt = Dirt(vehicle, scene.workspace, scene.goal, safety, Settings(), CAPACITY)
+    dirt = DirtSolver(vehicle, scene.workspace, scene.goal, safety, Settings(), CAPACITY)
     model = Model(vehicle)
     kind = OpenLoop(kind="open_loop") if number // 4 % 2 else Kinodynamic(kind="kinodynamic")
     settings = Planner(mode="replanning", lead=0.0, iterations=ITERATIONS)

@@ -3,8 +3,7 @@
 kraft plan turns --vehicle examples/05_vehicle.py:VEHICLE
 """
 
-from ompl_ext.trigonometry import cos, sin
-from ompl_ext.vehicle import Footprint, Vehicle, derivative
+from ompl_ext import Footprint, Vehicle, cos, derivative, sin
 
 
 @derivative

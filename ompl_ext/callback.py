@@ -36,7 +36,7 @@ class CallbackSettings:
     blossom: int
     child_extension: bool
     goal_bias: float
-    beyond: float
+    control_bound_bias: float
     resolution: float
     capacity: int
     pruning: bool
@@ -69,38 +69,35 @@ class CallbackSearch:
         self._step = si.getPropagationStepSize()
         self._rate, self._learns_rate = settings.top_speed, settings.top_speed == 0.0
         self._problem = self._make_problem(bounds)
-        longest = int(self._problem.option[at.STEPS])
+        max_steps = int(self._problem.option[at.STEPS])
         self._tree = new_tree(settings.capacity, 1, self._control.dimension, bounds)
-        self._work = make_lanes(1, self._control.dimension, 1, longest)
+        self._work = make_lanes(1, self._control.dimension, 1, max_steps)
         self._view: Any = Lanes._make(array.data for array in self._work)  # single numbers are quicker there
-        self._last = longest * LANE_WIDTH  # where the ends of edges stand in the trajectory
+        self._last = max_steps * LANE_WIDTH  # where the ends of edges stand in the trajectory
         self._q = np.zeros(at.Q_DIM)
-        self._nothing = edges_to_retain([], np.zeros((0, self._control.dimension)), np.zeros(0))
+        self._no_edges = edges_to_retain([], np.zeros((0, self._control.dimension)), np.zeros(0))
         self._grow = callback_kernel.grow()
-        self._lane_state = [self._new_state() for _ in range(settings.blossom)]
+        self._lane_slot = [self._new_state() for _ in range(settings.blossom)]
         self._scratch = si.allocState()
         self._start = self._scratch
-        self._seen = 0
+        self._inserted = 0
         self._stop = np.zeros(1, np.int64)  # 1 ends a run of the kernel
         reset(self._tree, generator(seed))
 
     def _make_problem(self, bounds: Bounds) -> Problem:
-        settings, shortest, longest = (
-            self._settings,
-            self._si.getMinControlDuration(),
-            self._si.getMaxControlDuration(),
-        )
+        settings = self._settings
+        min_steps, max_steps = self._si.getMinControlDuration(), self._si.getMaxControlDuration()
         scalar, option = np.zeros(at.SCALARS), np.zeros(at.OPTIONS, np.int64)
         scalar[[at.SHORTEST, at.LONGEST, at.QUANTUM]] = (
-            shortest * self._step,
-            longest * self._step,
+            min_steps * self._step,
+            max_steps * self._step,
             self._step,
         )
         scalar[[at.RESOLUTION, at.CYCLE]] = settings.resolution, settings.cycle
         scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *bounds[0], *bounds[1]
-        scalar[at.BEYOND] = settings.beyond
-        option[[at.STEPS, at.BLOSSOM, at.INSERTIONS]] = longest, settings.blossom, 1
-        option[[at.CHILD_EXTENSION, at.ASK_SAFETY]] = settings.child_extension, self._safety is not None
+        scalar[at.CONTROL_BOUND_BIAS] = settings.control_bound_bias
+        option[[at.STEPS, at.BLOSSOM, at.INSERTIONS]] = max_steps, settings.blossom, 1
+        option[[at.CHILD_EXTENSION, at.REQUIRE_SAFETY]] = settings.child_extension, self._safety is not None
         target = goal_configuration(self._goal, self._configuration)
         if target is not None:
             scalar[at.GOAL_BIAS] = settings.goal_bias
@@ -130,11 +127,11 @@ class CallbackSearch:
 
     def add_root(self, state: ob.State) -> None:
         """A state to begin at."""
-        place = self._new_state()
-        self._si.copyState(self._states[place], state)
-        self._work.source[0] = place
-        self._take_threshold()
-        self._describe(0, place)
+        slot = self._new_state()
+        self._si.copyState(self._states[slot], state)
+        self._work.source[0] = slot
+        self._read_threshold()
+        self._describe(0, slot)
         add_root(self._tree, self._work)
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
@@ -150,25 +147,25 @@ class CallbackSearch:
         """
         stopped = bool(stop())
         while not stopped:
-            self._run(self._nothing, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
+            self._run(self._no_edges, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
                 prune(self._tree, self._settings.resolution)
-                self._seen = int(self._tree.count[at.SIZE])
+                self._inserted = int(self._tree.count[at.SIZE])
                 if self._tree.count[at.SIZE] > 0.9 * len(self._tree.state):
                     return
             stopped = bool(self._stop[0]) or bool(stop())
 
-    def _run(self, kept: Retained, iterations: int, stop: Callable[[], bool]) -> None:
+    def _run(self, retained: Retained, iterations: int, stop: Callable[[], bool]) -> None:
         """Run the kernel; no exception passes through compiled code, so the first is kept and ends the run."""
         errors: list[BaseException] = []
         self._stop[0] = 0
-        self._take_threshold()
+        self._read_threshold()
 
-        def propagate(start_place: int, lanes: int) -> None:
+        def propagate(start_slot: int, lanes: int) -> None:
             self._work.slack[:lanes] = -1.0  # until an edge is known to be valid
             try:
                 if not errors:
-                    self._propagate(start_place, lanes)
+                    self._propagate(start_slot, lanes)
                     self._stop[0] = bool(stop())
             except BaseException as error:
                 errors.append(error)
@@ -185,7 +182,7 @@ class CallbackSearch:
 
         callbacks = callback_kernel.PROPAGATE(propagate), callback_kernel.SAFE(safe)
         work = callback_kernel.CallbackLanes(*self._work, *callbacks, self._stop)
-        self._grow(self._tree, self._problem, work, self._q, kept, iterations)
+        self._grow(self._tree, self._problem, work, self._q, retained, iterations)
         if errors:
             raise errors[0]
 
@@ -210,20 +207,20 @@ class CallbackSearch:
 
     # The three functions that the kernel calls.
 
-    def _propagate(self, start_place: int, lanes: int) -> None:
+    def _propagate(self, start_slot: int, lanes: int) -> None:
         """Each stage for all lanes before the next: what a stage needs stays in the processor's caches."""
-        self._replace_taken_states()
-        work, states, places, controls = self._view, self._states, self._lane_state, self._lane_control
-        start, steps = states[start_place], work.steps[:lanes].tolist()
+        self._replace_inserted_states()
+        work, states, slots, controls = self._view, self._states, self._lane_slot, self._lane_control
+        start, steps = states[start_slot], work.steps[:lanes].tolist()
         self._start = start
         for lane in range(lanes):
             self._control.write(work.control[lane::LANE_WIDTH].tolist(), controls[lane])
         propagate = self._si.propagateWhileValid
-        done = [propagate(start, controls[lane], steps[lane], states[places[lane]]) for lane in range(lanes)]
+        done = [propagate(start, controls[lane], steps[lane], states[slots[lane]]) for lane in range(lanes)]
         for lane in range(lanes):
             if done[lane] == steps[lane]:
-                self._describe(lane, places[lane], self._distance[start_place])
-                work.trajectory[self._last + lane] = places[lane]
+                self._describe(lane, slots[lane], self._distance[start_slot])
+                work.trajectory[self._last + lane] = slots[lane]
                 work.slack[lane] = 0.0
 
     def _safe(self, lane: int, start_time: float) -> int:
@@ -233,17 +230,17 @@ class CallbackSearch:
         self._si.propagate(self._start, self._lane_control[lane], steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1
 
-    def _describe(self, lane: int, place: int, start_distance: float = -math.inf) -> None:
+    def _describe(self, lane: int, slot: int, start_distance: float = -math.inf) -> None:
         """Configuration, cost-to-go and goal of a state, as the end of a lane that began so far from the goal."""
-        state, work = self._states[place], self._view
-        distance = self._distance[place] = self._goal_distance(state) - self._threshold
+        state, work = self._states[slot], self._view
+        distance = self._distance[slot] = self._goal_distance(state) - self._threshold
         if self._learns_rate and start_distance > distance:
             self._rate = max(self._rate, (start_distance - distance) / work.duration[lane])
         work.end[lane], work.end[LANE_WIDTH + lane] = self._configuration(state)
         work.togo[lane] = distance / self._rate if distance > 0.0 and self._rate > 0.0 else 0.0
         work.at_goal[lane] = distance < 0.0 if self._is_region else self._goal.isSatisfied(state)
 
-    def _take_threshold(self) -> None:
+    def _read_threshold(self) -> None:
         """The distance from which the goal is reached, as it now is."""
         self._threshold = self._goal.getThreshold() if hasattr(self._goal, "getThreshold") else 0.0
 
@@ -252,10 +249,10 @@ class CallbackSearch:
         self._distance.append(0.0)
         return len(self._states) - 1
 
-    def _replace_taken_states(self) -> None:
+    def _replace_inserted_states(self) -> None:
         """Give a lane whose state has become a node's a new one."""
         size = int(self._tree.count[at.SIZE])
-        for place in self._tree.state[self._seen : size, 0].tolist():
-            if place in self._lane_state:
-                self._lane_state[self._lane_state.index(place)] = self._new_state()
-        self._seen = size
+        for slot in self._tree.state[self._inserted : size, 0].tolist():
+            if slot in self._lane_slot:
+                self._lane_slot[self._lane_slot.index(slot)] = self._new_state()
+        self._inserted = size

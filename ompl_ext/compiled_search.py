@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from ompl import base as ob
@@ -11,8 +12,8 @@ from ompl import control as oc
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.parameters import ParamSet
 from ompl_ext.plan import TreeView
-from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.query import Settings
+from ompl_ext.solver import DirtSolver
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
@@ -20,7 +21,7 @@ BLOSSOM = 32
 
 
 class CompiledSearch:
-    """A `Dirt` behind the interface that `DIRT` needs."""
+    """A `DirtSolver` behind the interface that `DIRT` needs."""
 
     def __init__(
         self,
@@ -32,10 +33,7 @@ class CompiledSearch:
     ) -> None:
         self._si, self._seed, self._roots = si, seed, 0
         step, cycle = si.getPropagationStepSize(), float(params["cycle"])
-        given = checker.safety_settings
-        safety = Safety(
-            cycle > 0, cycle, given.delta, given.delta_per_speed, given.rest_speed, given.step, given.horizon
-        )
+        safety = replace(checker.safety_settings, enabled=cycle > 0, cycle=cycle)
         settings = Settings(
             blossom=int(params["blossom"]) or BLOSSOM,
             child_extension=bool(params["child_extension"]),
@@ -48,7 +46,7 @@ class CompiledSearch:
             quantum=step,
         )
         capacity = int(params["max_nodes"])
-        self.dirt = Dirt(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
+        self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
 
     def restart(self, seed: int) -> None:
         """Empty the tree; maps and memory stay."""

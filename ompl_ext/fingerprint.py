@@ -25,29 +25,29 @@ def fingerprint(function: Callable[..., Any]) -> str:
     return "\n".join(_parts(function, set()))
 
 
-def _parts(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
+def _parts(function: Callable[..., Any], visited: set[int]) -> Iterator[str]:
     plain = getattr(function, "py_func", function)
-    if id(plain) in seen:
+    if id(plain) in visited:
         return
-    seen.add(id(plain))
+    visited.add(id(plain))
     yield inspect.getsource(plain)
     cells = plain.__closure__ or ()
     values = dict(zip(plain.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True))
     names = sorted(_names(plain.__code__))
     values.update((name, plain.__globals__[name]) for name in names if name in plain.__globals__)
     for name, value in values.items():
-        yield from _value(name, value, names, seen)
+        yield from _value(name, value, names, visited)
 
 
-def _value(name: str, value: Any, names: list[str], seen: set[int]) -> Iterator[str]:
+def _value(name: str, value: Any, names: list[str], visited: set[int]) -> Iterator[str]:
     if isinstance(value, ModuleType):
         if not f"{value.__name__}.".startswith(_COVERED):
             for attribute in names:  # module.attribute: which of them, the byte code does not say
                 if hasattr(value, attribute):
-                    yield from _value(f"{name}.{attribute}", getattr(value, attribute), names, seen)
+                    yield from _value(f"{name}.{attribute}", getattr(value, attribute), names, visited)
     elif hasattr(getattr(value, "py_func", value), "__code__"):
         if not f"{value.__module__}.".startswith(_COVERED):
-            yield from _parts(value, seen)
+            yield from _parts(value, visited)
     elif isinstance(value, np.ndarray):
         yield f"{name} = {value.dtype} {value.shape} {value.tobytes().hex()}"
     else:

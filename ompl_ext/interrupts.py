@@ -1,4 +1,4 @@
-"""Ctrl-C while numba compiles: noted, and raised where nothing can swallow it.
+"""Ctrl-C while numba compiles: recorded, and raised where nothing can swallow it.
 
 LLVM calls back into Python while it compiles and while it loads (llvmlite's object cache).  What is raised in there,
 a `KeyboardInterrupt` too, is printed and lost.  Between two passes of the compiler it is safe to raise; the longest
@@ -19,25 +19,25 @@ from numba.core import event
 _event: Any = event  # its functions are not typed
 
 
-class _Noted(event.Listener):
+class _PendingInterrupt(event.Listener):
     """Remembers that there was an interrupt; raises it when the next pass begins."""
 
     def __init__(self) -> None:
-        self._seen = False
+        self._pending = False
 
-    def note(self, _: int, __: FrameType | None) -> None:
+    def handle_signal(self, _: int, __: FrameType | None) -> None:
         """As a signal handler."""
-        self._seen = True
+        self._pending = True
 
-    def check(self) -> None:
+    def raise_pending(self) -> None:
         """Raise the interrupt if there was one."""
-        if self._seen:
-            self._seen = False
+        if self._pending:
+            self._pending = False
             raise KeyboardInterrupt
 
     def on_start(self, event: object) -> None:
         """For numba: a pass begins."""
-        self.check()
+        self.raise_pending()
 
     def on_end(self, event: object) -> None:
         """For numba: a pass is over, and something may be on its way up that must not be replaced."""
@@ -51,15 +51,15 @@ def interrupts_between_passes() -> Iterator[Callable[[], None]]:
     ignored, or within another such block, which then raises them.
     """
     before = signal.getsignal(signal.SIGINT)
-    nested = isinstance(getattr(before, "__self__", None), _Noted)
+    nested = isinstance(getattr(before, "__self__", None), _PendingInterrupt)
     if nested or before in (signal.SIG_IGN, None) or threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    noted = _Noted()
-    signal.signal(signal.SIGINT, noted.note)
+    pending = _PendingInterrupt()
+    signal.signal(signal.SIGINT, pending.handle_signal)
     try:
-        with _event.install_listener("numba:run_pass", noted):
-            yield noted.check
+        with _event.install_listener("numba:run_pass", pending):
+            yield pending.raise_pending
     finally:
         signal.signal(signal.SIGINT, before)
-        noted.check()
+        pending.raise_pending()

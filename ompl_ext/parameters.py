@@ -51,11 +51,11 @@ class ParamSet:
 
     def __getitem__(self, name: str) -> Value:
         """Current value."""
-        self._known(name)
+        self._find(name)
         return self._values[name]
 
     def __setitem__(self, name: str, value: Value | str) -> None:
-        self._values[name] = self._known(name).parse(str(value))
+        self._values[name] = self._find(name).parse(str(value))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
@@ -85,16 +85,16 @@ class ParamSet:
 
     def getRangeSuggestion(self, name: str) -> str:  # noqa: N802
         """Range first:step:last that is worth trying."""
-        return self._known(name).suggestion
+        return self._find(name).suggestion
 
     def describe(self, name: str) -> Parameter:
         """Default, bounds and meaning."""
-        return self._known(name)
+        return self._find(name)
 
-    def _known(self, name: str) -> Parameter:
+    def _find(self, name: str) -> Parameter:
         if name not in self._parameters:
-            near = difflib.get_close_matches(name, self._parameters, 1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(self._parameters)}"
+            matches = difflib.get_close_matches(name, self._parameters, 1)
+            hint = f"did you mean {matches[0]}?" if matches else f"there are {', '.join(self._parameters)}"
             raise KeyError(f"no parameter {name!r}; {hint}")
         return self._parameters[name]
 

@@ -25,7 +25,7 @@ STEP = 0.05  # propagation and validity checking (s)
 
 @dataclass(frozen=True)
 class PeerResult:
-    """A peer's plan, None without one, and what it took; the peers stop at their first solution.
+    """A peer's plan, None without one, and its effort; the peers stop at their first solution.
 
     `nodes` counts the vertices of the peer's planner data, 0 where its wheel gives none.
     """
@@ -67,19 +67,19 @@ def plan_with_ompl(
     planner = planner_class(si)
     setup.setPlanner(planner)
     setup.setup()
-    asked, began = [0], time.perf_counter()
+    checks, began = [0], time.perf_counter()
 
-    def enough() -> bool:
-        asked[0] += 1
+    def is_finished() -> bool:
+        checks[0] += 1
         late = seconds is not None and time.perf_counter() - began >= seconds
-        return late or (iterations is not None and asked[0] > iterations)
+        return late or (iterations is not None and checks[0] > iterations)
 
-    setup.solve(ob.PlannerTerminationCondition(enough))
-    took = time.perf_counter() - began
+    setup.solve(ob.PlannerTerminationCondition(is_finished))
+    seconds_used = time.perf_counter() - began
     plan = _plan_of(setup, vehicle, safety) if setup.haveSolutionPath() else None
     data = ob.PlannerData(si)
     ob.Planner.getPlannerData(planner, data)
-    return PeerResult(plan, took, min(asked[0], iterations or asked[0]), setup.steps, data.numVertices())
+    return PeerResult(plan, seconds_used, min(checks[0], iterations or checks[0]), setup.steps, data.numVertices())
 
 
 def _plan_of(setup: SimpleSetup, vehicle: Vehicle, safety: Safety) -> Plan | None:

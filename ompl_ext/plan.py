@@ -66,6 +66,6 @@ def tree_view(tree: Tree, states: Matrix) -> TreeView:
         parents=tree.link[:size, at.PARENT].copy(),
         controls=tree.edge[:size, :-1].copy(),
         durations=tree.edge[:size, -1].copy(),
-        costs=tree.hot[:size, at.COST].copy(),
-        costs_to_go=tree.hot[:size, at.TOGO].copy(),
+        costs=tree.value[:size, at.COST].copy(),
+        costs_to_go=tree.value[:size, at.TOGO].copy(),
     )

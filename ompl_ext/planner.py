@@ -23,6 +23,7 @@ from ompl_ext.configuration import Bounds, Configuration, ControlLayout, default
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.parameters import DIRT_PARAMETERS, ParamSet, Value
 from ompl_ext.plan import Plan, TreeView
+from ompl_ext.query import remaining_edges
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
@@ -63,9 +64,9 @@ class DIRT(ob.Planner):
             self._params[name] = value
         self._configuration, self._bounds = configuration, bounds
         self._search: CompiledSearch | CallbackSearch | None = None
-        self._made_for: tuple[object, ...] = ()
+        self._search_key: tuple[object, ...] = ()
         self._cleared = False
-        self._kept: _Retained | None = None
+        self._retained: _Retained | None = None
         self._clears = 0
         # OMPL's wrapper hands PlannerData over by copy, which it forbids: a class-level override would abort the
         # process.  Calling the base once pins "not overridden" for this instance; the attribute serves Python callers.
@@ -80,16 +81,12 @@ class DIRT(ob.Planner):
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
         """Begin the next query with what is left of `path` after `elapsed` s, propagated from the new start."""
         layout = ControlLayout(self.getSpaceInformation().getControlSpace())
-        controls = [layout.read(path.getControl(k)) for k in range(path.getControlCount())]
-        durations = np.array(path.getControlDurations())
-        ends = np.cumsum(durations)
-        left = ends > elapsed + 1e-9
-        lengths = np.minimum(durations, ends - elapsed)[left]
-        self._kept = _Retained(list(range(-1, len(lengths) - 1)), np.array(controls)[left], lengths)
+        controls = np.array([layout.read(path.getControl(k)) for k in range(path.getControlCount())])
+        self._retained = _Retained(*remaining_edges(controls, np.array(path.getControlDurations()), elapsed))
 
     def retain_tree(self, tree: TreeView) -> None:
         """Begin the next query with the edges of an earlier tree, propagated from the new start."""
-        self._kept = _Retained((tree.parents[1:] - 1).tolist(), tree.controls[1:], tree.durations[1:])
+        self._retained = _Retained((tree.parents[1:] - 1).tolist(), tree.controls[1:], tree.durations[1:])
 
     def solve(
         self,
@@ -103,8 +100,8 @@ class DIRT(ob.Planner):
 
         Takes what OMPL's `solve` takes: seconds, a function with an optional interval, or a termination condition.
         """
-        given = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
-        condition = _condition(given, checkInterval)
+        limit = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
+        condition = _condition(limit, checkInterval)
         status = ob.PlannerStatus
         definition, goal = self.getProblemDefinition(), None
         if definition is None:
@@ -118,15 +115,15 @@ class DIRT(ob.Planner):
             return status(status.INVALID_GOAL)
         self._prepare(goal)
         assert self._search is not None
-        if not self._take_starts(self._search):
+        if not self._add_starts(self._search):
             ou.OMPL_ERROR("DIRT: none of the start states is valid")
             return status(status.INVALID_START)
         if self._search.infeasible():
             ou.OMPL_ERROR("DIRT: no path for the footprint leads from the start to the goal")
             return status(status.INFEASIBLE)
-        if self._kept is not None:
-            self._search.retain(self._kept.parents, self._kept.controls, self._kept.durations)
-            self._kept = None
+        if self._retained is not None:
+            self._search.retain(self._retained.parents, self._retained.controls, self._retained.durations)
+            self._retained = None
         self._search.grow(condition)
         return self._report(definition, goal)
 
@@ -169,7 +166,7 @@ class DIRT(ob.Planner):
         """Visits since the last `clear`."""
         return self._search.count(at.ITERATIONS) if self._search is not None else 0
 
-    def _take_starts(self, search: CompiledSearch | CallbackSearch) -> bool:
+    def _add_starts(self, search: CompiledSearch | CallbackSearch) -> bool:
         inputs = self.getPlannerInputStates()
         while (state := inputs.nextStart()) is not None:
             search.add_root(state)
@@ -178,16 +175,16 @@ class DIRT(ob.Planner):
     def _prepare(self, goal: ob.Goal) -> None:
         """Have a search for this goal: the one there is, emptied if it was cleared, or a new one."""
         checker = self.getSpaceInformation().getStateValidityChecker()
-        made_for = (goal, checker, *self._params.getParams().items())
+        key = (goal, checker, *self._params.getParams().items())
         if self._search is not None and not self._cleared:
             return
         if self._cleared:
             self._clears += 1
         self._cleared = False
-        if isinstance(self._search, CompiledSearch) and made_for == self._made_for:
+        if isinstance(self._search, CompiledSearch) and key == self._search_key:
             self._search.restart(int(self._params["seed"]) + self._clears)
         else:
-            self._search, self._made_for = self._make_search(goal), made_for
+            self._search, self._search_key = self._make_search(goal), key
 
     def _make_search(self, goal: ob.Goal) -> CompiledSearch | CallbackSearch:
         si, checker = self.getSpaceInformation(), self.getSpaceInformation().getStateValidityChecker()
@@ -227,7 +224,7 @@ def _callback_settings(params: ParamSet) -> CallbackSettings:
         blossom=int(params["blossom"]) or CALLBACK_BLOSSOM,
         child_extension=bool(params["child_extension"]),
         goal_bias=float(params["goal_bias"]),
-        beyond=float(params["control_bound_bias"]),
+        control_bound_bias=float(params["control_bound_bias"]),
         resolution=float(params["resolution"]),
         capacity=int(params["max_nodes"]),
         pruning=bool(params["pruning"]),
@@ -236,12 +233,12 @@ def _callback_settings(params: ParamSet) -> CallbackSettings:
     )
 
 
-def _condition(given: Termination, interval: float) -> ob.PlannerTerminationCondition:
-    if isinstance(given, ob.PlannerTerminationCondition):
-        return given
-    if isinstance(given, int | float):
-        return ob.timedPlannerTerminationCondition(float(given))
-    return ob.PlannerTerminationCondition(given, interval) if interval > 0 else ob.PlannerTerminationCondition(given)
+def _condition(limit: Termination, interval: float) -> ob.PlannerTerminationCondition:
+    if isinstance(limit, ob.PlannerTerminationCondition):
+        return limit
+    if isinstance(limit, int | float):
+        return ob.timedPlannerTerminationCondition(float(limit))
+    return ob.PlannerTerminationCondition(limit, interval) if interval > 0 else ob.PlannerTerminationCondition(limit)
 
 
 def _fill_planner_data(planner: DIRT | None, data: ob.PlannerData) -> None:

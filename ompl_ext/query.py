@@ -15,7 +15,7 @@ from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, L
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
-MOST_STEPS = 100_000  # of an edge or a manoeuvre
+MAX_STEPS = 100_000  # of an edge or a manoeuvre
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Safety:
         numbers = (self.cycle, self.delta, self.delta_per_speed, self.rest_speed, self.step, self.horizon)
         if not all(math.isfinite(value) and value >= 0 for value in numbers) or self.step == 0:
             raise ValueError(f"safety: numbers must be finite and not negative, got {self}")
-        if self.horizon / self.step > MOST_STEPS:
+        if self.horizon / self.step > MAX_STEPS:
             raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")
 
 
@@ -68,7 +68,7 @@ class Settings:
     pruning: bool = False
     goal_bias: float = 0.05
     exploration: float = 0.1
-    beyond: float = 1.0
+    beyond: float = 1.0  # OMPL parameter control_bound_bias; plan files have it under this name
     shortest: float = 0.5
     longest: float = 1.0
     steps: int = 10
@@ -88,7 +88,7 @@ class Settings:
         rules = {
             f"blossom is {self.blossom}, not 1 to {LANE_WIDTH}": 1 <= self.blossom <= LANE_WIDTH,
             f"insertions is {self.insertions}, not 1 to blossom": 1 <= self.insertions <= max(self.blossom, 1),
-            f"an edge has {longest} integration steps, not 1 to {MOST_STEPS}": 1 <= longest <= MOST_STEPS,
+            f"an edge has {longest} integration steps, not 1 to {MAX_STEPS}": 1 <= longest <= MAX_STEPS,
             f"durations {self.shortest} to {self.longest} are not 0 < shortest <= longest": 0
             < self.shortest
             <= self.longest
@@ -138,7 +138,11 @@ def make_problem(
     scalar[[at.REACH, at.DISC_RADIUS, at.LENGTH]] = reach, discs.radius, vehicle.footprint.length
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell
     scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
-    scalar[[at.GOAL_BIAS, at.EXPLORATION, at.BEYOND]] = settings.goal_bias, settings.exploration, settings.beyond
+    scalar[[at.GOAL_BIAS, at.EXPLORATION, at.CONTROL_BOUND_BIAS]] = (
+        settings.goal_bias,
+        settings.exploration,
+        settings.beyond,
+    )
     if goal is not None:
         scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
         scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
@@ -147,7 +151,7 @@ def make_problem(
     option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
     option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
     option[[at.BLOSSOM, at.INSERTIONS]] = settings.blossom, settings.insertions
-    option[[at.CHILD_EXTENSION, at.ASK_SAFETY]] = settings.child_extension, safety.enabled
+    option[[at.CHILD_EXTENSION, at.REQUIRE_SAFETY]] = settings.child_extension, safety.enabled
     return Problem(
         parameters=vehicle.parameter_array,
         controls=vehicle.control_bounds,
@@ -176,6 +180,18 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
         slack=np.zeros(width),
         source=np.zeros(nx),
     )
+
+
+def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tuple[list[int], Floats, Floats]:
+    """Parents, controls and durations of the edges that are left of a path after `elapsed` s.
+
+    `controls` has shape (edges, nu), `durations` (edges,).  Of the edge in progress the rest is left.  The parents
+    are indices of edges, -1 for the root.
+    """
+    ends = np.cumsum(durations)
+    left = ends > elapsed + 1e-9
+    durations = np.minimum(durations, ends - elapsed)[left]
+    return list(range(-1, len(durations) - 1)), controls[left], durations
 
 
 def edges_to_retain(parent: list[int], controls: Floats, durations: Floats) -> Retained:

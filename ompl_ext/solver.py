@@ -20,7 +20,7 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
-from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem
+from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between looks at the clock until a solution is found
@@ -47,7 +47,7 @@ class Progress:
         return self.history[0] if self.history else None
 
 
-class Dirt:
+class DirtSolver:
     """Algorithm 1 for one vehicle in one workspace towards one goal.
 
     Use: `start`, then `retain` if there is an earlier plan, then `grow` as often as wanted, and `plan` at any time.
@@ -78,7 +78,7 @@ class Dirt:
         self._work = make_lanes(nx, nu, inputs, int(self._problem.option[at.STEPS]))
         self._brake = make_lanes(nx, nu, inputs, int(self._problem.option[at.BRAKE_STEPS]))
         self._q = np.zeros(at.Q_DIM)
-        self._nothing = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
+        self._no_edges = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
         self._progress = Progress()
 
     @property
@@ -95,7 +95,7 @@ class Dirt:
     def unreachable(self) -> bool:
         """Whether no path of the inscribed disc leads from any root to the goal: then there is no plan either."""
         roots = self._tree.link[: self._tree.count[at.SIZE], at.PARENT] < 0
-        togo: Floats = self._tree.hot[: self._tree.count[at.SIZE], at.TOGO][roots]
+        togo: Floats = self._tree.value[: self._tree.count[at.SIZE], at.TOGO][roots]
         return bool(np.all(togo >= UNREACHABLE))
 
     @property
@@ -118,7 +118,7 @@ class Dirt:
 
     def add_root(self, state: Floats) -> float:
         """Another state from which the query may begin; returns its spare clearance like `start`."""
-        slack = self._fly(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
+        slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
         add_root(self._tree, self._work)
         return slack
 
@@ -127,17 +127,14 @@ class Dirt:
 
         The edge in progress is kept in part.  What collides or is not safe is left out, with all that follows it.
         """
-        ends = np.cumsum(plan.durations)
-        left = ends > elapsed + 1e-9
-        durations = np.minimum(plan.durations, ends - elapsed)[left]
-        return self.retain_edges(list(range(-1, len(durations) - 1)), plan.controls[left], durations)
+        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
 
     def retain_edges(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
         """Add edges of an earlier tree, parents before children, -1 for the root; returns how many were added."""
         before = int(self._tree.count[at.RETAINED])
         began = time.perf_counter()
-        self._call(edges_to_retain(parents, controls, durations), 0)
-        self._note(self._progress.seconds + time.perf_counter() - began)
+        self._run_kernel(edges_to_retain(parents, controls, durations), 0)
+        self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before
 
     def grow(
@@ -159,17 +156,17 @@ class Dirt:
         chunk, elapsed = FIRST_CHUNK, 0.0
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
             count = min(chunk, left, PRUNE_EVERY - int(self._tree.count[at.ITERATIONS]) % PRUNE_EVERY)
-            looked, before = elapsed, int(self._tree.count[at.ITERATIONS])
-            self._call(self._nothing, count)
+            elapsed_before, before = elapsed, int(self._tree.count[at.ITERATIONS])
+            self._run_kernel(self._no_edges, count)
             left -= int(self._tree.count[at.ITERATIONS]) - before
             elapsed = time.perf_counter() - began
-            self._note(base + elapsed)
+            self._update_progress(base + elapsed)
             if self._tree.count[at.FULL] or self._prunes_now():
                 prune(self._tree, self.settings.resolution)
                 if len(self._tree.state) - self._tree.count[at.SIZE] < len(self._tree.state) // 10:
                     break  # what is left is needed: this is as good as it gets in this memory
             if self._progress.history:
-                chunk = _next_chunk(count, elapsed - looked, None if seconds is None else seconds - elapsed)
+                chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
         return self._progress
 
     def _prunes_now(self) -> bool:
@@ -200,8 +197,8 @@ class Dirt:
             durations=durations,
             times=times,
             trajectory=trajectory,
-            cost=float(tree.hot[node, at.COST]),
-            cost_to_go=0.0 if reaches_goal else float(tree.hot[node, at.TOGO]),
+            cost=float(tree.value[node, at.COST]),
+            cost_to_go=0.0 if reaches_goal else float(tree.value[node, at.TOGO]),
             reaches_goal=reaches_goal,
             contingency=self._contingency_of(tree.state[path], controls, durations) if self.safety.enabled else None,
         )
@@ -209,7 +206,7 @@ class Dirt:
     def contingency(self, state: Floats, after: float = 0.0) -> Contingency | None:
         """SAFETY (Alg. 2) of a state: a manoeuvre that is safe until standstill, or None.  Times begin at `after` s."""
         self._brake.source[:] = state
-        return self._braking(math.inf, after)
+        return self._first_safe_manoeuvre(math.inf, after)
 
     def tree(self) -> TreeView:
         """A copy of the tree."""
@@ -222,16 +219,16 @@ class Dirt:
 
         Before the end of the cycle, by `start_time` s, delta(v) is asked for too.
         """
-        slack = self._fly(np.asarray(state, dtype=float), control, duration, start_time)
+        slack = self._propagate(np.asarray(state, dtype=float), control, duration, start_time)
         steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
         return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
 
-    def ask_for(self, delta: float) -> None:
+    def set_delta(self, delta: float) -> None:
         """From now on ask for another clearance at rest, `delta` m, within the first cycle and of contingencies."""
         self.safety = replace(self.safety, delta=delta)
         self._problem.scalar[at.DELTA] = delta
 
-    def aim_for(self, radius: float) -> None:
+    def set_goal_radius(self, radius: float) -> None:
         """From now on plan to a smaller region around the goal's centre, `radius` m; the cost-to-go stays as it is."""
         if self.goal is None:
             raise ValueError("there is no goal to aim for")
@@ -246,8 +243,8 @@ class Dirt:
         """States (samples + 1, nx) at equal times along a control held for `duration` s, without any check."""
         states, state = [np.asarray(state, dtype=float)], np.asarray(state, dtype=float)
         for _ in range(samples):
-            self._fly(state, control, duration / samples, steps=1)
-            state = self._end()
+            self._propagate(state, control, duration / samples, steps=1)
+            state = self._end_state()
             states.append(state)
         return np.array(states)
 
@@ -256,11 +253,11 @@ class Dirt:
         """Exact clearance of the vehicle in the workspace."""
         return ExactClearance(self.workspace, self.vehicle.footprint)
 
-    def _end(self) -> Floats:
+    def _end_state(self) -> Floats:
         last = int(self._work.steps[0])
         return self._work.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)[last, :, 0].copy()
 
-    def _fly(
+    def _propagate(
         self, state: Floats, control: Floats, duration: float, start_time: float = math.inf, steps: int = 0
     ) -> float:
         work, problem = self._work, self._problem
@@ -292,10 +289,10 @@ class Dirt:
         leaves = min(self.safety.cycle, float(ends[-1]))
         k = int(np.searchsorted(ends, leaves - 1e-12))
         begins = float(ends[k] - durations[k])
-        self._fly(states[k], controls[k], float(durations[k]))
-        return self._braking(begins, leaves)
+        self._propagate(states[k], controls[k], float(durations[k]))
+        return self._first_safe_manoeuvre(begins, leaves)
 
-    def _braking(self, edge_begins: float, brakes_at: float) -> Contingency | None:
+    def _first_safe_manoeuvre(self, edge_begins: float, brakes_at: float) -> Contingency | None:
         """SAFETY where the edge in lane 0 leaves the cycle, or of the braking lanes' source if no edge begins."""
         number = self._kernels.brake(self._problem, self._work, self._brake, edge_begins)
         if number < 0:
@@ -305,10 +302,10 @@ class Dirt:
         times: Floats = brakes_at + self.safety.step * np.arange(samples, dtype=float)
         return Contingency(self.vehicle.manoeuvres[number], times, states, float(self._brake.slack[number]))
 
-    def _call(self, kept: at.Retained, iterations: int) -> None:
-        self._kernels.grow(self._tree, self._problem, self._work, self._brake, self._q, kept, iterations)
+    def _run_kernel(self, retained: at.Retained, iterations: int) -> None:
+        self._kernels.grow(self._tree, self._problem, self._work, self._brake, self._q, retained, iterations)
 
-    def _note(self, seconds: float) -> None:
+    def _update_progress(self, seconds: float) -> None:
         """Bring the progress up to date after a call of the kernel."""
         count, cost, history = self._tree.count, float(self._tree.best[0]), self._progress.history
         if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
@@ -326,7 +323,7 @@ class Dirt:
         )
 
 
-def _next_chunk(count: int, took: float, left: float | None) -> int:
+def _next_chunk(count: int, seconds: float, remaining: float | None) -> int:
     """Iterations until the next look at the clock: about LONGEST_CHUNK seconds, less when the budget nears its end."""
-    aim = LONGEST_CHUNK if left is None else min(LONGEST_CHUNK, max(left, 0.0))
-    return max(1, min(2 * count, int(count * aim / max(took, 1e-9))))
+    target = LONGEST_CHUNK if remaining is None else min(LONGEST_CHUNK, max(remaining, 0.0))
+    return max(1, min(2 * count, int(count * target / max(seconds, 1e-9))))

@@ -19,7 +19,7 @@ from ompl_ext.query import Goal, Safety
 from ompl_ext.validity import SafetyValidityChecker
 from ompl_ext.vehicle import Vehicle
 
-MODEST = math.pi  # bound of what has neither a limit nor a known range: a turning rate, an angle (SI)
+DEFAULT_BOUND = math.pi  # bound of what has neither a limit nor a known range: a turning rate, an angle (SI)
 
 
 class Propagator:
@@ -96,7 +96,7 @@ class PlanarGoal(ob.GoalRegion):
         self.goal = goal
         self._x, self._y, self._theta = (vehicle.index(name) for name in ("x", "y", "theta"))
         self._center = goal.center
-        self._asks_heading = self._theta >= 0 and goal.tolerance < math.pi
+        self._has_heading = self._theta >= 0 and goal.tolerance < math.pi
         self._least_cosine = math.cos(min(goal.tolerance, math.pi))
         self.setThreshold(goal.radius)
 
@@ -104,7 +104,7 @@ class PlanarGoal(ob.GoalRegion):
         """Distance to the centre (m); with a wrong heading at least the radius, so that it is no goal."""
         x, y = self._center
         distance = math.hypot(state[self._x] - x, state[self._y] - y)
-        if self._asks_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
+        if self._has_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
             return max(distance, 1.001 * self.goal.radius)
         return distance
 
@@ -113,10 +113,10 @@ def sampling_range(vehicle: Vehicle, workspace: Workspace) -> Floats:
     """Low and high of each state component that OMPL's planners sample, shape (nx, 2): no wider than states are.
 
     These are the workspace, the vehicle's limits, and where it has none: any heading, speeds up to the top speed, and
-    +-`MODEST`.  In a wider range most samples are nowhere near a state that the vehicle can have, and RRT's nearest
-    neighbours mean nothing.  Nothing keeps states inside: a heading may go on beyond pi.
+    +-`DEFAULT_BOUND`.  In a wider range most samples are nowhere near a state that the vehicle can have, and RRT's
+    nearest neighbours mean nothing.  Nothing keeps states inside: a heading may go on beyond pi.
     """
-    free = np.full(len(vehicle.state), MODEST)
+    free = np.full(len(vehicle.state), DEFAULT_BOUND)
     if vehicle.rest_indices:
         free[vehicle.rest_indices[0]] = vehicle.top_speed
     if vehicle.index("theta") >= 0:

@@ -26,14 +26,14 @@ def triangles(vertices: Matrix) -> list[Matrix]:
         raise ValueError("a polygon may not cross itself: its sides must turn once around")
     if np.all(cross >= 0.0):
         return [points]
-    rest, pieces = list(range(len(points))), []
-    while len(rest) > 3:
-        ear = next((k for k in range(len(rest)) if _is_ear(points, rest, k)), None)
+    remaining, pieces = list(range(len(points))), []
+    while len(remaining) > 3:
+        ear = next((k for k in range(len(remaining)) if _is_ear(points, remaining, k)), None)
         if ear is None:
             raise ValueError("a polygon may not cross itself")
-        pieces.append(points[[rest[ear - 1], rest[ear], rest[(ear + 1) % len(rest)]]])
-        del rest[ear]
-    return [*pieces, points[rest]]
+        pieces.append(points[[remaining[ear - 1], remaining[ear], remaining[(ear + 1) % len(remaining)]]])
+        del remaining[ear]
+    return [*pieces, points[remaining]]
 
 
 def _turning(points: Matrix) -> tuple[Floats, float]:
@@ -44,15 +44,15 @@ def _turning(points: Matrix) -> tuple[Floats, float]:
     return cross, float(np.arctan2(cross, np.sum(sides * following, axis=1)).sum())
 
 
-def _turn(a: Matrix, b: Matrix, c: Matrix) -> float:
+def _cross(a: Matrix, b: Matrix, c: Matrix) -> float:
     """Twice the signed area of a triangle, positive if it turns left."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def _is_ear(points: Matrix, rest: list[int], k: int) -> bool:
+def _is_ear(points: Matrix, remaining: list[int], k: int) -> bool:
     """Whether corner k can be cut off: it is convex and no other corner lies in its triangle."""
-    a, b, c = points[rest[k - 1]], points[rest[k]], points[rest[(k + 1) % len(rest)]]
-    if _turn(a, b, c) <= 0.0:
+    a, b, c = points[remaining[k - 1]], points[remaining[k]], points[remaining[(k + 1) % len(remaining)]]
+    if _cross(a, b, c) <= 0.0:
         return False
-    others = [points[i] for i in rest if not any(np.array_equal(points[i], corner) for corner in (a, b, c))]
-    return not any(_turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in others)
+    others = [points[i] for i in remaining if not any(np.array_equal(points[i], corner) for corner in (a, b, c))]
+    return not any(_cross(a, b, p) >= 0.0 and _cross(b, c, p) >= 0.0 and _cross(c, a, p) >= 0.0 for p in others)

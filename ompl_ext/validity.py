@@ -10,7 +10,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 
@@ -26,9 +26,9 @@ class SafetyValidityChecker(ob.StateValidityChecker):
     ) -> None:
         super().__init__(si)
         self.vehicle, self.workspace, self.safety_settings = vehicle, workspace, safety or Safety()
-        self._dirt = Dirt(vehicle, workspace, None, self.safety_settings, Settings(), capacity=1)
-        self._places = tuple(vehicle.index(name) for name in ("x", "y", "theta"))
-        self._limits = [tuple(pair) for pair in self._dirt.problem.limits.tolist()]
+        self._solver = DirtSolver(vehicle, workspace, None, self.safety_settings, Settings(), capacity=1)
+        self._pose_indices = tuple(vehicle.index(name) for name in ("x", "y", "theta"))
+        self._limits = [tuple(pair) for pair in self._solver.problem.limits.tolist()]
 
     def isValid(self, state: ob.State) -> bool:  # noqa: N802 (OMPL's name)
         """Whether the state is within the vehicle's and the workspace's limits and its footprint is free."""
@@ -36,11 +36,11 @@ class SafetyValidityChecker(ob.StateValidityChecker):
             if not low <= state[k] <= high:
                 return False
         pose = self._pose(state)
-        return self._dirt.pose_slack(*pose) > 0.0 or not self._dirt.exact.collides(*pose)
+        return self._solver.pose_slack(*pose) > 0.0 or not self._solver.exact.collides(*pose)
 
     def clearance(self, state: ob.State) -> float:
         """Exact distance between the footprint and the nearest obstacle (m); 0 in contact."""
-        return self._dirt.exact.distance(*self._pose(state))
+        return self._solver.exact.distance(*self._pose(state))
 
     def delta(self, state: ob.State) -> float:
         """Clearance (m) that SAFETY asks for at the state's speed."""
@@ -53,15 +53,15 @@ class SafetyValidityChecker(ob.StateValidityChecker):
 
         The result names the manoeuvre, holds its trajectory, and its smallest spare clearance beyond delta(v).
         """
-        return self.safety_from(self._floats(state))
+        return self.safety_from(self._array(state))
 
     def safety_from(self, state: Floats, after: float = 0.0) -> Contingency | None:
         """SAFETY of a state given as an array (nx,); the contingency's times begin at `after` s."""
-        return self._dirt.contingency(state, after)
+        return self._solver.contingency(state, after)
 
-    def _floats(self, state: ob.State) -> Floats:
+    def _array(self, state: ob.State) -> Floats:
         return np.array([state[k] for k in range(len(self._limits))])
 
     def _pose(self, state: ob.State) -> tuple[float, float, float]:
-        x, y, theta = self._places
+        x, y, theta = self._pose_indices
         return state[x], state[y], state[theta] if theta >= 0 else 0.0

@@ -15,7 +15,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.fingerprint import fingerprint
 from ompl_ext.jit import inlined
 
-MOST_MANOEUVRES = 32  # they are rolled out together as lanes
+MAX_MANOEUVRES = 32  # they are rolled out together as lanes
 derivative = inlined  # the decorator that a vehicle's functions carry
 
 
@@ -151,8 +151,8 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
     problems += [] if vehicle.controls else ["controls are empty"]
     if (vehicle.actuation is None) != (not vehicle.inputs):
         problems.append("actuation and the names of its outputs, inputs, go together")
-    if len(vehicle.manoeuvres) > MOST_MANOEUVRES:
-        problems.append(f"there are {len(vehicle.manoeuvres)} manoeuvres, at most {MOST_MANOEUVRES} are possible")
+    if len(vehicle.manoeuvres) > MAX_MANOEUVRES:
+        problems.append(f"there are {len(vehicle.manoeuvres)} manoeuvres, at most {MAX_MANOEUVRES} are possible")
     if not vehicle.manoeuvres:
         problems.append("manoeuvres are empty: a vehicle needs a way to stop")
     if vehicle.stop is None and len(vehicle.manoeuvres) > 1:

@@ -20,9 +20,9 @@ from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query import Safety
-from ompl_ext.solver import Dirt, Progress
+from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import verify
+from ompl_ext.verification import verify
 
 LEEWAY = 0.005  # of a vehicle that leaves with the clearance it has (m)
 SMALLEST_GOAL = 0.01  # radius of the region that the planner aims for (m)
@@ -49,8 +49,8 @@ class Planners:
     A plan is made with the margin and checked again without it, so that small errors do not turn it down.
     """
 
-    planning: Dirt
-    checking: Dirt
+    planning: DirtSolver
+    checking: DirtSolver
 
     @classmethod
     def of(cls, task: Task, vehicle: Vehicle, settings: Planner) -> Planners:
@@ -58,14 +58,14 @@ class Planners:
         goal = goal_of(task)
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
         workspace, safety, shape = workspace_of(task, vehicle), safety_of(settings), vehicle.footprint
-        checking = Dirt(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
+        checking = DirtSolver(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
         foresight = settings.safety.foresight if settings.safety else 0.0
         if settings.margin == 0.0 and foresight <= settings.cycle:
             return cls(checking, checking)
         safety = replace(safety, cycle=max(foresight, settings.cycle))
         larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
         wide = replace(vehicle, footprint=larger)
-        return cls(Dirt(wide, workspace, goal, safety, settings_of(task), settings.capacity), checking)
+        return cls(DirtSolver(wide, workspace, goal, safety, settings_of(task), settings.capacity), checking)
 
 
 def safety_of(settings: Planner) -> Safety:
@@ -102,7 +102,7 @@ class Proposer:
         proposal = Proposal(None)
         radius = self._goal_radius(root)
         for dirt, share in self._attempts(root):
-            dirt.aim_for(radius)
+            dirt.set_goal_radius(radius)
             proposal = self._search(number, dirt, root, previous, began, share)
             if proposal.plan is not None:
                 break
@@ -122,10 +122,10 @@ class Proposer:
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
         return max(SMALLEST_GOAL, min(goal.radius, 0.5 * away))
 
-    def _attempts(self, root: Floats) -> Iterator[tuple[Dirt, float]]:
+    def _attempts(self, root: Floats) -> Iterator[tuple[DirtSolver, float]]:
         """Planners to ask in turn, with the share of the time that is left; the first that finds a plan decides."""
         wide, exact, delta = self._planners.planning, self._planners.checking, self._delta
-        exact.ask_for(delta)
+        exact.set_delta(delta)
         was_recovering, self._recovering = self._recovering, False
         if wide is not exact and self._spare(wide, root) >= 0.0:
             yield wide, 0.5
@@ -134,15 +134,15 @@ class Proposer:
         resting = all(abs(root[k]) <= exact.safety.rest_speed for k in exact.vehicle.rest_indices)
         self._recovering = self._settings.recover and (resting or was_recovering) and -delta < spare < 0.0
         if self._recovering:
-            exact.ask_for(max(0.0, delta + spare - LEEWAY))
+            exact.set_delta(max(0.0, delta + spare - LEEWAY))
             yield exact, 1.0
 
-    def _spare(self, dirt: Dirt, root: Floats) -> float:
+    def _spare(self, dirt: DirtSolver, root: Floats) -> float:
         """Clearance of a state beyond what is asked for, m."""
         return dirt.edge(root, self._at_rest, 0.0, 0.0)[1]
 
     def _search(
-        self, number: int, dirt: Dirt, root: Floats, previous: Plan | None, began: float, share: float
+        self, number: int, dirt: DirtSolver, root: Floats, previous: Plan | None, began: float, share: float
     ) -> Proposal:
         """Alg. 1 from the predicted root, beginning with what is left of the plan that is being executed."""
         if dirt.start(root, self._seed * 100_003 + number) < 0.0:
@@ -159,7 +159,7 @@ class Proposer:
         tree = dirt.tree() if self._keep_trees else None
         return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, tree=tree)
 
-    def _grow(self, dirt: Dirt, began: float, share: float) -> Progress:
+    def _grow(self, dirt: DirtSolver, began: float, share: float) -> Progress:
         """Use up the budget: a number of iterations, or by the clock a share of what is left; with a plan all of it."""
         if not self._realtime:
             return dirt.grow(iterations=self._settings.iterations)
@@ -167,7 +167,7 @@ class Proposer:
         progress = dirt.grow(seconds=share * (ends - clock.perf_counter()))
         return progress if dirt.plan() is None else dirt.grow(seconds=ends - clock.perf_counter())
 
-    def _verify(self, number: int, dirt: Dirt, plan: Plan) -> None:
+    def _verify(self, number: int, dirt: DirtSolver, plan: Plan) -> None:
         """FCL's judgement of the part that may be executed before there is another plan.
 
         Raises:

@@ -14,7 +14,7 @@ from kraft.driving.messages import Estimate, Kind, Motion, Reference
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Contingency, Plan
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 
@@ -41,7 +41,7 @@ def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
     return np.array(vehicle.stop(tuple(map(float, state)), tuple(vehicle.parameter_array), number), dtype=float)
 
 
-def emergency(dirt: Dirt, state: Floats, start: float) -> Reference:
+def emergency(dirt: DirtSolver, state: Floats, start: float) -> Reference:
     """The manoeuvre that keeps the largest distance, or that hits slowest: what is left when an assumption broke.
 
     It is not verified, because nothing that could be verified exists; the alternative would be to go on.
@@ -63,7 +63,7 @@ class _Manoeuvre:
     impact: float
 
     @classmethod
-    def of(cls, dirt: Dirt, state: Floats, number: int) -> _Manoeuvre:
+    def of(cls, dirt: DirtSolver, state: Floats, number: int) -> _Manoeuvre:
         """Manoeuvre `number` from a state (nx,), as the model predicts it and FCL measures it."""
         vehicle, safety = dirt.vehicle, dirt.safety
         states, controls, distance, impact = [np.asarray(state, dtype=float)], [], math.inf, 0.0
@@ -90,7 +90,7 @@ class _Manoeuvre:
 class Roller:
     """Rolls the closed loop out: `dirt` has the model and the obstacles, `period` is that of the controller (s)."""
 
-    dirt: Dirt
+    dirt: DirtSolver
     controller: Controller
     period: float
 

@@ -20,7 +20,7 @@ from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.specialise import is_cached, kernels
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 POLL: Final = 0.05  # s, how late an interrupt is seen
@@ -55,7 +55,7 @@ def _exercise(vehicle: Vehicle) -> None:
                 time.sleep(POLL)
         side = 4 * vehicle.footprint.reach
         world = Workspace(((0.0, side), (0.0, side)), (box((side, side), (0.1, 0.1)),))
-        dirt = Dirt(vehicle, world, Goal((side / 2, side / 2), side / 4), capacity=1000)
+        dirt = DirtSolver(vehicle, world, Goal((side / 2, side / 2), side / 4), capacity=1000)
         state = np.zeros(len(vehicle.state))
         state[[vehicle.index("x"), vehicle.index("y")]] = side / 2
         dirt.start(state)

@@ -25,9 +25,9 @@ from kraft.text import counted
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
-from ompl_ext.solver import Dirt, Progress
+from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Requirement, Verification, verify
+from ompl_ext.verification import Requirement, Verification, verify
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def plan_task(
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()
-    dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
+    dirt = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
     spare = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
@@ -160,7 +160,7 @@ def _accepted(found: SearchResult, verification: Verification | None, seed: int)
     return None, f"the planner's plan was refused: {problems}"
 
 
-def _infeasible_start(dirt: Dirt, state: Floats, spare: float) -> str:
+def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:
     """Why no plan can be found from this start, however long one searches; empty if one might be."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
     if not reachable(dirt.problem, x, y):

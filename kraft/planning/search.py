@@ -13,7 +13,7 @@ from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
-from ompl_ext.solver import Dirt, Progress
+from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
 
 
@@ -71,8 +71,8 @@ class SearchResult:
     promises_safety: bool = True
 
 
-Search = Callable[[Dirt, Floats, Budget, int, Previous | None], SearchResult]
-"""Search from a state with a budget and a seed.  The `Dirt` holds the query and has been started at the state."""
+Search = Callable[[DirtSolver, Floats, Budget, int, Previous | None], SearchResult]
+"""Search from a state with a budget and a seed.  The `DirtSolver` holds the query and has been started at the state."""
 
 
 def search_named(planner: str) -> Search:
@@ -86,7 +86,7 @@ def search_named(planner: str) -> Search:
     return _SEARCHES[planner]
 
 
-def _dirt_search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
+def _dirt_search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
     if previous is not None:
         dirt.retain(previous.plan, previous.elapsed)
     progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds)
@@ -94,7 +94,7 @@ def _dirt_search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous:
 
 
 def _ompl_search(name: str) -> Search:
-    def search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
+    def search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
         from ompl_ext.peers import plan_with_ompl
 
         if previous is not None:

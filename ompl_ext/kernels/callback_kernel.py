@@ -51,8 +51,8 @@ def _safe(lane: int, start_time: float, problem: Problem, work: Any, brake: Any)
     return number
 
 
-def _grow(tree: Tree, problem: Problem, work: Any, q: Floats, kept: Retained, iterations: int) -> None:
-    dirt.retain(tree, problem, work, work, kept, _propagate, _check, _safe)
+def _grow(tree: Tree, problem: Problem, work: Any, q: Floats, retained: Retained, iterations: int) -> None:
+    dirt.retain(tree, problem, work, work, retained, _propagate, _check, _safe)
     best = tree.best[0]
     for _ in range(iterations):
         dirt.visit(tree, problem, work, work, q, _propagate, _check, _safe)

@@ -19,7 +19,7 @@ from ompl_ext.kernels.kernel_types import DISC_RADIUS, GRID_INVERSE, GRID_X, GRI
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.vehicle import Footprint
 
-MOST_CELLS = 4_000_000
+MAX_CELLS = 4_000_000
 
 
 class ClearanceField(NamedTuple):
@@ -54,11 +54,11 @@ def cover(footprint: Footprint, discs: int = 4) -> DiscCover:
 def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> ClearanceField:
     """Field over the workspace's bounds widened by `margin` m, so that a footprint inside the bounds can be looked up.
 
-    The cell grows where `cell` m would need more than `MOST_CELLS` cells.
+    The cell grows where `cell` m would need more than `MAX_CELLS` cells.
     """
     (x_low, x_high), (y_low, y_high) = workspace.bounds
     width, height = x_high - x_low + 2 * margin, y_high - y_low + 2 * margin
-    cell = max(cell, math.sqrt(width * height / MOST_CELLS))
+    cell = max(cell, math.sqrt(width * height / MAX_CELLS))
     columns, rows = (math.ceil(extent / cell) + 1 for extent in (width, height))
     origin = (x_low - margin, y_low - margin)
     xs: Floats = origin[0] + (np.arange(columns, dtype=float) + 0.5) * cell

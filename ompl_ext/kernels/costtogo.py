@@ -51,19 +51,19 @@ def cost_to_go(
             blocked |= outside[None, :] if axis == 0 else outside[:, None]
     distance = np.full((rows, columns), math.inf)
     heap = np.empty(rows * columns * 4, dtype=np.int32)
-    place = np.full(rows * columns, -1, dtype=np.int32)
+    heap_index = np.full(rows * columns, -1, dtype=np.int32)
     goal_cell = (
         (goal[0] - field.origin[0]) / field.cell - 0.5,
         (goal[1] - field.origin[1]) / field.cell - 0.5,
     )
-    _march(distance, blocked, goal_cell[0], goal_cell[1], max(goal_radius / field.cell, 3.0), heap, place)
+    _march(distance, blocked, goal_cell[0], goal_cell[1], max(goal_radius / field.cell, 3.0), heap, heap_index)
     _extend(distance, blocked)
     seconds = np.maximum(distance * field.cell - goal_radius, 0.0) / top_speed
     return CostToGo(np.minimum(seconds, UNREACHABLE).astype(np.float32), field.origin, field.cell)
 
 
 @inlined
-def _sift_up(heap: Ints32, place: Ints32, values: Floats, at: int) -> None:
+def _sift_up(heap: Ints32, heap_index: Ints32, values: Floats, at: int) -> None:
     item = heap[at]
     value = values[item]
     while at > 0:
@@ -71,14 +71,14 @@ def _sift_up(heap: Ints32, place: Ints32, values: Floats, at: int) -> None:
         if values[heap[parent]] <= value:
             break
         heap[at] = heap[parent]
-        place[heap[at]] = at
+        heap_index[heap[at]] = at
         at = parent
     heap[at] = item
-    place[item] = at
+    heap_index[item] = at
 
 
 @inlined
-def _pop(heap: Ints32, place: Ints32, values: Floats, size: int) -> int:
+def _pop(heap: Ints32, heap_index: Ints32, values: Floats, size: int) -> int:
     top = heap[0]
     item = heap[size - 1]
     size -= 1
@@ -92,11 +92,11 @@ def _pop(heap: Ints32, place: Ints32, values: Floats, size: int) -> int:
         if values[heap[child]] >= value:
             break
         heap[at] = heap[child]
-        place[heap[at]] = at
+        heap_index[heap[at]] = at
         at = child
     heap[at] = item
-    place[item] = at
-    place[top] = -2
+    heap_index[item] = at
+    heap_index[top] = -2
     return int(top)
 
 
@@ -126,10 +126,10 @@ def _eikonal(values: Floats, done: Ints32, row: int, column: int) -> float:
     # wa (d - a)^2 + wb (d - b)^2 = 1
     total = wa + wb
     mean = (wa * a + wb * b) / total
-    under = mean * mean - (wa * a * a + wb * b * b - 1.0) / total
-    if under < 0.0:
+    discriminant = mean * mean - (wa * a * a + wb * b * b - 1.0) / total
+    if discriminant < 0.0:
         return min(a + 1.0 / math.sqrt(wa), b + 1.0 / math.sqrt(wb))
-    return mean + math.sqrt(under)
+    return mean + math.sqrt(discriminant)
 
 
 @compiled
@@ -140,7 +140,7 @@ def _march(
     goal_row: float,
     exact: float,
     heap: Ints32,
-    place: Ints32,
+    heap_index: Ints32,
 ) -> None:
     """Fill `distance` in cells; within `exact` cells of the goal it is set to the straight distance."""
     rows, columns = distance.shape
@@ -153,23 +153,23 @@ def _march(
                 distance[row, column] = d
                 heap[size] = row * columns + column
                 size += 1
-                _sift_up(heap, place, flat, size - 1)
+                _sift_up(heap, heap_index, flat, size - 1)
     while size > 0:
-        cell = _pop(heap, place, flat, size)
+        cell = _pop(heap, heap_index, flat, size)
         size -= 1
         row, column = cell // columns, cell % columns
         for k in range(4):
             r, c = row + (k == 0) - (k == 1), column + (k == 2) - (k == 3)
-            if not (0 <= r < rows and 0 <= c < columns) or blocked[r, c] or place[r * columns + c] == -2:
+            if not (0 <= r < rows and 0 <= c < columns) or blocked[r, c] or heap_index[r * columns + c] == -2:
                 continue
-            d = _eikonal(distance, place, r, c)
+            d = _eikonal(distance, heap_index, r, c)
             if d < distance[r, c]:
                 distance[r, c] = d
-                if place[r * columns + c] < 0:
+                if heap_index[r * columns + c] < 0:
                     heap[size] = r * columns + c
-                    place[r * columns + c] = size
+                    heap_index[r * columns + c] = size
                     size += 1
-                _sift_up(heap, place, flat, place[r * columns + c])
+                _sift_up(heap, heap_index, flat, heap_index[r * columns + c])
 
 
 @compiled

@@ -14,13 +14,12 @@ from ompl_ext.arrays import Floats, int64
 from ompl_ext.jit import inlined, part
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
-    ASK_SAFETY,
     AT_GOAL,
     BEST,
-    BEYOND,
     BLOSSOM,
     CHILD_EXTENSION,
     CLOSEST,
+    CONTROL_BOUND_BIAS,
     COST,
     CYCLE,
     EDGES,
@@ -39,6 +38,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     PARENT,
     Q_DIM,
     QUANTUM,
+    REQUIRE_SAFETY,
     RESOLUTION,
     RETAINED,
     SHORTEST,
@@ -61,7 +61,7 @@ from ompl_ext.kernels.rng import uniform
 from ompl_ext.kernels.tree import add_to_indices, closed_radius, distance_squared, select
 from ompl_ext.trigonometry import cos, sin
 
-DETOURS = 4  # candidates added by a visit that explores, or that finds no candidate nearer to the goal
+EXPLORATION_INSERTIONS = 4  # candidates that an exploring visit adds
 Propagate = Callable[[Floats, int, Problem, Lanes], None]
 Check = Callable[[int, float, Problem, Lanes], float]
 Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
@@ -71,7 +71,7 @@ Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
 def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> bool:
     """Sample the workspace uniformly, the goal with the probability of the goal bias, and any heading.
 
-    Returns whether the visit is to explore: to add any free candidate instead of the best.
+    Returns whether the visit explores: whether it adds any free candidates instead of the best one.
     """
     scalar, weight = problem.scalar, problem.scalar[HEADING_WEIGHT]
     if uniform(tree.random) < scalar[GOAL_BIAS]:
@@ -97,13 +97,13 @@ def set_duration(problem: Problem, work: Lanes, lane: int, duration: float) -> N
 @part
 def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
     """Controls and durations of a blossom.  A share of the controls lies on a bound, where time-optimal ones are."""
-    beyond = problem.scalar[BEYOND]
+    bias = problem.scalar[CONTROL_BOUND_BIAS]
     shortest, longest = problem.scalar[SHORTEST], problem.scalar[LONGEST]
     for i in range(lanes):
         set_duration(problem, work, i, shortest + uniform(tree.random) * (longest - shortest))
         for k in range(len(problem.controls)):
             low, high = problem.controls[k, 0], problem.controls[k, 1]
-            r = min(max(uniform(tree.random) * (1.0 + 2.0 * beyond) - beyond, 0.0), 1.0)
+            r = min(max(uniform(tree.random) * (1.0 + 2.0 * bias) - bias, 0.0), 1.0)
             work.control[k * LANE_WIDTH + i] = low + r * (high - low)
 
 
@@ -122,29 +122,29 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
 
 
 @part
-def detour_lane(tree: Tree, node: int, work: Lanes, lanes: int, start: float, added: int) -> int:
-    """In turn, the free lane that ends farthest from the node and one by lot; -1 if there is none."""
-    chosen, seen, farthest = -1, 0, -1.0
+def exploration_lane(tree: Tree, node: int, work: Lanes, lanes: int, start: float, added: int) -> int:
+    """Alternately the free lane that ends farthest from the node and a uniformly random one; -1 if there is none."""
+    chosen, candidates, farthest = -1, 0, -1.0
     for i in range(lanes):
         f = start + work.duration[i] + work.togo[i]
         if work.slack[i] < 0.0 or work.togo[i] >= UNREACHABLE or f >= tree.best[0]:
             continue
         d2 = 0.0
         for k in range(Q_DIM):
-            difference = work.end[k * LANE_WIDTH + i] - tree.hot[node, k]
+            difference = work.end[k * LANE_WIDTH + i] - tree.value[node, k]
             d2 += difference * difference
-        seen += 1
-        if (added % 2 == 0 and d2 > farthest) or (added % 2 == 1 and uniform(tree.random) * seen < 1.0):
+        candidates += 1
+        if (added % 2 == 0 and d2 > farthest) or (added % 2 == 1 and uniform(tree.random) * candidates < 1.0):
             chosen, farthest = i, d2
     return chosen
 
 
 @part
-def goes_on(tree: Tree, node: int, child: int, detour: bool) -> bool:
-    """Whether a child is visited next: it is nearer to the goal than its parent, or goes on with a detour."""
+def is_visited_next(tree: Tree, node: int, child: int, exploring: bool) -> bool:
+    """Whether a child is visited next: if it is nearer to the goal than its parent, or at random while exploring."""
     if tree.link[child, AT_GOAL] == 1:
         return False
-    return tree.hot[child, TOGO] < tree.hot[node, TOGO] or (detour and uniform(tree.random) < 0.5)
+    return tree.value[child, TOGO] < tree.value[node, TOGO] or (exploring and uniform(tree.random) < 0.5)
 
 
 @part
@@ -163,32 +163,32 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
         tree.edge[node, k] = work.control[k * LANE_WIDTH + lane]
     tree.edge[node, nu] = work.duration[lane]
     for k in range(Q_DIM):
-        tree.hot[node, k] = work.end[k * LANE_WIDTH + lane]
-    tree.hot[node, COST] = tree.hot[parent, COST] + work.duration[lane]
-    tree.hot[node, TOGO] = work.togo[lane]
-    tree.hot[node, F] = tree.hot[node, COST] + work.togo[lane]
+        tree.value[node, k] = work.end[k * LANE_WIDTH + lane]
+    tree.value[node, COST] = tree.value[parent, COST] + work.duration[lane]
+    tree.value[node, TOGO] = work.togo[lane]
+    tree.value[node, F] = tree.value[node, COST] + work.togo[lane]
     tree.link[node, PARENT] = parent
     tree.link[node, AT_GOAL] = work.at_goal[lane]
     tree.link[node, VISITS] = 0
     closed = closed_radius(problem.scalar[RESOLUTION], tree.count[SIZE])
-    add_to_indices(tree, node, math.sqrt(distance_squared(tree, parent, tree.hot[node])), closed)
-    if tree.link[node, AT_GOAL] == 1 and tree.hot[node, COST] < tree.best[0]:  # Alg. 1, l. 20-22
+    add_to_indices(tree, node, math.sqrt(distance_squared(tree, parent, tree.value[node])), closed)
+    if tree.link[node, AT_GOAL] == 1 and tree.value[node, COST] < tree.best[0]:  # Alg. 1, l. 20-22
         if tree.count[BEST] < 0:
             tree.count[FIRST_ITERATION] = tree.count[ITERATIONS]
-        tree.best[0] = tree.hot[node, COST]
+        tree.best[0] = tree.value[node, COST]
         tree.count[BEST] = node
-    beyond_cycle = problem.option[ASK_SAFETY] == 0 or tree.hot[node, COST] >= problem.scalar[CYCLE]
-    if beyond_cycle and tree.hot[node, TOGO] < tree.best[1]:  # Alg. 1, l. 24, among what SAFETY has been asked of
-        tree.best[1] = tree.hot[node, TOGO]
+    beyond_cycle = problem.option[REQUIRE_SAFETY] == 0 or tree.value[node, COST] >= problem.scalar[CYCLE]
+    if beyond_cycle and tree.value[node, TOGO] < tree.best[1]:  # Alg. 1, l. 24, among what SAFETY has been asked of
+        tree.best[1] = tree.value[node, TOGO]
         tree.count[CLOSEST] = node
     return node
 
 
 @part
-def asks_safety(problem: Problem, start: float, lane: int, work: Lanes) -> bool:
+def requires_safety(problem: Problem, start: float, lane: int, work: Lanes) -> bool:
     """Whether SAFETY is asked of an edge: it leaves the cycle (Alg. 1, l. 7, 18) or ends a plan before its end."""
     inside = start + work.duration[lane] < problem.scalar[CYCLE] and work.at_goal[lane] == 0
-    return problem.option[ASK_SAFETY] == 1 and start < problem.scalar[CYCLE] and not inside
+    return problem.option[REQUIRE_SAFETY] == 1 and start < problem.scalar[CYCLE] and not inside
 
 
 @inlined
@@ -197,44 +197,44 @@ def visit(
 ) -> None:
     """One iteration: select a node, propagate a blossom from it, add the best candidate that passes every check.
 
-    A *detour* is made where no candidate comes nearer to the goal, or a later visit explores: a few candidates are
-    added that are not the best, and every other time the first of them is visited next.  The best alone would stand
-    still wherever the way on first leads away from the goal.
+    A visit *explores* if no candidate comes nearer to the goal, and with a small probability if its node was visited
+    before: it adds a few candidates that are not the best, and with probability 1/2 the first of them is visited next.
+    The best candidate alone makes no progress wherever every path first leads away from the goal.
     """
     tree.count[ITERATIONS] += 1
-    node, detour = tree.count[NEXT], False
+    node, exploring = tree.count[NEXT], False
     tree.count[NEXT] = -1
     if node < 0:
-        detour = sample_configuration(tree, problem, q)
+        exploring = sample_configuration(tree, problem, q)
         node = select(tree, q)  # Alg. 1, l. 10
         if node < 0:
             return
-    detour = detour and tree.link[node, VISITS] > 0
+    exploring = exploring and tree.link[node, VISITS] > 0
     tree.link[node, VISITS] += 1
-    lanes, start = problem.option[BLOSSOM], tree.hot[node, COST]
+    lanes, start = problem.option[BLOSSOM], tree.value[node, COST]
     sample_edges(tree, problem, work, lanes)  # l. 11
     propagate(tree.state[node], lanes, problem, work)  # l. 12
     for lane in range(lanes):
         work.slack[lane] = check(lane, start, problem, work)  # l. 14, 18
     tree.count[EDGES] += lanes
     lane = best_lane(work, lanes, start, tree.best[0])
-    detour = detour or (lane >= 0 and work.togo[lane] >= tree.hot[node, TOGO])
-    added, wanted = int64(0), DETOURS if detour else problem.option[INSERTIONS]
+    exploring = exploring or (lane >= 0 and work.togo[lane] >= tree.value[node, TOGO])
+    added, wanted = int64(0), EXPLORATION_INSERTIONS if exploring else problem.option[INSERTIONS]
     while added < wanted:
-        if detour:
-            lane = detour_lane(tree, node, work, lanes, start, added)
+        if exploring:
+            lane = exploration_lane(tree, node, work, lanes, start, added)
         if lane < 0:
             return
-        if asks_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
+        if requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
             tree.count[UNSAFE] += 1
         else:
             child = insert(tree, problem, node, lane, work)  # l. 15, 19
             if child < 0:
                 return
-            if added == 0 and problem.option[CHILD_EXTENSION] == 1 and goes_on(tree, node, child, detour):
+            if added == 0 and problem.option[CHILD_EXTENSION] == 1 and is_visited_next(tree, node, child, exploring):
                 tree.count[NEXT] = child
             added += 1
-        work.slack[lane] = -1.0  # taken, or not safe
+        work.slack[lane] = -1.0  # inserted, or not safe
         lane = best_lane(work, lanes, start, tree.best[0])
 
 
@@ -244,7 +244,7 @@ def retain(
     problem: Problem,
     work: Lanes,
     brake: Lanes,
-    kept: Retained,
+    retained: Retained,
     propagate: Propagate,
     check: Check,
     safe: Safe,
@@ -252,21 +252,21 @@ def retain(
     """Begin with the free and safe part of an earlier plan or tree, propagated anew from the root (Alg. 1, l. 2-8)."""
     nu = tree.edge.shape[1] - 1
     lane, lanes = int64(0), int64(1)  # not literals, which numba would compile the callees anew for
-    for k in range(len(kept.parent)):
-        parent = 0 if kept.parent[k] < 0 else kept.node[kept.parent[k]]
-        kept.node[k] = -1
+    for k in range(len(retained.parent)):
+        parent = 0 if retained.parent[k] < 0 else retained.node[retained.parent[k]]
+        retained.node[k] = -1
         if parent < 0:
             continue
         for c in range(nu):
-            work.control[c * LANE_WIDTH + lane] = kept.edge[k, c]
-        set_duration(problem, work, lane, kept.edge[k, nu])
+            work.control[c * LANE_WIDTH + lane] = retained.edge[k, c]
+        set_duration(problem, work, lane, retained.edge[k, nu])
         propagate(tree.state[parent], lanes, problem, work)
         tree.count[EDGES] += 1
-        start = tree.hot[parent, COST]
+        start = tree.value[parent, COST]
         if check(lane, start, problem, work) < 0.0 or work.togo[lane] >= UNREACHABLE:
             continue
-        if asks_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
+        if requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
             tree.count[UNSAFE] += 1
             continue
-        kept.node[k] = insert(tree, problem, parent, lane, work)
-        tree.count[RETAINED] += 1 if kept.node[k] >= 0 else 0
+        retained.node[k] = insert(tree, problem, parent, lane, work)
+        tree.count[RETAINED] += 1 if retained.node[k] >= 0 else 0

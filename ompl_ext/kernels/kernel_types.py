@@ -46,7 +46,10 @@ REST_SPEED, BRAKE_STEP = 8, 9  # below which the vehicle stands (SI); integratio
 REACH, DISC_RADIUS, LENGTH = 10, 11, 12  # of the footprint (m)
 GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
 X_LOW, X_HIGH, Y_LOW, Y_HIGH = 16, 17, 18, 19  # workspace bounds (m)
-GOAL_BIAS, BEYOND = 20, 21  # share of samples at the goal; share of controls beyond each bound, moved onto it
+GOAL_BIAS, CONTROL_BOUND_BIAS = (
+    20,
+    21,
+)  # share of samples at the goal; share of controls beyond each bound, moved onto it
 EXPLORATION = 28  # share of the visits to a sampled node that add any free candidate instead of the best
 GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
     22,
@@ -60,7 +63,7 @@ SCALARS = 29
 
 # Places in Problem.option
 STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre
-BLOSSOM, INSERTIONS, CHILD_EXTENSION, ASK_SAFETY = 2, 3, 4, 5
+BLOSSOM, INSERTIONS, CHILD_EXTENSION, REQUIRE_SAFETY = 2, 3, 4, 5
 OPTIONS = 6
 
 
@@ -85,7 +88,7 @@ class Tree(NamedTuple):
 
     state: Matrix  # (capacity, nx)
     edge: Matrix  # (capacity, nu + 1) control and duration of the edge from the parent
-    hot: Matrix  # (capacity, 8) what searches read, one cache line a node
+    value: Matrix  # (capacity, 8) what searches read, one cache line a node
     link: IntMatrix  # (capacity, 7)
     region_head: Ints32  # first node of each cell, level after level
     level: IntMatrix  # (levels, 4)
@@ -100,7 +103,7 @@ class Tree(NamedTuple):
     random: Words  # generator state
 
 
-# Columns of Tree.hot; the first Q_DIM are the configuration in the tree's metric
+# Columns of Tree.value; the first Q_DIM are the configuration in the tree's metric
 F, RADIUS, COST, TOGO = (
     4,
     5,

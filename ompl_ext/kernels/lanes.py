@@ -45,13 +45,14 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Retained,
     Tree,
 )
-from ompl_ext.kernels.specialise import take_target, vehicle_cache_folder
+from ompl_ext.kernels.runge_kutta import runge_kutta_4
+from ompl_ext.kernels.specialise import vehicle_being_compiled, vehicle_cache_folder
 from ompl_ext.kernels.unroll import per_component, store_components, total_of_components
 from ompl_ext.trigonometry import cos, sin
 
 Values = tuple[float, ...]
 
-VEHICLE = take_target()
+VEHICLE = vehicle_being_compiled()
 FOLDER = vehicle_cache_folder(VEHICLE)
 NX = len(VEHICLE.state)
 NU = len(VEHICLE.controls)
@@ -79,8 +80,7 @@ first_control = per_component("a", "a[{k}]", NU)
 load_parameters = per_component("p", "p[{k}]", len(VEHICLE.parameter_array))
 load_low = per_component("limits", "limits[{k}, 0]", NX)
 load_high = per_component("limits", "limits[{k}, 1]", NX)
-axpy = per_component("a, k, x", "x[{k}] + a * k[{k}]", NX)
-combine = per_component("a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", NX)
+rk4_step = runge_kutta_4(derivative, NX)
 outside = total_of_components(
     "x, low, high",
     "(0.0 if low[{k}] <= x[{k}] else 1.0) + (0.0 if x[{k}] <= high[{k}] else 1.0)",
@@ -95,16 +95,6 @@ def rate_change(first: Values, last: Values) -> tuple[float, float]:
     """Change of the rates of position (m/s, as the sum over both axes) and heading (rad/s) between two derivatives."""
     turning = abs(last[THETA] - first[THETA]) if THETA >= 0 else 0.0
     return abs(last[X] - first[X]) + abs(last[Y] - first[Y]), turning
-
-
-@inlined
-def runge_kutta_4(x: Values, u: Values, p: Values, h: float) -> tuple[Values, tuple[float, float]]:
-    """One classical RK4 step of h seconds: the state, and how much the rates of position and heading change in it."""
-    k1 = derivative(x, u, p)
-    k2 = derivative(axpy(0.5 * h, k1, x), u, p)
-    k3 = derivative(axpy(0.5 * h, k2, x), u, p)
-    k4 = derivative(axpy(h, k3, x), u, p)
-    return combine(h / 6.0, k1, k2, k3, k4, x), rate_change(k1, k4)
 
 
 @inlined
@@ -137,7 +127,8 @@ def integrate_lanes(
     """
     for i in range(lanes):
         x, h = load_state(block, 0, i), block[AT_STEP + i]
-        y, (shift, spin) = runge_kutta_4(x, load_input(block, AT_INPUT, i), p, h)
+        y, first, last = rk4_step(x, load_input(block, AT_INPUT, i), p, h)
+        shift, spin = rate_change(first, last)
         store_state(block, 0, i, y)
         block[AT_OUTSIDE + i] += outside(y, low, high)
         if THETA >= 0:
@@ -293,7 +284,7 @@ def state_at_cycle_end(lane: int, start_time: float, problem: Problem, work: Lan
     step = min(max(int(into), 0), work.steps[lane])
     x = load_state(work.trajectory, step * NX * WIDTH, lane)
     u = actuation(load_control(work.control, 0, lane), p)
-    x, _ = runge_kutta_4(x, u, p, max(into - step, 0.0) * h)
+    x, _, _ = rk4_step(x, u, p, max(into - step, 0.0) * h)
     for k in range(NX):
         source[k] = x[k]
 
@@ -309,21 +300,21 @@ def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
     load_source(source, brake, manoeuvres, low, high)
     for i in range(manoeuvres):
         brake.block[AT_STEP + i] = problem.scalar[BRAKE_STEP]
-    taken, moving = int64(0), True
-    while moving and taken < problem.option[BRAKE_STEPS]:
-        taken += 1
+    step, moving = int64(0), True
+    while moving and step < problem.option[BRAKE_STEPS]:
+        step += 1
         for i in range(manoeuvres):  # a manoeuvre is a control law, held over one step
             u = stop(load_state(brake.block, 0, i), p, i)
             store_input(brake.block, AT_INPUT, i, actuation(u, p))
         integrate_lanes(brake.block, manoeuvres, p, low, high, problem.scalar[REACH], problem.scalar[LENGTH])
-        record_lanes(brake, taken, manoeuvres)
+        record_lanes(brake, step, manoeuvres)
         moving = False
         for i in range(manoeuvres):
-            moving = moving or not at_rest(brake, taken, i, problem)
+            moving = moving or not at_rest(brake, step, i, problem)
     for i in range(manoeuvres):
         brake.slack[i] = -1.0
         if brake.block[AT_OUTSIDE + i] == 0.0:
-            brake.slack[i] = manoeuvre_slack(brake, i, taken, problem)
+            brake.slack[i] = manoeuvre_slack(brake, i, step, problem)
         if brake.slack[i] >= 0.0:
             return i
     return -1
@@ -336,8 +327,10 @@ def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lan
     return brake_from(brake.source, problem, brake)
 
 
-def _grow(tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, kept: Retained, iterations: int) -> None:
-    dirt.retain(tree, problem, work, brake, kept, propagate, check, safe)
+def _grow(
+    tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, retained: Retained, iterations: int
+) -> None:
+    dirt.retain(tree, problem, work, brake, retained, propagate, check, safe)
     for _ in range(iterations):
         dirt.visit(tree, problem, work, brake, q, propagate, check, safe)
         if tree.count[FULL] == 1:
@@ -358,7 +351,7 @@ def _brake(problem: Problem, work: Lanes, brake: Lanes, start_time: float) -> in
 
 def _advance(state: Floats, control: Floats, parameters: Floats, h: float, result: Floats) -> None:
     p = load_parameters(parameters)
-    y, _ = runge_kutta_4(first_state(state), actuation(first_control(control), p), p, h)
+    y, _, _ = rk4_step(first_state(state), actuation(first_control(control), p), p, h)
     for k in range(NX):
         result[k] = y[k]
 

@@ -1,7 +1,7 @@
 """A seeded random generator that lives in an array, so that a plan depends on its seed alone.
 
 SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014): a counter through a mixing
-function.  The n-th number needs only seed and n, which lets loops over lanes vectorise.
+function.
 """
 
 from __future__ import annotations
@@ -22,28 +22,13 @@ _TO_UNIT = 1.0 / 9007199254740992.0  # 2**-53
 
 
 @inlined
-def unit_from(counter: np.uint64) -> float:
-    """The number in [0, 1) that belongs to a counter value."""
-    z = (counter ^ (counter >> _S30)) * _MIX_1
-    z = (z ^ (z >> _S27)) * _MIX_2
-    z = z ^ (z >> _S31)
-    return np.float64(z >> _S11) * _TO_UNIT
-
-
-@inlined
 def uniform(rng: npt.NDArray[np.uint64]) -> float:
     """Next number in [0, 1); `rng` is the generator's state, shape (1,)."""
     rng[0] += _GOLDEN
-    return unit_from(rng[0])
-
-
-@inlined
-def fill_uniform(rng: npt.NDArray[np.uint64], out: npt.NDArray[np.float64], count: int) -> None:
-    """Write the next `count` numbers in [0, 1) to the front of `out`."""
-    start = rng[0]
-    for i in range(count):
-        out[i] = unit_from(start + np.uint64(i + 1) * _GOLDEN)
-    rng[0] = start + np.uint64(count) * _GOLDEN
+    z = (rng[0] ^ (rng[0] >> _S30)) * _MIX_1
+    z = (z ^ (z >> _S27)) * _MIX_2
+    z = z ^ (z >> _S31)
+    return np.float64(z >> _S11) * _TO_UNIT
 
 
 def generator(seed: int) -> npt.NDArray[np.uint64]:

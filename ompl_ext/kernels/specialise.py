@@ -19,7 +19,7 @@ from ompl_ext.jit import cache_folder
 from ompl_ext.kernels.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.vehicle import Vehicle
 
-_target: list[Vehicle] = []
+_being_compiled: list[Vehicle] = []
 _kernels: dict[str, VehicleKernels] = {}
 _steps: dict[str, StepKernels] = {}
 
@@ -44,11 +44,11 @@ class StepKernels:
     block: int
 
 
-def take_target() -> Vehicle:
+def vehicle_being_compiled() -> Vehicle:
     """The vehicle that a module is being executed for."""
-    if not _target:
+    if not _being_compiled:
         raise ImportError("this module is executed once per vehicle; call ompl_ext.kernels.specialise.kernels(vehicle)")
-    return _target[-1]
+    return _being_compiled[-1]
 
 
 def is_cached(vehicle: Vehicle) -> bool:
@@ -123,7 +123,7 @@ def _execute(vehicle: Vehicle, source: str) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba imports the module by name when it loads cached code
-    _target.append(vehicle)
+    _being_compiled.append(vehicle)
     try:
         with interrupts_between_passes():
             spec.loader.exec_module(module)
@@ -131,5 +131,5 @@ def _execute(vehicle: Vehicle, source: str) -> ModuleType:
         del sys.modules[name]
         raise
     finally:
-        _target.pop()
+        _being_compiled.pop()
     return module

@@ -10,14 +10,13 @@ from __future__ import annotations
 from numba import types
 
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.jit import compiled, part
 from ompl_ext.kernels.kernel_types import LANE_WIDTH
-from ompl_ext.kernels.specialise import take_target, vehicle_cache_folder
+from ompl_ext.kernels.runge_kutta import runge_kutta_4
+from ompl_ext.kernels.specialise import vehicle_being_compiled, vehicle_cache_folder
 from ompl_ext.kernels.unroll import per_component, store_components
 
-Values = tuple[float, ...]
-
-VEHICLE = take_target()
+VEHICLE = vehicle_being_compiled()
 FOLDER = vehicle_cache_folder(VEHICLE)
 NX = len(VEHICLE.state)
 NU = len(VEHICLE.controls)
@@ -34,19 +33,8 @@ actuation = VEHICLE.actuation or per_component("u, p", "u[{k}]", NU)
 load_state = per_component("a, i", f"a[i + {{k}} * {WIDTH}]", NX)
 load_control = per_component("a, i", f"a[{AT_CONTROL} + i + {{k}} * {WIDTH}]", NU)
 load_parameters = per_component("a, i", f"a[{AT_PARAMETERS} + i + {{k}} * {WIDTH}]", NP)
-axpy = per_component("a, k, x", "x[{k}] + a * k[{k}]", NX)
-combine = per_component("a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", NX)
+rk4_step = runge_kutta_4(derivative, NX)
 store_next = store_components(NX, WIDTH)
-
-
-@inlined
-def runge_kutta_4(x: Values, u: Values, p: Values, h: float) -> Values:
-    """One classical RK4 step of h seconds."""
-    k1 = derivative(x, u, p)
-    k2 = derivative(axpy(0.5 * h, k1, x), u, p)
-    k3 = derivative(axpy(0.5 * h, k2, x), u, p)
-    k4 = derivative(axpy(h, k3, x), u, p)
-    return combine(h / 6.0, k1, k2, k3, k4, x)
 
 
 @part
@@ -55,7 +43,8 @@ def step_lanes(block: Floats, lanes: int) -> None:
     for i in range(lanes):
         p = load_parameters(block, i)
         u = actuation(load_control(block, i), p)
-        store_next(block, AT_NEXT, i, runge_kutta_4(load_state(block, i), u, p, block[AT_STEP + i]))
+        after, _, _ = rk4_step(load_state(block, i), u, p, block[AT_STEP + i])
+        store_next(block, AT_NEXT, i, after)
 
 
 @part

@@ -52,7 +52,7 @@ def distance_squared(tree: Tree, node: int, q: Floats) -> float:
     """Squared distance between a node and a configuration, the first Q_DIM entries of `q`."""
     total = 0.0
     for k in range(Q_DIM):
-        difference = tree.hot[node, k] - q[k]
+        difference = tree.value[node, k] - q[k]
         total += difference * difference
     return total
 
@@ -65,8 +65,8 @@ def region_cell(tree: Tree, level: int, node: int) -> int:
         tree.level[level, LEVEL_COLUMNS],
         tree.level[level, LEVEL_ROWS],
     )
-    column = clamp(int((tree.hot[node, 0] - tree.frame[0]) / size), columns)
-    row = clamp(int((tree.hot[node, 1] - tree.frame[1]) / size), rows)
+    column = clamp(int((tree.value[node, 0] - tree.frame[0]) / size), columns)
+    row = clamp(int((tree.value[node, 1] - tree.frame[1]) / size), rows)
     return tree.level[level, LEVEL_START] + row * columns + column
 
 
@@ -74,7 +74,7 @@ def region_cell(tree: Tree, level: int, node: int) -> int:
 def list_region(tree: Tree, node: int) -> None:
     """List a node on the level of its region's radius."""
     level = int64(0)
-    while level < len(tree.level_cell) - 1 and tree.level_cell[level] < tree.hot[node, RADIUS]:
+    while level < len(tree.level_cell) - 1 and tree.level_cell[level] < tree.value[node, RADIUS]:
         level += 1
     cell = region_cell(tree, level, node)
     head = int64(tree.region_head[cell])
@@ -121,18 +121,18 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
     for level in range(len(tree.level_cell)):
         if tree.level[level, LEVEL_COUNT] == 0:
             continue
-        first_row, end_row, first_column, end_column = level_window(tree, level, tree.hot[node])
+        first_row, end_row, first_column, end_column = level_window(tree, level, tree.value[node])
         for row in range(first_row, end_row):
             for column in range(first_column, end_column):
                 cell = tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_COLUMNS] + column
                 other = int64(tree.region_head[cell])
                 while other >= 0:
                     following = tree.link[other, REGION_NEXT]
-                    if tree.hot[other, F] > tree.hot[node, F]:
-                        distance = math.sqrt(distance_squared(tree, other, tree.hot[node]))
-                        if distance < tree.hot[other, RADIUS]:
+                    if tree.value[other, F] > tree.value[node, F]:
+                        distance = math.sqrt(distance_squared(tree, other, tree.value[node]))
+                        if distance < tree.value[other, RADIUS]:
                             unlist_region(tree, other)
-                            tree.hot[other, RADIUS] = distance
+                            tree.value[other, RADIUS] = distance
                             if distance >= closed:
                                 list_region(tree, other)
                     other = following
@@ -140,11 +140,11 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
 
 @part
 def select(tree: Tree, q: Floats) -> int:
-    """The least visited node whose region holds `q`, ties by lot; the nearest node if there is none.
+    """The least visited node whose region holds `q`, ties at random; the nearest node if there is none.
 
     Nodes that cannot lead to a better plan any more are taken off the index on the way; -1 if no others are left.
     """
-    chosen, seen, fewest = int64(-1), 0, int64(2**62)
+    chosen, ties, fewest_visits = int64(-1), 0, int64(2**62)
     for level in range(len(tree.level_cell)):
         if tree.level[level, LEVEL_COUNT] == 0:
             continue
@@ -155,15 +155,15 @@ def select(tree: Tree, q: Floats) -> int:
                 node = int64(tree.region_head[cell])
                 while node >= 0:
                     following = tree.link[node, REGION_NEXT]
-                    if tree.hot[node, F] >= tree.best[0]:
+                    if tree.value[node, F] >= tree.best[0]:
                         unlist_region(tree, node)
-                    elif distance_squared(tree, node, q) <= tree.hot[node, RADIUS] * tree.hot[node, RADIUS]:
+                    elif distance_squared(tree, node, q) <= tree.value[node, RADIUS] * tree.value[node, RADIUS]:
                         visits = tree.link[node, VISITS]
-                        if visits < fewest:
-                            fewest, seen = visits, 0
-                        if visits == fewest:
-                            seen += 1
-                            if uniform(tree.random) * seen < 1.0:  # reservoir sampling
+                        if visits < fewest_visits:
+                            fewest_visits, ties = visits, 0
+                        if visits == fewest_visits:
+                            ties += 1
+                            if uniform(tree.random) * ties < 1.0:  # reservoir sampling
                                 chosen = node
                     node = following
     if chosen < 0:
@@ -187,14 +187,14 @@ def nearest_better_in_cell(
     before, other = int64(-1), int64(tree.cell_head[cell])
     while other >= 0 and best2 >= closed * closed:
         following = tree.link[other, CELL_NEXT]
-        if tree.hot[other, RADIUS] < closed:
+        if tree.value[other, RADIUS] < closed:
             if before >= 0:
                 tree.link[before, CELL_NEXT] = following
             else:
                 tree.cell_head[cell] = following
         else:
             before = other
-            if tree.hot[other, F] < f:
+            if tree.value[other, F] < f:
                 d2 = distance_squared(tree, other, q)
                 if d2 < best2:
                     best2, node = d2, other
@@ -239,14 +239,14 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
 def list_position(tree: Tree, node: int) -> None:
     """List a node in the cell of its position."""
     columns, rows = tree.block_shape[0], tree.block_shape[1]
-    column = clamp(int((tree.hot[node, 0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
-    row = clamp(int((tree.hot[node, 1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)
+    column = clamp(int((tree.value[node, 0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
+    row = clamp(int((tree.value[node, 1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)
     block = (row // BLOCK) * columns + column // BLOCK
     cell = block * BLOCK * BLOCK + (row % BLOCK) * BLOCK + column % BLOCK
     tree.link[node, CELL_NEXT] = tree.cell_head[cell]
     tree.cell_head[cell] = node
-    tree.cell_best[cell] = min(tree.cell_best[cell], tree.hot[node, F])
-    tree.block_best[block] = min(tree.block_best[block], tree.hot[node, F])
+    tree.cell_best[cell] = min(tree.cell_best[cell], tree.value[node, F])
+    tree.block_best[block] = min(tree.block_best[block], tree.value[node, F])
 
 
 @compiled
@@ -259,9 +259,9 @@ def list_node(tree: Tree, node: int) -> None:
 @inlined
 def add_to_indices(tree: Tree, node: int, limit: float, closed: float) -> None:
     """Give a node its region: up to `limit` or the nearest better node; worse nodes' regions shrink to it."""
-    _, tree.hot[node, RADIUS] = nearest_better(tree, tree.hot[node], tree.hot[node, F], limit, closed)
+    _, tree.value[node, RADIUS] = nearest_better(tree, tree.value[node], tree.value[node, F], limit, closed)
     shrink_worse(tree, node, closed)
-    if tree.hot[node, RADIUS] >= closed:
+    if tree.value[node, RADIUS] >= closed:
         list_node(tree, node)
 
 

@@ -34,7 +34,7 @@ from ompl_ext.kernels.tree import BLOCK, list_node
 
 REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)
-MOST_CELLS = 250_000  # in either index: larger workspaces get larger cells
+MAX_CELLS = 250_000  # in either index: larger workspaces get larger cells
 
 
 def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
@@ -44,7 +44,7 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
     """
     (x_low, x_high), (y_low, y_high) = bounds
     width, height = x_high - x_low, y_high - y_low
-    smallest = math.sqrt(width * height / MOST_CELLS)
+    smallest = math.sqrt(width * height / MAX_CELLS)
     start, size = 0, max(REGION_CELL, smallest)
     levels: list[list[int]] = []
     sizes: list[float] = []
@@ -59,7 +59,7 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
     return Tree(
         state=np.zeros((capacity, nx)),
         edge=np.zeros((capacity, nu + 1)),
-        hot=np.zeros((capacity, 8)),
+        value=np.zeros((capacity, 8)),
         link=np.zeros((capacity, 7), np.int64),
         region_head=np.full(start, -1, np.int32),
         level=np.array(levels),
@@ -97,7 +97,7 @@ def reset_indices(tree: Tree) -> None:
 def relist(tree: Tree, closed: float) -> None:
     """List every node anew, after nodes have moved in memory; regions keep their radii."""
     for node in range(tree.count[SIZE]):
-        if tree.hot[node, RADIUS] >= closed:
+        if tree.value[node, RADIUS] >= closed:
             list_node(tree, node)
 
 
@@ -106,8 +106,8 @@ def add_root(tree: Tree, work: Lanes) -> None:
     node = int(tree.count[SIZE])
     tree.state[node] = work.source
     tree.edge[node] = 0.0
-    tree.hot[node, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]
-    tree.hot[node, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
+    tree.value[node, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]
+    tree.value[node, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
     tree.link[node] = -1
     tree.link[node, AT_GOAL] = work.at_goal[0]
     tree.link[node, VISITS] = 0
@@ -123,22 +123,22 @@ def prune(tree: Tree, closed: float) -> int:
     These are the closed ones and those with f at or above the best cost, unless they lead to a node that is kept.
     """
     size = int(tree.count[SIZE])
-    f, radius, parent = tree.hot[:size, F], tree.hot[:size, RADIUS], tree.link[:size, PARENT]
+    f, radius, parent = tree.value[:size, F], tree.value[:size, RADIUS], tree.link[:size, PARENT]
     keep = (f < tree.best[0]) & (radius >= closed)
     keep[parent < 0] = True
-    for special in (BEST, CLOSEST, NEXT):
-        if tree.count[special] >= 0:
-            keep[tree.count[special]] = True
+    for named in (BEST, CLOSEST, NEXT):
+        if tree.count[named] >= 0:
+            keep[tree.count[named]] = True
     _keep_ancestors(keep, parent)
-    place = np.cumsum(keep) - 1
-    kept = int(place[-1]) + 1
-    for array in (tree.state, tree.edge, tree.hot, tree.link):
+    new_index = np.cumsum(keep) - 1
+    kept = int(new_index[-1]) + 1
+    for array in (tree.state, tree.edge, tree.value, tree.link):
         array[:kept] = array[:size][keep]
     parents = tree.link[:kept, PARENT]
-    tree.link[:kept, PARENT] = np.where(parents >= 0, place[parents], -1)
-    for special in (BEST, CLOSEST, NEXT):
-        if tree.count[special] >= 0:
-            tree.count[special] = place[tree.count[special]]
+    tree.link[:kept, PARENT] = np.where(parents >= 0, new_index[parents], -1)
+    for named in (BEST, CLOSEST, NEXT):
+        if tree.count[named] >= 0:
+            tree.count[named] = new_index[tree.count[named]]
     tree.count[SIZE] = kept
     tree.count[FULL] = 0
     reset_indices(tree)

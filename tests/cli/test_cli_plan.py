@@ -18,7 +18,7 @@ from kraft.planning import compilation as kernel_cache
 from kraft.planning.plan_file import read_plan
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from ompl_ext.verify import Requirement, Verification, Violation
+from ompl_ext.verification import Requirement, Verification, Violation
 
 SCENE = """name: room
 bounds: {x: [0, 4], y: [0, 4]}

@@ -17,7 +17,7 @@ from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 STATE = np.array([0.3, -0.2, 0.7, 0.4])
 CONTROL = np.array([0.8, -0.25])
@@ -26,7 +26,7 @@ CONTROL = np.array([0.8, -0.25])
 @pytest.mark.parametrize("of", [car, slow_car])
 def test_a_prediction_is_the_planners_own(of: Callable[[], Model]) -> None:
     model = of()
-    dirt = Dirt(model.vehicle, Workspace(((-5, 5), (-5, 5)), ()), None, settings=Settings(steps=20, longest=1.0))
+    dirt = DirtSolver(model.vehicle, Workspace(((-5, 5), (-5, 5)), ()), None, settings=Settings(steps=20, longest=1.0))
     trajectory, _ = dirt.edge(STATE, CONTROL, 1.0)
     assert model.advance(STATE, CONTROL, 1.0) == pytest.approx(trajectory[-1], abs=1e-12)
 

@@ -15,8 +15,8 @@ from kraft.driving.method import Clearance, Planner
 from kraft.driving.proposer import LEEWAY, SMALLEST_GOAL, Planners
 from kraft.errors import Defect
 from ompl_ext.plan import Plan
-from ompl_ext.solver import Dirt, Progress
-from ompl_ext.verify import Verification
+from ompl_ext.solver import DirtSolver, Progress
+from ompl_ext.verification import Verification
 
 
 def planners(**settings: object) -> Planners:
@@ -120,7 +120,7 @@ def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away
 def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:
     heads = list[Plan]()
 
-    def judge(_: Dirt, head: Plan) -> Verification:
+    def judge(_: DirtSolver, head: Plan) -> Verification:
         heads.append(head)
         return Verification(0.0, None, ())
 
@@ -166,7 +166,7 @@ def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pyt
     monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: now[0])
     for dirt in (both.planning, both.checking):
 
-        def grow(seconds: float, dirt: Dirt = dirt, grow: Callable[..., Progress] = dirt.grow) -> Progress:
+        def grow(seconds: float, dirt: DirtSolver = dirt, grow: Callable[..., Progress] = dirt.grow) -> Progress:
             granted.append(seconds)
             now[0] += seconds
             return grow(iterations=300)

@@ -23,7 +23,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels.clearance import clearance_field, cover
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.query import Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.triangulate import triangles
 from ompl_ext.vehicle import Footprint
 
@@ -77,9 +77,9 @@ def inside(vertices: np.ndarray, point: np.ndarray) -> bool:
     return abs(turns.sum()) > 3.0
 
 
-def pinned_dirt(workspace: Workspace, footprint: Footprint, discs: int = 4) -> Dirt:
+def pinned_dirt(workspace: Workspace, footprint: Footprint, discs: int = 4) -> DirtSolver:
     vehicle = replace(BENCHMARK, footprint=footprint)
-    return Dirt(vehicle, workspace, GOAL, NO_SAFETY, Settings(discs=discs), capacity=100)
+    return DirtSolver(vehicle, workspace, GOAL, NO_SAFETY, Settings(discs=discs), capacity=100)
 
 
 @given(

@@ -28,7 +28,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.plan import Plan
 from ompl_ext.query import Goal, Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint
 
 ROOM = ((0.0, 4.0), (0.0, 4.0))
@@ -36,13 +36,13 @@ ACROSS = Goal((3.5, 3.5), 0.25)
 CORNER = np.array([0.5, 0.5, 0.8, 0.0])
 
 
-def tree_bytes(dirt: Dirt) -> bytes:
+def tree_bytes(dirt: DirtSolver) -> bytes:
     tree = dirt.tree()
     arrays = (tree.states, tree.parents, tree.controls, tree.durations, tree.costs, tree.costs_to_go)
     return b"".join(a.tobytes() for a in arrays)
 
 
-def planned(dirt: Dirt, iterations: int = 800, seed: int = 0, start: Array = START) -> Plan:
+def planned(dirt: DirtSolver, iterations: int = 800, seed: int = 0, start: Array = START) -> Plan:
     dirt.start(start, seed)
     dirt.grow(iterations=iterations)
     plan = dirt.plan()
@@ -50,7 +50,7 @@ def planned(dirt: Dirt, iterations: int = 800, seed: int = 0, start: Array = STA
     return plan
 
 
-def check_plan(dirt: Dirt, plan: Plan) -> None:
+def check_plan(dirt: DirtSolver, plan: Plan) -> None:
     """What holds for every plan, by a second integrator and FCL."""
     vehicle, rate = dirt.vehicle, benchmark_rate(dirt.vehicle)
     assert plan.cost == pytest.approx(plan.durations.sum(), abs=1e-9)
@@ -92,7 +92,7 @@ def test_the_same_seed_and_iterations_give_the_same_tree_in_one_call_or_many(saf
 
 
 def test_looks_at_the_clock_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    dirt, trees = Dirt(BENCHMARK, TURNS, GOAL, settings=Settings(pruning=True), capacity=20_000), []
+    dirt, trees = DirtSolver(BENCHMARK, TURNS, GOAL, settings=Settings(pruning=True), capacity=20_000), []
     for chunk in (0.002, 0.00005, 0.5):
         monkeypatch.setattr(solver, "LONGEST_CHUNK", chunk)
         dirt.start(START, 2)
@@ -102,7 +102,7 @@ def test_looks_at_the_clock_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_looks_at_the_clock_change_nothing_when_memory_runs_out_either(monkeypatch: pytest.MonkeyPatch) -> None:
-    dirt, trees, iterations = Dirt(BENCHMARK, TURNS, GOAL, capacity=1000), [], []
+    dirt, trees, iterations = DirtSolver(BENCHMARK, TURNS, GOAL, capacity=1000), [], []
     for first in (16, 7, 400):
         monkeypatch.setattr(solver, "FIRST_CHUNK", first)
         monkeypatch.setattr(solver, "_next_chunk", lambda count, took, left, first=first: first)
@@ -143,7 +143,7 @@ def test_the_cost_never_rises_with_more_iterations() -> None:
 def test_it_converges_towards_the_straight_way_in_an_empty_room() -> None:
     # From rest: distance 4.24 - 0.25 at 0.6228 m/s, and 1 / 0.9898 s lost to the speed's response.
     fastest = (math.hypot(3, 3) - 0.25) / 0.6228 + 1 / 0.9898
-    dirt = Dirt(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=20_000)
+    dirt = DirtSolver(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=20_000)
     costs = [planned(dirt, 4000, seed, CORNER).cost for seed in range(3)]
     assert min(costs) > fastest - 0.02
     assert max(costs) < fastest * 1.06
@@ -167,7 +167,7 @@ def test_a_budget_of_seconds_is_kept() -> None:
 def test_an_unreachable_goal_gives_no_plan_and_no_far_fetched_cost(goal: Goal) -> None:
     # Behind a closed wall, outside the workspace, inside an obstacle.
     wall = box((1.0, 4.2), (2.4, 0.02))
-    dirt = Dirt(BENCHMARK, Workspace(TURNS.bounds, (*TURNS.obstacles, wall)), goal, NO_SAFETY, capacity=5000)
+    dirt = DirtSolver(BENCHMARK, Workspace(TURNS.bounds, (*TURNS.obstacles, wall)), goal, NO_SAFETY, capacity=5000)
     for seed in range(3):
         dirt.start(START, seed)
         progress = dirt.grow(iterations=500)
@@ -214,50 +214,50 @@ def test_nothing_leaves_a_start_that_is_too_near_for_delta() -> None:
     near = Workspace(ROOM, (box((0.5, 1.0), (0.6, 0.3)),))  # 0.21 m to its left
     start = np.array([0.5, 0.5, 0.0, 0.0])
     for delta, leaves in ((0.05, True), (0.25, False)):
-        dirt = Dirt(BENCHMARK, near, ACROSS, Safety(delta=delta), capacity=3000)
+        dirt = DirtSolver(BENCHMARK, near, ACROSS, Safety(delta=delta), capacity=3000)
         dirt.start(start, 0)
         assert (dirt.grow(iterations=200).nodes > 1) == leaves
 
 
 def test_another_clearance_can_be_asked_for_as_if_it_had_been_from_the_beginning() -> None:
     near, beside = Workspace(ROOM, (box((2.0, 0.2), (4.0, 0.2)),)), np.array([0.5, 0.5, 0.0, 0.0])  # 6 cm beside it
-    dirt = Dirt(BENCHMARK, near, ACROSS, Safety(delta=0.1), capacity=10_000)
+    dirt = DirtSolver(BENCHMARK, near, ACROSS, Safety(delta=0.1), capacity=10_000)
     nothing = np.zeros(2)
     before = dirt.edge(beside, nothing, 0.0, 0.0)[1]
     assert before < 0.0
     dirt.start(beside)
     assert dirt.grow(iterations=50).nodes == 1
     assert dirt.contingency(beside) is None
-    dirt.ask_for(0.02)
+    dirt.set_delta(0.02)
     assert dirt.safety == Safety(delta=0.02)
     assert dirt.edge(beside, nothing, 0.0, 0.0)[1] == pytest.approx(before + 0.08)
     assert dirt.contingency(beside) is not None
     check_plan(dirt, planned(dirt, start=beside))
-    other = Dirt(BENCHMARK, near, ACROSS, Safety(delta=0.02), capacity=10_000)
+    other = DirtSolver(BENCHMARK, near, ACROSS, Safety(delta=0.02), capacity=10_000)
     planned(other, start=beside)
     assert tree_bytes(dirt) == tree_bytes(other)
 
 
 def test_a_smaller_goal_can_be_aimed_for_and_the_first_one_again() -> None:
-    dirt = Dirt(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=10_000)
+    dirt = DirtSolver(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=10_000)
     planned(dirt, start=CORNER)
     first = tree_bytes(dirt)
-    dirt.aim_for(0.03)
+    dirt.set_goal_radius(0.03)
     assert dirt.goal == replace(ACROSS, radius=0.03)
     plan = planned(dirt, iterations=3000, start=CORNER)
     assert plan.reaches_goal
     check_plan(dirt, plan)
     inside = np.array([3.4, 3.4, 0.8, 0.0])  # 0.14 m from the centre
     assert len(planned(dirt, start=inside).durations) > 0
-    dirt.aim_for(ACROSS.radius)
+    dirt.set_goal_radius(ACROSS.radius)
     assert len(planned(dirt, start=inside).durations) == 0
     planned(dirt, start=CORNER)
     assert tree_bytes(dirt) == first
 
 
-def test_without_a_goal_there_is_none_to_aim_for() -> None:
+def test_without_a_goal_there_is_none_whose_radius_can_be_set() -> None:
     with pytest.raises(ValueError, match="no goal to aim for"):
-        Dirt(BENCHMARK, Workspace(ROOM), None, capacity=10).aim_for(0.1)
+        DirtSolver(BENCHMARK, Workspace(ROOM), None, capacity=10).set_goal_radius(0.1)
 
 
 def test_a_start_inside_the_goal_is_the_solution() -> None:
@@ -271,7 +271,7 @@ def test_a_start_inside_the_goal_is_the_solution() -> None:
 @pytest.mark.parametrize("goal_heading", [0.0, math.pi / 2, math.pi, -2.0])
 def test_a_goal_with_a_heading_is_entered_that_way(goal_heading: float) -> None:
     goal = Goal((2.0, 2.0), 0.3, heading=goal_heading, tolerance=0.2)
-    dirt = Dirt(BENCHMARK, Workspace(ROOM), goal, NO_SAFETY, capacity=20_000)
+    dirt = DirtSolver(BENCHMARK, Workspace(ROOM), goal, NO_SAFETY, capacity=20_000)
     plan = planned(dirt, 15_000, 1, np.array([0.5, 2.0, 0.0, 0.0]))
     assert plan.reaches_goal
     assert abs((plan.states[-1, 2] - goal_heading + math.pi) % (2 * math.pi) - math.pi) <= 0.2
@@ -281,7 +281,7 @@ def test_a_goal_with_a_heading_is_entered_that_way(goal_heading: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_start_that_faces_away_from_the_goal_is_turned_round(seed: int) -> None:
     # A U-turn 1.4 m wide in the middle of an empty room: every edge of it first leads away from the goal.
-    dirt = Dirt(BENCHMARK, Workspace(ROOM), Goal((3.5, 2.0), 0.25), NO_SAFETY, capacity=20_000)
+    dirt = DirtSolver(BENCHMARK, Workspace(ROOM), Goal((3.5, 2.0), 0.25), NO_SAFETY, capacity=20_000)
     dirt.start(np.array([2.0, 2.0, math.pi, 0.0]), seed)
     dirt.grow(iterations=20_000)
     plan = dirt.plan()
@@ -291,7 +291,7 @@ def test_a_start_that_faces_away_from_the_goal_is_turned_round(seed: int) -> Non
 
 
 def test_a_plan_shorter_than_the_cycle_has_a_contingency_at_its_end() -> None:
-    dirt = Dirt(BENCHMARK, Workspace(ROOM), Goal((2.0, 1.0), 0.3), Safety(cycle=8.0, delta=0.02), capacity=10_000)
+    dirt = DirtSolver(BENCHMARK, Workspace(ROOM), Goal((2.0, 1.0), 0.3), Safety(cycle=8.0, delta=0.02), capacity=10_000)
     plan = planned(dirt, 1500, 0, np.array([1.0, 1.0, 0.0, 0.4]))
     assert plan.reaches_goal
     assert plan.cost < 8.0
@@ -303,7 +303,7 @@ def test_a_plan_shorter_than_the_cycle_has_a_contingency_at_its_end() -> None:
 
 def test_a_full_tree_stops_cleanly_and_keeps_its_plan() -> None:
     for capacity in (100, 500, 2000):
-        dirt = Dirt(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=capacity)
+        dirt = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=capacity)
         dirt.start(START, 0)
         last = math.inf
         for _ in range(8):
@@ -322,7 +322,7 @@ def test_a_full_tree_stops_cleanly_and_keeps_its_plan() -> None:
 
 def test_retaining_more_than_memory_holds_stops_cleanly() -> None:
     plan = planned(turns())
-    small = Dirt(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=5)
+    small = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=5)
     small.start(START, 0)
     added = small.retain(plan)
     assert small.progress.nodes == 5
@@ -441,7 +441,7 @@ def test_every_plan_in_random_scenes_is_free_and_safe_by_fcl(block: int) -> None
         workspace, start, goal = random_scene(seed)
         safety = [NO_SAFETY, Safety(), Safety(cycle=0.7, delta=0.03, delta_per_speed=0.1)][seed % 3]
         footprint = [Footprint(0.4, 0.28), Footprint(0.3, 0.15, 0.1)][seed % 2]
-        dirt = Dirt(replace(BENCHMARK, footprint=footprint), workspace, goal, safety, capacity=3000)
+        dirt = DirtSolver(replace(BENCHMARK, footprint=footprint), workspace, goal, safety, capacity=3000)
         dirt.start(start, seed)
         dirt.grow(iterations=250)
         plan = dirt.plan()
@@ -462,7 +462,9 @@ def test_every_plan_in_random_scenes_is_free_and_safe_by_fcl(block: int) -> None
 
 def test_another_vehicle_plans_around_the_corner_too() -> None:
     rover = replace(ROVER, footprint=Footprint(0.3, 0.2, 0.05))
-    dirt = Dirt(rover, Workspace(ROOM, (box((2, 1.5), (0.2, 3)),)), Goal((3.3, 0.7), 0.3), Safety(), capacity=20_000)
+    dirt = DirtSolver(
+        rover, Workspace(ROOM, (box((2, 1.5), (0.2, 3)),)), Goal((3.3, 0.7), 0.3), Safety(), capacity=20_000
+    )
     dirt.start(np.array([0.6, 0.6, 1.5, 0.0, 0.0]), 1)
     dirt.grow(iterations=15_000)
     plan = dirt.plan()
@@ -488,7 +490,7 @@ def test_several_roots_may_begin_a_query() -> None:
 
 @pytest.mark.parametrize("quantum", [0.05, 0.1, 0.25])
 def test_a_plan_with_a_quantum_is_as_good_a_plan(quantum: float) -> None:
-    dirt = Dirt(BENCHMARK, TURNS, GOAL, Safety(), Settings(quantum=quantum), capacity=10_000)
+    dirt = DirtSolver(BENCHMARK, TURNS, GOAL, Safety(), Settings(quantum=quantum), capacity=10_000)
     plan = planned(dirt, 1200)
     assert plan.reaches_goal
     check_plan(dirt, plan)
@@ -500,7 +502,7 @@ def test_a_plan_with_a_quantum_is_as_good_a_plan(quantum: float) -> None:
 
 
 def test_walls_alone_let_the_vehicle_through() -> None:
-    dirt = Dirt(BENCHMARK, Workspace(TURNS.bounds, WALLS), GOAL, NO_SAFETY, capacity=10_000)
+    dirt = DirtSolver(BENCHMARK, Workspace(TURNS.bounds, WALLS), GOAL, NO_SAFETY, capacity=10_000)
     assert planned(dirt, 1500).cost < 10.5
 
 

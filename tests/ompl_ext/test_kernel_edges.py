@@ -30,15 +30,15 @@ from support.kernels import (
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Circle, Obstacle, Workspace, box
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint, Vehicle
 
 OPEN = Workspace(((-40.0, 40.0), (-40.0, 40.0)))
 seeds = st.integers(0, 2**32 - 1)
 
 
-def wide(vehicle: Vehicle, steps: int = 10) -> Dirt:
-    return Dirt(vehicle, OPEN, GOAL, NO_SAFETY, Settings(steps=steps, cell=1.0), capacity=10)
+def wide(vehicle: Vehicle, steps: int = 10) -> DirtSolver:
+    return DirtSolver(vehicle, OPEN, GOAL, NO_SAFETY, Settings(steps=steps, cell=1.0), capacity=10)
 
 
 WIDE, ROVING = wide(BENCHMARK), wide(ROVER)
@@ -87,7 +87,7 @@ def test_an_edge_has_as_many_steps_as_the_settings_say(steps: int) -> None:
 @pytest.mark.parametrize("quantum", [0.05, 0.1])
 def test_with_a_quantum_every_edge_takes_a_step_a_quantum(quantum: float) -> None:
     settings = Settings(shortest=0.2, longest=0.8, quantum=quantum)
-    dirt = Dirt(BENCHMARK, TURNS, GOAL, NO_SAFETY, settings, capacity=3000)
+    dirt = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, settings, capacity=3000)
     dirt.start(START, 3)
     dirt.grow(iterations=600)
     tree = dirt.tree()
@@ -106,7 +106,7 @@ def test_with_a_quantum_every_edge_takes_a_step_a_quantum(quantum: float) -> Non
 
 
 def test_an_edge_with_more_steps_than_memory_is_refused() -> None:
-    dirt = Dirt(BENCHMARK, OPEN, GOAL, NO_SAFETY, Settings(longest=1.0, quantum=0.1, cell=1.0), capacity=10)
+    dirt = DirtSolver(BENCHMARK, OPEN, GOAL, NO_SAFETY, Settings(longest=1.0, quantum=0.1, cell=1.0), capacity=10)
     with pytest.raises(ValueError, match="longer than the longest"):
         dirt.edge(START, np.array([1.0, 0.2]), 2.0)
 
@@ -175,7 +175,7 @@ def assert_no_post_is_driven_over(
 ) -> None:
     workspace, _, dense = post_between_the_samples(vehicle, rate, state, control, duration, steps)
     sharp = Settings(steps=steps, cell=0.005, discs=24)
-    _, slack = Dirt(vehicle, workspace, GOAL, NO_SAFETY, sharp, capacity=10).edge(state, control, duration)
+    _, slack = DirtSolver(vehicle, workspace, GOAL, NO_SAFETY, sharp, capacity=10).edge(state, control, duration)
     if slack >= 0.0:
         assert ExactClearance(workspace, vehicle.footprint).distances(dense).min() > 0.0
 
@@ -226,7 +226,7 @@ def test_what_the_field_accepts_fcl_finds_free_at_every_moment(seed: int) -> Non
     car = replace(car, footprint=BODIES[seed % 4])
     obstacles = tuple(thin_posts(rng)) + random_workspace(seed, most=2).obstacles
     workspace = Workspace(((0.0, 3.0), (0.0, 3.0)), obstacles)
-    dirt, exact = Dirt(car, workspace, GOAL, NO_SAFETY, capacity=10), ExactClearance(workspace, car.footprint)
+    dirt, exact = DirtSolver(car, workspace, GOAL, NO_SAFETY, capacity=10), ExactClearance(workspace, car.footprint)
     accepted = 0
     for _ in range(300):
         state = np.array([*rng.uniform(0.2, 2.8, 2), rng.uniform(-4, 4), rng.uniform(0, car.top_speed)])
@@ -245,7 +245,7 @@ def test_inside_the_cycle_an_accepted_edge_keeps_delta_at_every_moment(seed: int
     rng, safety = np.random.default_rng(seed), Safety(cycle=1.0, delta=0.05, delta_per_speed=0.1)
     car, rate = CARS[seed % 3]
     workspace = random_workspace(100 + seed, most=4)
-    dirt, exact = Dirt(car, workspace, GOAL, safety, capacity=10), ExactClearance(workspace, car.footprint)
+    dirt, exact = DirtSolver(car, workspace, GOAL, safety, capacity=10), ExactClearance(workspace, car.footprint)
     accepted = 0
     for _ in range(400):
         state = np.array([*rng.uniform(0.2, 2.8, 2), rng.uniform(-4, 4), rng.uniform(0, car.top_speed)])
@@ -263,7 +263,7 @@ def test_inside_the_cycle_an_accepted_edge_keeps_delta_at_every_moment(seed: int
 
 
 def test_an_edge_that_leaves_the_workspace_or_a_limit_is_refused() -> None:
-    dirt = Dirt(BENCHMARK, Workspace(((0.0, 2.0), (0.0, 2.0))), GOAL, NO_SAFETY, capacity=10)
+    dirt = DirtSolver(BENCHMARK, Workspace(((0.0, 2.0), (0.0, 2.0))), GOAL, NO_SAFETY, capacity=10)
     forward = np.array([1.0, 0.0])
     assert dirt.edge(np.array([1.0, 1.0, 0.0, 0.5]), forward, 1.0)[1] >= 0.0
     assert dirt.edge(np.array([1.8, 1.0, 0.0, 0.5]), forward, 1.0)[1] < 0.0
@@ -273,7 +273,7 @@ def test_an_edge_that_leaves_the_workspace_or_a_limit_is_refused() -> None:
 
 def test_an_edge_that_begins_outside_the_workspace_is_refused() -> None:
     quick = fast(gain=20.0, rate=10.0)
-    dirt = Dirt(quick, Workspace(((0.0, 9.0), (0.0, 2.0))), GOAL, NO_SAFETY, capacity=10)
+    dirt = DirtSolver(quick, Workspace(((0.0, 9.0), (0.0, 2.0))), GOAL, NO_SAFETY, capacity=10)
     for x in (-0.05, -0.5, -1.5):
         assert dirt.edge(np.array([x, 1.0, 0.0, 19.0]), np.array([1.0, 0.0]), 0.2)[1] < 0.0
 
@@ -283,5 +283,5 @@ def test_an_edge_that_begins_outside_the_workspace_is_refused() -> None:
 def test_a_state_that_is_not_a_number_gives_no_edge(bad: float, component: int) -> None:
     state = np.array([1.0, 1.0, 0.0, 0.0])
     state[component] = bad
-    dirt = Dirt(BENCHMARK, Workspace(((0.0, 2.0), (0.0, 2.0))), GOAL, NO_SAFETY, capacity=10)
+    dirt = DirtSolver(BENCHMARK, Workspace(((0.0, 2.0), (0.0, 2.0))), GOAL, NO_SAFETY, capacity=10)
     assert dirt.edge(state, np.array([1.0, 0.0]), 1.0)[1] < 0.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ompl_ext.kernels.rng import fill_uniform, generator, uniform
+from ompl_ext.kernels.rng import generator, uniform
 
 MASK = 2**64 - 1
 PINNED = {
@@ -35,12 +35,6 @@ def drawn(seed: int, count: int) -> list[float]:
     return [uniform(state) for _ in range(count)]
 
 
-def filled(seed: int, count: int) -> np.ndarray:
-    out = np.zeros(count)
-    fill_uniform(generator(seed), out, count)
-    return out
-
-
 def test_split_mix_from_state_zero_gives_the_published_numbers() -> None:
     state = np.zeros(1, np.uint64)
     published = [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F]
@@ -59,16 +53,6 @@ def test_any_integer_is_a_seed_and_gives_the_reference_sequence(seed: int) -> No
     assert drawn(seed, 5) == split_mix(int(generator(seed)[0]), 5)
 
 
-@given(seeds, st.integers(0, 40))
-@settings(deadline=None, max_examples=50)
-def test_filling_an_array_is_drawing_one_number_after_another(seed: int, count: int) -> None:
-    one, many, out = generator(seed), generator(seed), np.full(41, -1.0)
-    fill_uniform(many, out, count)
-    assert out[:count].tolist() == [uniform(one) for _ in range(count)]
-    assert (out[count:] == -1.0).all()
-    assert one[0] == many[0]
-
-
 @given(seeds, st.integers(1, 2**64 - 1))
 @settings(deadline=None, max_examples=100)
 def test_seeds_that_differ_modulo_two_to_the_64_give_different_sequences(seed: int, other: int) -> None:
@@ -78,7 +62,7 @@ def test_seeds_that_differ_modulo_two_to_the_64_give_different_sequences(seed: i
 
 @pytest.mark.parametrize("seed", [0, 1, 2, -1, 2**63, 2**64 - 1])
 def test_numbers_are_uniform_in_the_half_open_unit_interval(seed: int) -> None:
-    sample = filled(seed, 200_000)
+    sample = np.array(drawn(seed, 200_000))
     assert sample.min() >= 0.0
     assert sample.max() < 1.0
     counts = np.bincount((sample * 100).astype(int), minlength=100)
@@ -88,6 +72,6 @@ def test_numbers_are_uniform_in_the_half_open_unit_interval(seed: int) -> None:
 
 
 def test_neighbouring_seeds_are_not_correlated() -> None:
-    sequences = np.array([filled(seed, 5_000) for seed in range(20)])
+    sequences = np.array([drawn(seed, 5_000) for seed in range(20)])
     correlation = np.corrcoef(sequences) - np.eye(20)
     assert np.abs(correlation).max() < 0.08

@@ -21,7 +21,7 @@ from support.kernels import (
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Safety
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint
 
 STEERING = dict(zip(BENCHMARK.manoeuvres, (0.0, 0.5, -0.5, 1.0, -1.0), strict=True))
@@ -56,9 +56,9 @@ def inside(states: Array, workspace: Workspace) -> bool:
     return bool(((x_low < x) & (x < x_high) & (y_low < y) & (y < y_high)).all())
 
 
-def scene(seed: int) -> tuple[Dirt, ExactClearance, Array]:
+def scene(seed: int) -> tuple[DirtSolver, ExactClearance, Array]:
     workspace = random_workspace(seed, most=4)
-    dirt = Dirt(BENCHMARK, workspace, GOAL, SAFETY, capacity=10)
+    dirt = DirtSolver(BENCHMARK, workspace, GOAL, SAFETY, capacity=10)
     return dirt, ExactClearance(workspace, BENCHMARK.footprint), states_in(np.random.default_rng(seed), 30)
 
 
@@ -85,7 +85,7 @@ def test_a_manoeuvre_with_five_centimetres_to_spare_is_never_refused_and_the_fir
     # Circles and polygons only: a map's cells are blurred by half their diagonal, up to 7 cm here.
     dirt, exact, states = scene(seed + 40)
     if any(hasattr(obstacle, "occupied") for obstacle in dirt.workspace.obstacles):
-        dirt = Dirt(BENCHMARK, Workspace(dirt.workspace.bounds, (box((1, 2), (0.5, 0.2), 0.3),)), GOAL, SAFETY)
+        dirt = DirtSolver(BENCHMARK, Workspace(dirt.workspace.bounds, (box((1, 2), (0.5, 0.2), 0.3),)), GOAL, SAFETY)
         exact = ExactClearance(dirt.workspace, BENCHMARK.footprint)
     for state in states:
         contingency = dirt.contingency(state)
@@ -102,8 +102,8 @@ def test_a_manoeuvre_with_five_centimetres_to_spare_is_never_refused_and_the_fir
 def test_a_later_manoeuvre_is_taken_where_the_earlier_ones_hit_something() -> None:
     straight_ahead = box((1.55, 1.0), (0.08, 0.08))
     workspace = Workspace(((0.0, 3.0), (0.0, 3.0)), (straight_ahead,))
-    dirt = Dirt(BENCHMARK, workspace, GOAL, Safety(), capacity=10)
-    free = Dirt(BENCHMARK, Workspace(workspace.bounds), GOAL, Safety(), capacity=10)
+    dirt = DirtSolver(BENCHMARK, workspace, GOAL, Safety(), capacity=10)
+    free = DirtSolver(BENCHMARK, Workspace(workspace.bounds), GOAL, Safety(), capacity=10)
     state = np.array([0.75, 1.0, 0.0, 0.6])
     assert free.contingency(state).manoeuvre == "straight"  # type: ignore[union-attr]
     contingency = dirt.contingency(state)
@@ -114,7 +114,7 @@ def test_a_later_manoeuvre_is_taken_where_the_earlier_ones_hit_something() -> No
 
 def test_a_dead_end_at_full_speed_has_no_contingency() -> None:
     wall = Workspace(((0.0, 3.0), (0.0, 3.0)), (box((1.5, 1.5), (0.1, 3.0)),))
-    dirt = Dirt(BENCHMARK, wall, GOAL, Safety(), capacity=10)
+    dirt = DirtSolver(BENCHMARK, wall, GOAL, Safety(), capacity=10)
     assert dirt.contingency(np.array([1.15, 1.5, 0.0, 0.6])) is None
     assert dirt.contingency(np.array([0.4, 1.5, 0.0, 0.6])) is not None
 
@@ -122,12 +122,12 @@ def test_a_dead_end_at_full_speed_has_no_contingency() -> None:
 @pytest.mark.parametrize(("horizon", "enough"), [(0.5, False), (3.0, False), (4.0, False), (4.3, True), (10.0, True)])
 def test_a_manoeuvre_that_does_not_stop_within_the_horizon_is_not_safe(horizon: float, enough: bool) -> None:
     # 0.6 m/s falls below 0.01 m/s after ln(60) / 0.9898 = 4.137 s
-    dirt = Dirt(BENCHMARK, Workspace(((-5.0, 5.0), (-5.0, 5.0))), GOAL, Safety(horizon=horizon), capacity=10)
+    dirt = DirtSolver(BENCHMARK, Workspace(((-5.0, 5.0), (-5.0, 5.0))), GOAL, Safety(horizon=horizon), capacity=10)
     assert (dirt.contingency(np.array([0.0, 0.0, 0.0, 0.6])) is not None) == enough
 
 
 def test_a_vehicle_at_rest_is_its_own_contingency() -> None:
-    dirt = Dirt(BENCHMARK, Workspace(((0.0, 2.0), (0.0, 2.0))), GOAL, Safety(), capacity=10)
+    dirt = DirtSolver(BENCHMARK, Workspace(((0.0, 2.0), (0.0, 2.0))), GOAL, Safety(), capacity=10)
     contingency = dirt.contingency(np.array([1.0, 1.0, 0.3, 0.005]), after=1.5)
     assert contingency is not None
     assert contingency.states.shape == (1, 4)
@@ -135,7 +135,7 @@ def test_a_vehicle_at_rest_is_its_own_contingency() -> None:
 
 
 def test_times_count_steps_from_when_braking_begins() -> None:
-    dirt = Dirt(BENCHMARK, Workspace(((-5.0, 5.0), (-5.0, 5.0))), GOAL, Safety(step=0.05), capacity=10)
+    dirt = DirtSolver(BENCHMARK, Workspace(((-5.0, 5.0), (-5.0, 5.0))), GOAL, Safety(step=0.05), capacity=10)
     contingency = dirt.contingency(np.array([0.0, 0.0, 0.0, 0.3]), after=2.0)
     assert contingency is not None
     assert contingency.times[0] == 2.0
@@ -148,21 +148,21 @@ def test_delta_grows_with_speed() -> None:
     state = np.array([-2.0, 0.0, 0.0, 0.6])
     straight = replace(BENCHMARK, footprint=Footprint(0.4, 0.28))
     for per_speed, safe in ((0.0, True), (0.2, True), (0.45, False)):
-        dirt = Dirt(straight, beside, GOAL, Safety(delta=0.02, delta_per_speed=per_speed), capacity=10)
+        dirt = DirtSolver(straight, beside, GOAL, Safety(delta=0.02, delta_per_speed=per_speed), capacity=10)
         contingency = dirt.contingency(state)
         assert (contingency is not None and contingency.manoeuvre == "straight") == safe
 
 
 @pytest.mark.parametrize("x", [-0.1, -0.6, 3.1, 4.0])
 def test_a_state_outside_the_workspace_has_no_contingency(x: float) -> None:
-    dirt = Dirt(BENCHMARK, Workspace(((0.0, 3.0), (0.0, 3.0))), GOAL, Safety(), capacity=10)
+    dirt = DirtSolver(BENCHMARK, Workspace(((0.0, 3.0), (0.0, 3.0))), GOAL, Safety(), capacity=10)
     for v in (0.0, 0.6):
         for theta in (0.0, math.pi):
             assert dirt.contingency(np.array([x, 1.5, theta, v])) is None
 
 
 def test_a_vehicle_that_also_turns_stands_only_when_it_neither_drives_nor_turns() -> None:
-    dirt = Dirt(ROVER, Workspace(((-5.0, 5.0), (-5.0, 5.0))), GOAL, Safety(), capacity=10)
+    dirt = DirtSolver(ROVER, Workspace(((-5.0, 5.0), (-5.0, 5.0))), GOAL, Safety(), capacity=10)
     contingency = dirt.contingency(np.array([0.0, 0.0, 0.0, 0.005, 2.5]))
     assert contingency is not None
     assert len(contingency.states) > 5
@@ -173,7 +173,7 @@ def test_a_vehicle_that_also_turns_stands_only_when_it_neither_drives_nor_turns(
 def test_the_contingency_of_a_plan_begins_where_the_cycle_ends(seed: int) -> None:
     workspace = Workspace(((0.0, 4.0), (0.0, 4.0)), (box((2, 2), (0.6, 1.5)),))
     safety = replace(SAFETY, cycle=1.3)
-    dirt = Dirt(BENCHMARK, workspace, replace(GOAL, center=(3.5, 2.0)), safety, capacity=5000)
+    dirt = DirtSolver(BENCHMARK, workspace, replace(GOAL, center=(3.5, 2.0)), safety, capacity=5000)
     dirt.start(np.array([0.5, 2.0, 0.0, 0.3]), seed)
     dirt.grow(iterations=1500)
     plan = dirt.plan()
@@ -196,7 +196,7 @@ def test_without_safety_a_plan_may_end_its_cycle_where_it_cannot_stop() -> None:
     goal, start = replace(GOAL, center=(2.2, 1.5), radius=0.1), np.array([1.55, 1.5, 0.0, 0.6228])
     plans = []
     for safety in (NO_SAFETY, Safety(cycle=2.0)):
-        dirt = Dirt(BENCHMARK, wall, goal, safety, capacity=5000)
+        dirt = DirtSolver(BENCHMARK, wall, goal, safety, capacity=5000)
         dirt.start(start, 1)
         dirt.grow(iterations=3000)
         plans.append(dirt.plan())

@@ -15,7 +15,7 @@ from ompl_ext.kernels.kernel_types import Tree
 from ompl_ext.kernels.tree import closed_radius, nearest_better, select
 from ompl_ext.kernels.tree_memory import prune
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 RESOLUTION = Settings().resolution
 SETTINGS = [Settings(), Settings(blossom=4, insertions=3), Settings(child_extension=False, heading_weight=0.3)]
@@ -30,7 +30,7 @@ def grown(iterations: int, settings: Settings = DEFAULT, seed: int = 0, safety: 
 
 
 def column(tree: Tree, name: int) -> Array:
-    return tree.hot[: tree.count[at.SIZE], name]
+    return tree.value[: tree.count[at.SIZE], name]
 
 
 def link(tree: Tree, name: int) -> NDArray[np.int64]:
@@ -73,7 +73,7 @@ def check_regions(tree: Tree) -> None:
         assert radius[node] <= size[level] or level == len(size) - 1
         assert level == 0 or radius[node] > size[level - 1]
         start, columns, rows, _ = tree.level[level]
-        x, y = ((tree.hot[node, :2] - tree.frame[:2]) / size[level]).astype(int)
+        x, y = ((tree.value[node, :2] - tree.frame[:2]) / size[level]).astype(int)
         assert cell == start + min(y, rows - 1) * columns + min(x, columns - 1)
     hopeful = np.flatnonzero((column(tree, at.F) < tree.best[0]) & (radius >= RESOLUTION))
     assert set(hopeful) <= set(listed)
@@ -85,8 +85,8 @@ def check_cells(tree: Tree) -> None:
         block, k = divmod(cell, 64)
         row, block_column = divmod(block, int(tree.block_shape[0]))
         low = tree.frame[:2] + (np.array([block_column, row]) * 8 + (k % 8, k // 8)) * tree.frame[2]
-        assert (low - 1e-9 <= tree.hot[node, :2]).all()
-        assert (tree.hot[node, :2] <= low + tree.frame[2] + 1e-9).all()
+        assert (low - 1e-9 <= tree.value[node, :2]).all()
+        assert (tree.value[node, :2] <= low + tree.frame[2] + 1e-9).all()
         assert tree.cell_best[cell] <= f[node]
         assert tree.block_best[block] <= f[node]
     assert set(np.flatnonzero(column(tree, at.RADIUS) >= RESOLUTION)) <= set(listed)
@@ -134,7 +134,7 @@ def test_a_node_is_added_only_if_it_can_lead_to_a_better_plan(seed: int) -> None
 @pytest.mark.parametrize("settings", SETTINGS, ids=IDS)
 def test_a_region_ends_at_the_nearest_better_node(settings: Settings) -> None:
     tree = grown(700, settings)
-    q, f, radius = tree.hot[: tree.count[at.SIZE], :4], column(tree, at.F), column(tree, at.RADIUS)
+    q, f, radius = tree.value[: tree.count[at.SIZE], :4], column(tree, at.F), column(tree, at.RADIUS)
     parent, resolution = link(tree, at.PARENT), RESOLUTION
     for node in range(1, len(f)):
         distance = np.linalg.norm(q - q[node], axis=1)
@@ -156,7 +156,7 @@ def test_the_nearest_better_node_is_the_one_brute_force_finds(seed: int) -> None
         q = np.array([rng.uniform(-0.25, 2.25), rng.uniform(-1, 6), 0.05 * math.cos(heading), 0.05 * math.sin(heading)])
         bound, limit = rng.uniform(f.min(), f.max() * 1.05), rng.choice([math.inf, 0.1, 0.5])
         candidates = np.array([n for n in listed_by_cell(tree) if f[n] < bound and radius[n] >= closed], int)
-        distance = np.linalg.norm(tree.hot[candidates, :4] - q, axis=1)
+        distance = np.linalg.norm(tree.value[candidates, :4] - q, axis=1)
         expected = min(distance.min(initial=math.inf), limit)
         node, found = nearest_better(tree, q, bound, limit, closed)
         if expected >= closed:
@@ -165,7 +165,7 @@ def test_the_nearest_better_node_is_the_one_brute_force_finds(seed: int) -> None
         else:
             assert expected <= found < closed
         if node >= 0:
-            assert np.linalg.norm(tree.hot[node, :4] - q) == pytest.approx(found, rel=1e-12)
+            assert np.linalg.norm(tree.value[node, :4] - q) == pytest.approx(found, rel=1e-12)
             assert f[node] < bound
 
 
@@ -177,7 +177,7 @@ def test_a_selected_node_holds_the_sample_or_is_the_nearest(seed: int) -> None:
         heading = rng.uniform(-4, 4)
         q = np.array([rng.uniform(-0.25, 2.25), rng.uniform(-1, 6), 0.05 * math.cos(heading), 0.05 * math.sin(heading)])
         node = select(tree, q)
-        distance = np.linalg.norm(tree.hot[: len(f), :4] - q, axis=1)
+        distance = np.linalg.norm(tree.value[: len(f), :4] - q, axis=1)
         holding = np.flatnonzero((f < tree.best[0]) & (distance <= radius) & (radius >= RESOLUTION))
         assert node >= 0
         assert f[node] < tree.best[0]
@@ -194,8 +194,8 @@ def test_the_least_visited_node_whose_region_holds_the_sample_is_selected() -> N
     listed = np.array(sorted(listed_by_region(tree)))
     contested = 0
     for _ in range(200):
-        q = tree.hot[rng.choice(listed), :4] + rng.uniform(-0.01, 0.01, 4)
-        distance = np.linalg.norm(tree.hot[listed, :4] - q, axis=1)
+        q = tree.value[rng.choice(listed), :4] + rng.uniform(-0.01, 0.01, 4)
+        distance = np.linalg.norm(tree.value[listed, :4] - q, axis=1)
         holding = listed[(f[listed] < tree.best[0]) & (distance <= radius[listed])]
         visits = tree.link[holding, at.VISITS]
         contested += len(set(visits.tolist())) > 1
@@ -211,8 +211,8 @@ def test_of_equally_visited_nodes_each_is_selected_equally_often() -> None:
     f, radius = column(tree, at.F), column(tree, at.RADIUS)
     listed = np.array(sorted(listed_by_region(tree)))
     for _ in range(5):
-        q = tree.hot[rng.choice(listed), :4] + rng.uniform(-0.01, 0.01, 4)  # regions end at nodes
-        distance = np.linalg.norm(tree.hot[listed, :4] - q, axis=1)
+        q = tree.value[rng.choice(listed), :4] + rng.uniform(-0.01, 0.01, 4)  # regions end at nodes
+        distance = np.linalg.norm(tree.value[listed, :4] - q, axis=1)
         holding = listed[(f[listed] < tree.best[0]) & (distance <= radius[listed])]
         if len(holding) < 2:
             continue
@@ -277,13 +277,13 @@ def test_a_point_on_the_far_corner_of_the_workspace_can_be_looked_up() -> None:
     for corner in ((2.25, 6.0), (-0.25, -1.0), (9.0, 9.0), (-9.0, -9.0)):
         q = np.array([*corner, 0.05, 0.0])
         _, distance = nearest_better(tree, q, math.inf, math.inf, 0.0)
-        everywhere = np.linalg.norm(tree.hot[sorted(listed_by_cell(tree)), :4] - q, axis=1)
+        everywhere = np.linalg.norm(tree.value[sorted(listed_by_cell(tree)), :4] - q, axis=1)
         assert distance == pytest.approx(everywhere.min())
         assert select(tree, q) >= 0
 
 
 def test_memory_is_reused_without_a_trace_of_the_query_before() -> None:
-    fresh, used = (Dirt(BENCHMARK, TURNS, GOAL, capacity=3000) for _ in range(2))
+    fresh, used = (DirtSolver(BENCHMARK, TURNS, GOAL, capacity=3000) for _ in range(2))
     used.start(np.add(START, (0.2, 0.1, 0.5, 0.0)), 7)
     used.grow(iterations=900)
     for dirt in (fresh, used):

@@ -18,7 +18,7 @@ from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Requirement, Verification, Violation
+from ompl_ext.verification import Requirement, Verification, Violation
 
 SCENE = """name: room
 bounds: {x: [0, 4], y: [0, 4]}

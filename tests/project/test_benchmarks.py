@@ -23,7 +23,7 @@ from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint
 
 
@@ -107,7 +107,7 @@ def test_a_random_scene_is_the_same_every_time() -> None:
 def planned() -> tuple[RandomScene, Plan]:
     """Turns as the judge wants it, without solids, and a plan with a contingency."""
     given = scene("turns")
-    dirt = Dirt(given.vehicle, given.workspace, given.goal, Safety(), capacity=5000)
+    dirt = DirtSolver(given.vehicle, given.workspace, given.goal, Safety(), capacity=5000)
     dirt.start(given.start)
     dirt.grow(iterations=1000)
     plan = dirt.plan()

@@ -33,7 +33,7 @@ IMPORTS = [
     "ompl_ext.planner:DIRT",
     "ompl_ext.query:Goal",
     "ompl_ext.query:Safety",
-    "ompl_ext.solver:Dirt",
+    "ompl_ext.solver:DirtSolver",
     "ompl_ext.system:simple_setup",
     "ompl_ext.trigonometry:cos",
     "ompl_ext.trigonometry:sin",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
@@ -121,9 +121,9 @@ def random_workspace(seed: int, most: int = 5, size: float = 3.0) -> Workspace:
 
 
 @functools.cache
-def turns(safety: Safety = NO_SAFETY, settings: Settings = DEFAULT, capacity: int = 20_000) -> Dirt:
+def turns(safety: Safety = NO_SAFETY, settings: Settings = DEFAULT, capacity: int = 20_000) -> DirtSolver:
     """A planner in the scene of two turns; it is shared, so a test calls `start` first."""
-    return Dirt(BENCHMARK, TURNS, GOAL, safety, settings, capacity)
+    return DirtSolver(BENCHMARK, TURNS, GOAL, safety, settings, capacity)
 
 
 def fast(**changes: float) -> Vehicle:

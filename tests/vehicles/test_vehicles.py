@@ -17,7 +17,7 @@ from kraft.vehicles.mushr import BREAKAWAY, MUSHR, MUSHR_DRIVE, MUSHR_LAG
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Safety, Settings
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 BUNDLED = (BENCHMARK, MUSHR, MUSHR_DRIVE, MUSHR_LAG, UNICYCLE2)
@@ -194,7 +194,7 @@ def test_the_unicycle_fades_smoothly_and_returns_from_beyond_its_limits() -> Non
 def test_ten_steps_an_edge_stay_within_three_millimetres_of_the_exact_motion(model: Vehicle) -> None:
     rng = np.random.default_rng(5)
     room = Workspace(((-20.0, 20.0), (-20.0, 20.0)), ())
-    coarse = Dirt(model, room, None, Safety(enabled=False), Settings(), capacity=1)
+    coarse = DirtSolver(model, room, None, Safety(enabled=False), Settings(), capacity=1)
     low, high = model.control_bounds.T
     for _ in range(100):
         planned = exact = np.zeros(len(model.state))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import Plan
-from ompl_ext.solver import Dirt
+from ompl_ext.solver import DirtSolver
 
 TOLERANCE = 1e-6  # of FCL's distances (m)
 FINE = 16  # parts that a step between samples is divided into
@@ -54,15 +54,15 @@ class Verification:
     problems: tuple[Violation, ...]
 
 
-def verify(dirt: Dirt, plan: Plan) -> Verification:
+def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency."""
     problems: list[Violation] = []
     clearance = dirt.exact.distances(_poses(dirt, plan.trajectory))
-    problems += _too_close(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
+    problems += _clearance_violations(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
     if not np.all(clearance > 0.0):
         text = f"plan: collides at t = {plan.times[np.argmin(clearance)]:.3f} s"
         problems.append(Violation(Requirement.COLLISION, text))
-    problems += _between_samples(dirt, plan, clearance)
+    problems += _collisions_between_samples(dirt, plan, clearance)
     if np.any(np.abs(plan.states[-1] - plan.trajectory[-1]) > 1e-6):
         text = "plan: the trajectory does not end in the last state"
         problems.append(Violation(Requirement.CONSISTENCY, text))
@@ -73,31 +73,33 @@ def verify(dirt: Dirt, plan: Plan) -> Verification:
         return Verification(float(clearance.min()), None, (*problems, missing))
     stop = plan.contingency
     distances = dirt.exact.distances(_poses(dirt, stop.states))
-    problems += _too_close(dirt, "contingency", stop.times, stop.states, distances, np.ones(len(distances), bool))
-    resting = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
-    if np.any(resting > dirt.safety.rest_speed):
+    problems += _clearance_violations(
+        dirt, "contingency", stop.times, stop.states, distances, np.ones(len(distances), bool)
+    )
+    final_speeds = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
+    if np.any(final_speeds > dirt.safety.rest_speed):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
     return Verification(float(clearance.min()), float(distances.min()), tuple(problems))
 
 
-def _poses(dirt: Dirt, states: Matrix) -> Matrix:
+def _poses(dirt: DirtSolver, states: Matrix) -> Matrix:
     """Columns x, y, theta of states."""
     x, y, theta = (dirt.vehicle.index(name) for name in ("x", "y", "theta"))
     heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
     return np.column_stack([states[:, x], states[:, y], heading])
 
 
-def _within_cycle(dirt: Dirt, plan: Plan) -> Bools:
+def _within_cycle(dirt: DirtSolver, plan: Plan) -> Bools:
     return plan.times <= dirt.safety.cycle + 1e-9
 
 
-def _too_close(
-    dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Bools
+def _clearance_violations(
+    dirt: DirtSolver, what: str, times: Floats, states: Matrix, clearance: Floats, required: Bools
 ) -> list[Violation]:
     """Samples nearer to an obstacle than delta(v)."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
     delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
-    worst = np.where(asked, clearance - delta, math.inf)
+    worst = np.where(required, clearance - delta, math.inf)
     k = int(np.argmin(worst))
     if worst[k] >= -TOLERANCE:
         return []
@@ -105,7 +107,7 @@ def _too_close(
     return [Violation(Requirement.CLEARANCE, text)]
 
 
-def _between_samples(dirt: Dirt, plan: Plan, clearance: Floats) -> list[Violation]:
+def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: Floats) -> list[Violation]:
     """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is halved."""
     problems = []
     ends = np.cumsum(plan.durations)

@@ -1,0 +1,30 @@
+"""One classical Runge-Kutta step over tuples of floats, for a vehicle's derivative."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ompl_ext.jit import inlined
+from ompl_ext.kernels.unroll import per_component
+
+
+def runge_kutta_4(derivative: Callable[..., Any], count: int) -> Callable[..., Any]:
+    """A compiled `step(x, u, p, h)` of h seconds for `count` state components.
+
+    It returns the state after the step and the derivatives of the first and last stage.
+    """
+    axpy = per_component("a, k, x", "x[{k}] + a * k[{k}]", count)
+    combine = per_component(
+        "a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", count
+    )
+
+    @inlined
+    def step(x, u, p, h):  # type: ignore[no-untyped-def]
+        k1 = derivative(x, u, p)
+        k2 = derivative(axpy(0.5 * h, k1, x), u, p)
+        k3 = derivative(axpy(0.5 * h, k2, x), u, p)
+        k4 = derivative(axpy(h, k3, x), u, p)
+        return combine(h / 6.0, k1, k2, k3, k4, x), k1, k4
+
+    return step
