@@ -8,18 +8,34 @@ from typing import Final
 import numpy as np
 
 from kraft.errors import Diagnostic, InputError
-from kraft.logs import reports
 from kraft.logs.choice import Choice
+from kraft.logs.findings import (
+    add_broken_lines,
+    add_command_gaps,
+    add_dropouts,
+    add_left_out,
+    add_pose_gaps,
+    add_teleports,
+    add_uncommanded,
+    add_wraps,
+)
+from kraft.logs.held_commands import GAP_LEAST, GAP_STEPS, Commands, held_intervals, interval_of, merge
 from kraft.logs.log import Array, Finding, Findings, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGED, OUTLIER, extent, stale, top_speed, tracks
-from kraft.logs.samples import GAP_LEAST, GAP_STEPS, Commands, Samples, held_intervals, interval_of, merge, read_samples
+from kraft.logs.motion import AVERAGED, extent
+from kraft.logs.outliers import OUTLIER, stale, top_speed, tracks
+from kraft.logs.samples import Samples, read_samples
 from kraft.logs.table import Flags, Rows
 from kraft.logs.unit_checks import check_units
 from kraft.text import counted
 
 TURN_LEAST: Final = 0.2
 """A log in which the vehicle turns at least this much has motion, rad."""
+HISTORY: Final = 1.0
+"""How long before a part's first pose its commands begin, if they do, s: the vehicle may obey them late."""
+POSES_MIN: Final = 3
+UPRIGHT: Final = 0.7
+"""Cosine of the tilt beyond which a vehicle does not stand on its wheels."""
 
 
 def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tuple[Part, ...], tuple[Finding, ...]]:
@@ -29,18 +45,18 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
         InputError: if nothing remains, with the reason and the row.
     """
     findings, limits = Findings(), mapping.limits
-    reports.broken_lines(choice, findings)
+    add_broken_lines(choice, findings)
     streams, poses, origin = _read(choice, findings)
     poses, xyyaw = planar(poses, findings)
     _check_number(poses, "has an orientation in only")
     check_units(streams, poses, xyyaw, findings)
     commands = merge(streams, controls, limits)
     _check_overlap(commands, poses, choice)
-    reports.dropouts(poses, pose_gap(poses.times, limits), findings)
+    add_dropouts(poses, pose_gap(poses.times, limits), findings)
     repeated = stale(poses.times, xyyaw)
-    reports.left_out("stale", poses, repeated, "repeat the one before while the vehicle moves", findings)
+    add_left_out("stale", poses, repeated, "repeat the one before while the vehicle moves", findings)
     poses, xyyaw = poses.keep(~repeated), xyyaw[~repeated]
-    reports.command_gaps(streams, limits, findings)
+    add_command_gaps(streams, limits, findings)
     held, intervals = _held(choice, poses, mapping, origin, findings)
     parts = _cut(poses, xyyaw, commands, held, intervals, limits, findings)
     _check_motion(poses, parts, limits)
@@ -92,7 +108,7 @@ def _held(choice: Choice, poses: Samples, mapping: Mapping, origin: float, findi
     switch = read_samples("switch positions", choice.dead_man, findings).shifted(origin)
     intervals = held_intervals(switch, mapping.dead_man)
     held = interval_of(poses.times, intervals)
-    reports.left_out("dead man", poses, held < 0, "while the dead-man switch is released", findings)
+    add_left_out("dead man", poses, held < 0, "while the dead-man switch is released", findings)
     return held, intervals
 
 
@@ -108,14 +124,14 @@ def _cut(
     gap = pose_gap(poses.times, limits)
     speed = limits.top_speed or top_speed(poses.times, xyyaw[:, :2])
     labels = tracks(poses.times, xyyaw, speed)
-    reports.pose_gaps(poses, gap, findings)
-    reports.teleports(poses, labels, speed, findings)
-    reports.uncommanded(poses, commands, findings)
+    add_pose_gaps(poses, gap, findings)
+    add_teleports(poses, labels, speed, findings)
+    add_uncommanded(poses, commands, findings)
     found = stretches(poses, labels, held, commands, gap)
     long = [index for index in found if len(index) >= POSES_MIN]
     short = sum(len(index) for index in found if len(index) < POSES_MIN)
     findings.add("short", short, f"{counted(short, 'pose')} in parts of fewer than {POSES_MIN}; left out")
-    reports.wraps(poses, xyyaw[:, 2], findings)
+    add_wraps(poses, xyyaw[:, 2], findings)
     if not long:
         why = "; ".join(finding.text for finding in findings.found)
         raise poses.refuse(f"nothing remains: {why}", "expected a stretch of poses while commands are given")
@@ -131,11 +147,6 @@ def _check_motion(poses: Samples, parts: tuple[Part, ...], limits: Limits) -> No
         expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
         fact = f"the vehicle gets {way:.2g} m far (between means over up to {AVERAGED:g} s)"
         raise poses.refuse(f"there is no motion: {fact}", expected)
-
-
-HISTORY: Final = 1.0
-"""How long before a part's first pose its commands begin, if they do, s: the vehicle may obey them late."""
-POSES_MIN: Final = 3
 
 
 def pose_gap(times: Array, limits: Limits) -> float:
@@ -182,10 +193,6 @@ def make_part(times: Array, poses: Array, commands: Commands, since: float) -> P
     return Part(command_times, commands.values[first:last].copy(), times.copy(), whole)
 
 
-UPRIGHT: Final = 0.7
-"""Cosine of the tilt beyond which a vehicle does not stand on its wheels."""
-
-
 def planar(poses: Samples, findings: Findings) -> tuple[Samples, Array]:
     """Poses that have an orientation, and these as x, y and yaw, shape (n, 3).
 
@@ -198,7 +205,7 @@ def planar(poses: Samples, findings: Findings) -> tuple[Samples, Array]:
     if none.all():
         columns = ", ".join(channel.column for channel in poses.stream.channels[2:])
         raise poses.refuse(f"{columns} are no orientation", "expected a quaternion of length 1", 0)
-    reports.left_out("nan", poses, none, "have no orientation", findings)
+    add_left_out("nan", poses, none, "have no orientation", findings)
     poses = poses.keep(~none)
     x, y, z, w = (poses.values[:, 2:] / np.linalg.norm(poses.values[:, 2:], axis=1, keepdims=True)).T
     if np.median(1 - 2 * (x * x + y * y)) < UPRIGHT:

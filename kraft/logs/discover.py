@@ -21,12 +21,43 @@ from kraft.logs.table import Table
 from kraft.text import counted, nearest
 
 CSV: Final = (".csv", ".tsv", ".txt")
+BAGS: Final = (".bag", ".mcap", ".db3")
+COMPRESSED: Final = ".zstd"
+"""Of a file in the folder of a bag."""
 TRUTH: Final = "truth.csv"
 """Of a recorded run, for people who want to compare: never opened."""
 FORMATS: Final = (
     "expected CSV files, ROS bags (.bag, .mcap, .db3 or their folders), or folders of kraft record or kraft run"
 )
 _DEPTH: Final = 6
+_HEAD = 65536  # bytes; a heading is in them
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What looks like one log.
+
+    Attributes:
+        name: unique among those found together.
+        kind: how to read it.
+        files: CSV files, or the one file or folder of a bag.
+    """
+
+    name: str
+    kind: Literal["csv", "run", "bag"]
+    files: tuple[Path, ...]
+
+    @property
+    def place(self) -> Path:
+        """Its file, or the folder that holds its files."""
+        return self.files[0] if len(self.files) == 1 else self.files[0].parent
+
+    def content(self) -> frozenset[Path]:
+        """Files with its samples, under the one name that each has whatever links lead to it."""
+        if self.kind == "bag" and self.files[0].is_dir():
+            inside = self.files[0].iterdir()
+            return frozenset(Path(realpath(path)) for path in inside if path.suffix in (*BAGS, COMPRESSED))
+        return frozenset(Path(realpath(path)) for path in self.files)
 
 
 def discover(
@@ -126,38 +157,6 @@ def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:
     return [c if count[c.name] == 1 else Candidate(str(c.files[0]), c.kind, c.files) for c in found]
 
 
-BAGS: Final = (".bag", ".mcap", ".db3")
-COMPRESSED: Final = ".zstd"
-"""Of a file in the folder of a bag."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """What looks like one log.
-
-    Attributes:
-        name: unique among those found together.
-        kind: how to read it.
-        files: CSV files, or the one file or folder of a bag.
-    """
-
-    name: str
-    kind: Literal["csv", "run", "bag"]
-    files: tuple[Path, ...]
-
-    @property
-    def place(self) -> Path:
-        """Its file, or the folder that holds its files."""
-        return self.files[0] if len(self.files) == 1 else self.files[0].parent
-
-    def content(self) -> frozenset[Path]:
-        """Files with its samples, under the one name that each has whatever links lead to it."""
-        if self.kind == "bag" and self.files[0].is_dir():
-            inside = self.files[0].iterdir()
-            return frozenset(Path(realpath(path)) for path in inside if path.suffix in (*BAGS, COMPRESSED))
-        return frozenset(Path(realpath(path)) for path in self.files)
-
-
 def each_once(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnostic]]:
     """Leave out candidates whose files are all in one that is kept, and say so in one diagnostic.
 
@@ -178,9 +177,6 @@ def each_once(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnos
         problem = "is found more than once" + (others if len(again) > 1 else "")
         said = [Diagnostic(str(again[0]), problem, "each log counts once")]
     return [found[i] for i in sorted(kept)], said
-
-
-_HEAD = 65536  # bytes; a heading is in them
 
 
 def group(files: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> list[tuple[Path, ...]]:

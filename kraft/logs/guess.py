@@ -25,6 +25,15 @@ from kraft.logs.table import LOG_TIME, Table
 from kraft.text import suggestion
 
 Found = TypeVar("Found")
+_TOPIC_HINTS: Final = {
+    **dict.fromkeys(("mocap", "vicon", "vrpn", "optitrack", "qualisys", "aruco", "apriltag", "marker", "camera"), 10),
+    **dict.fromkeys(("inferred", "amcl", "slam", "localization"), 5),
+    **dict.fromkeys(("odom", "odometry"), -5),  # often integrated from the commands
+    **dict.fromkeys(("goal", "initialpose", "target", "waypoint", "goals", "clicked"), -60),
+    **dict.fromkeys(("output", "out", "muxed"), 3),  # what the vehicle was sent, rather than what someone asked for
+    **dict.fromkeys(("teleop", "safety", "nav", "navigation", "input", "joy", "raw"), -3),
+}
+_WHAT = "the dead-man switch"
 
 
 def choose(tables: Sequence[Table], controls: Sequence[str], mapping: Mapping) -> Choice:
@@ -61,16 +70,6 @@ def _or_problems(guess: Callable[[], Found], problems: list[Diagnostic]) -> Foun
     except InputError as error:
         problems += error.diagnostics
         return None
-
-
-_TOPIC_HINTS: Final = {
-    **dict.fromkeys(("mocap", "vicon", "vrpn", "optitrack", "qualisys", "aruco", "apriltag", "marker", "camera"), 10),
-    **dict.fromkeys(("inferred", "amcl", "slam", "localization"), 5),
-    **dict.fromkeys(("odom", "odometry"), -5),  # often integrated from the commands
-    **dict.fromkeys(("goal", "initialpose", "target", "waypoint", "goals", "clicked"), -60),
-    **dict.fromkeys(("output", "out", "muxed"), 3),  # what the vehicle was sent, rather than what someone asked for
-    **dict.fromkeys(("teleop", "safety", "nav", "navigation", "input", "joy", "raw"), -3),
-}
 
 
 @dataclass(frozen=True)
@@ -245,9 +244,6 @@ def _quaternion(picker: Picker) -> tuple[Picked, ...]:
             found = picker.wished(f"q{axis}", wish, "control", ("poses", "quaternion", i))
         picked.append(found)
     return tuple(picked)
-
-
-_WHAT = "the dead-man switch"
 
 
 def guess_switch(tables: Sequence[Table], mapping: Mapping) -> tuple[Stream | None, tuple[str, ...]]:

@@ -27,6 +27,12 @@ from kraft.logs.unit_checks import DegreesError, doubtful
 from kraft.text import suggestion
 
 CONTROLS: Final = ("throttle", "steering")
+_SHOWN: Final = 3
+"""Names of tables in one sentence."""
+
+
+class UnfitError(InputError):
+    """The mapping file or the vehicle does not fit any of the logs, whatever they hold."""
 
 
 def read_logs(
@@ -147,14 +153,6 @@ def _without_degrees(
         if not alike:
             logs.append(log)
     return logs, problems
-
-
-_SHOWN: Final = 3
-"""Names of tables in one sentence."""
-
-
-class UnfitError(InputError):
-    """The mapping file or the vehicle does not fit any of the logs, whatever they hold."""
 
 
 def heading(table: Table) -> Table:

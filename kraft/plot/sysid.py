@@ -34,8 +34,8 @@ from kraft.plot.sysid_style import (
     draw_ways,
     fit_floor,
 )
+from kraft.sysid.acceptance import Predicted
 from kraft.sysid.data import Split
-from kraft.sysid.prediction import Predicted
 from kraft.sysid.result import Identification
 from kraft.text import counted
 from ompl_ext.vehicle import Vehicle

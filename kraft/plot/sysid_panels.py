@@ -21,7 +21,8 @@ from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
-    from kraft.sysid.prediction import Forecast, Window
+    from kraft.sysid.acceptance import Forecast
+    from kraft.sysid.prediction import Window
 
 ROW: Final = 0.215
 BAR: Final = 0.75

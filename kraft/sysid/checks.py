@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from kraft.sysid.initial_values import Smooth
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import Problem, residual_ratio
 from kraft.sysid.result import AT_BOUND, correlations
-from kraft.sysid.start import Smooth
 from kraft.sysid.uncertainty import Uncertainty
 from kraft.text import counted
 from ompl_ext.arrays import Floats
@@ -34,6 +34,24 @@ SLOW = 0.3
 """Share of the highest speed below which curvature is not looked at."""
 STEERS = 0.02
 """Standard deviation of a steering that shows anything, rad."""
+_TURNS: Final = "arcs to the left and to the right, of several radii"
+_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
+_LEVELS: Final = "stretches at several constant throttles, low ones too"
+_CHANGES: Final = "sudden changes of the commands while driving"
+_KNOWN: Final = {
+    "L": _TURNS,
+    "phi_diff": _TURNS,
+    "v_delta": _LEVELS,
+    "tau": _STEPS,
+    "u_0": _LEVELS,
+    "delay": _CHANGES,
+    "friction": _STEPS,
+    "dead_band_throttle": _LEVELS,
+    "dead_band_steering": _TURNS,
+    "lever": _TURNS,
+    "side": _TURNS,
+    "yaw_offset": _TURNS,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,26 +241,6 @@ def _ranks(values: Floats) -> Floats:
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     ranks: Floats = (np.cumsum(counts) - 0.5 * counts)[inverse]
     return ranks
-
-
-_TURNS: Final = "arcs to the left and to the right, of several radii"
-_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
-_LEVELS: Final = "stretches at several constant throttles, low ones too"
-_CHANGES: Final = "sudden changes of the commands while driving"
-_KNOWN: Final = {
-    "L": _TURNS,
-    "phi_diff": _TURNS,
-    "v_delta": _LEVELS,
-    "tau": _STEPS,
-    "u_0": _LEVELS,
-    "delay": _CHANGES,
-    "friction": _STEPS,
-    "dead_band_throttle": _LEVELS,
-    "dead_band_steering": _TURNS,
-    "lever": _TURNS,
-    "side": _TURNS,
-    "yaw_offset": _TURNS,
-}
 
 
 def lacking(parameters: Parameters, *names: str) -> str:

@@ -11,11 +11,11 @@ from kraft.logs.log import Part
 from kraft.sysid.chains import whole
 from kraft.sysid.elimination import is_cached
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import smooth
 from kraft.sysid.observation import noise_model
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.problem import assemble, starting_point
 from kraft.sysid.settings import Noise, Settings
-from kraft.sysid.start import smooth
 from ompl_ext.jit import cache_root
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle

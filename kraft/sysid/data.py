@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 LEAST_POSES = 5
 LEAST_MOTION = 0.05
 """Distance from its first pose that a part must get to, m, for a log to show motion."""
+FRACTION: Final = 0.25
+FEW: Final = 4
+"""With fewer logs than this none is held out, unless it is asked for: the fit needs them all."""
 
 
 @dataclass(frozen=True)
@@ -105,11 +108,6 @@ def _shaped(vehicle: Vehicle, log: Log) -> Log:
 def _moves(part: Part) -> bool:
     away = part.poses[:, :2] - np.median(part.poses[:LEAST_POSES, :2], axis=0)
     return bool(np.quantile(np.hypot(away[:, 0], away[:, 1]), 0.95) > LEAST_MOTION)
-
-
-FRACTION: Final = 0.25
-FEW: Final = 4
-"""With fewer logs than this none is held out, unless it is asked for: the fit needs them all."""
 
 
 @dataclass(frozen=True)

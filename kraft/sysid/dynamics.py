@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kraft.sysid.parameters import Parameters, speed_index
+from kraft.sysid.auxiliary import speed_index
+from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
@@ -23,6 +24,8 @@ EXACT = 1e-10
 """Of the sense of motion, between -1 and 1."""
 ATTEMPTS = 20
 """At finding it; two where the model's speed is linear in the throttle."""
+CHANGE = 1e-4
+"""Change of a central difference, of what the component is about: errors of 1e-8 by curvature and 1e-12 by rounding."""
 
 
 class Dynamics:
@@ -126,10 +129,6 @@ class Dynamics:
         """Derivative (n,) of the sense with respect to the speed, s/m."""
         slope: Floats = self._breakaway**2 / (speed**2 + self._breakaway**2) ** 1.5
         return slope
-
-
-CHANGE = 1e-4
-"""Change of a central difference, of what the component is about: errors of 1e-8 by curvature and 1e-12 by rounding."""
 
 
 class Motion:

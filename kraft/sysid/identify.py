@@ -14,15 +14,16 @@ from kraft.sysid.checks import Case, at_bound, unidentified, warnings_of
 from kraft.sysid.data import screened, usable_logs
 from kraft.sysid.dynamics import Motion
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import Search, Smooth, smooth
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import Linearised, Optimum, Watch, held_at_bounds, optimise, unwatched
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
 from kraft.sysid.result import Estimated, Identification, LogFit, PartFit
-from kraft.sysid.selection import asked_for, check_free, check_settings, choice, shown, to_try
+from kraft.sysid.selection import asked_for, choice, shown, to_try
 from kraft.sysid.settings import Settings
+from kraft.sysid.settings_validation import check_free, check_settings
 from kraft.sysid.smoothing import measured_noise
-from kraft.sysid.start import Search, Smooth, smooth
 from kraft.sysid.uncertainty import Uncertainty, uncertainty
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
@@ -36,6 +37,9 @@ TYPICAL = 1.5
 """Residuals by this factor larger or smaller than the noise lets expect set the threshold of the robust loss."""
 REFITS = 3
 """Most times that extras are dropped and the rest is fitted anew."""
+SECONDS, STEP = 3.0, 0.02
+SHARE = 0.1
+"""Of the full steering: a gentle turn."""
 
 
 def identify(
@@ -164,11 +168,6 @@ class _Task:
         from kraft.sysid.paper_graph import PaperGraph
 
         return PaperGraph(problem)
-
-
-SECONDS, STEP = 3.0, 0.02
-SHARE = 0.1
-"""Of the full steering: a gentle turn."""
 
 
 def ahead_of_axle(parameters: Parameters, motion: Motion, rho: Floats) -> float | None:

@@ -15,6 +15,7 @@ import numpy as np
 from kraft.sysid.problem import Point, Problem
 from ompl_ext.arrays import Bools, Floats, Matrix
 
+RHO = gtsam.symbol("r", 0)
 ENOUGH = 1e-9
 """Share of the cost by which a step must change it, else it has converged."""
 EXPECTED = 1e-6
@@ -98,9 +99,6 @@ def _relaxed(graph: Linearised, candidate: Point, cost: float) -> tuple[Point, f
         candidate = graph.moved(np.zeros_like(candidate.rho))
         lower = graph.cost(candidate)
     return candidate, lower if np.isfinite(lower) else np.inf
-
-
-RHO = gtsam.symbol("r", 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from kraft.sysid.actuators import Commands
 from kraft.sysid.chains import Chains, Stretch, chains_of
-from kraft.sysid.commands import Commands
 from kraft.sysid.dynamics import Dynamics
+from kraft.sysid.initial_values import Smooth, first_states
 from kraft.sysid.observation import NoiseModel, Observation
 from kraft.sysid.parameters import Parameters
-from kraft.sysid.start import Smooth, first_states
 from ompl_ext.arrays import Floats, Matrix
 
 

@@ -23,6 +23,18 @@ LEAST_POSES = 5
 FAR = 5.0
 """Standard deviations from the neighbours from which a pose is an outlier."""
 MAD = 1.4826  # standard deviation per median absolute deviation of a normal distribution
+GLIMPSE: Final = 0.2
+"""Time over which the speeds of a drive are taken, s."""
+SLOW: Final = 0.1
+"""Share of a part's high speeds that counts as standing."""
+CERTAIN: Final = 3.0
+"""Standard deviations of the speed at the first pose: what is within them may be standing."""
+TELLING: Final = 0.25
+"""Most that these may be, as a share of the high speeds, to tell standing from driving."""
+ROUNDS: Final = 10
+"""Of the fit that outliers do not pull."""
+SPANS: Final = (0.25, 0.5, 0.75, 1.0)
+"""Over which the speed at the first pose is sought, s: the shortest that tells, since a start bends the path."""
 
 
 def measured_noise(times: list[Floats], poses: list[Matrix]) -> Noise:
@@ -96,20 +108,6 @@ def smoothed(times: Floats, poses: Matrix, at: Floats) -> tuple[Matrix, Matrix]:
         limit = 4.0 * MAD * np.median(residual, axis=1)[:, None] + 1e-4
         robust = residual < limit
     return middle[:, 0] + coefficients[:, :, 0], coefficients[:, :, 1] / scale
-
-
-GLIMPSE: Final = 0.2
-"""Time over which the speeds of a drive are taken, s."""
-SLOW: Final = 0.1
-"""Share of a part's high speeds that counts as standing."""
-CERTAIN: Final = 3.0
-"""Standard deviations of the speed at the first pose: what is within them may be standing."""
-TELLING: Final = 0.25
-"""Most that these may be, as a share of the high speeds, to tell standing from driving."""
-ROUNDS: Final = 10
-"""Of the fit that outliers do not pull."""
-SPANS: Final = (0.25, 0.5, 0.75, 1.0)
-"""Over which the speed at the first pose is sought, s: the shortest that tells, since a start bends the path."""
 
 
 def begins_at_rest(part: Part) -> bool:

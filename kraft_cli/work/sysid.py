@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,25 +11,28 @@ from typing import Final, Literal
 
 from kraft.errors import Diagnostic, InputError, NegativeResult
 from kraft.files import check_all, check_writable
-from kraft.logs.discover import discover
-from kraft.logs.log import Log, LogSet
-from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import UnfitError, read_logs
+from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
+from kraft.sysid.acceptance import Predicted, objections, predicted
+from kraft.sysid.auxiliary import moves
+from kraft.sysid.base_vehicle import Subject, load_subject
 from kraft.sysid.compilation import ensure_compiled
-from kraft.sysid.data import Split, screened, split
+from kraft.sysid.data import Split, split
 from kraft.sysid.identify import identify
-from kraft.sysid.parameters import moves
-from kraft.sysid.prediction import Predicted, objections, predicted
 from kraft.sysid.result import Identification
-from kraft.sysid.selection import check_free, check_settings, not_sought
+from kraft.sysid.selection import not_sought
 from kraft.sysid.settings import Extras, Noise, Settings
-from kraft.sysid.vehicle_file import Subject, check_target, load_subject, record_of, write_vehicle
+from kraft.sysid.settings_validation import check_free, check_settings
+from kraft.sysid.vehicle_file import check_target, record_of, write_vehicle
 from kraft.text import suggestion
 from kraft_cli.work.parameters import parse_parameters
+from kraft_cli.work.sysid_logs import Say, explain, read
 from kraft_cli.work.verbose import no_detail
 
 MODEL: Final = "mushr-lag"
+GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
+EVERY: Final = 2.0
+"""Least time between two remarks, and before the first one, s."""
 
 
 @dataclass(frozen=True)
@@ -196,9 +198,6 @@ def _write(done: Identified) -> None:
         write_vehicle(request.out, done.subject, done.result.parameters, record)
 
 
-GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
-
-
 def settings_of(options: Options) -> Settings:
     """Make settings of what was written; whether the names exist depends on the vehicle and is checked there.
 
@@ -251,10 +250,6 @@ def _noise(text: str, problems: list[Diagnostic]) -> Noise | None:
     return None
 
 
-EVERY: Final = 2.0
-"""Least time between two remarks, and before the first one, s."""
-
-
 class Pace:
     """Tells iterations to `say`, now and then."""
 
@@ -268,78 +263,3 @@ class Pace:
         if now - self._last >= EVERY:
             self._last = now
             self._say(f"iteration {iterations}, cost {cost:.6g}")
-
-
-Say = Callable[[str], None]
-HARMLESS: Final = {
-    "wrap": "yaw wraps; made continuous, nothing is left out",
-    "dropout": "poses are missing here and there; nothing is left out",
-}
-"""Findings of logs that cost nothing, by kind, and what is said of several logs with one."""
-
-
-def read(
-    paths: Sequence[Path], mapping_file: Path | None, controls: Sequence[str], say: Say, warn: Say, detail: Say
-) -> LogSet:
-    """Read every log, and say what it was taken for and what was found in it.
-
-    Args:
-        paths: files and folders with logs.
-        mapping_file: which column is what, if that is said.
-        controls: of the vehicle.
-        say: is told what was taken for what and what was found.
-        warn: is told what is wrong with logs that are left out.
-        detail: is told where that was found of which `say` gets a sum.
-
-    Raises:
-        InputError: if there are no logs, or mapping file or controls fit none of them.
-        NegativeResult: if there are logs, and none of them can be used.
-    """
-    mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
-    try:
-        found = read_logs(paths, controls, mapping)
-    except UnfitError:
-        raise
-    except InputError as error:
-        candidates, _ = discover(paths, controls, mapping)
-        if not candidates:
-            raise
-        explain(error, warn)
-        raise _none_usable(len(candidates)) from None
-    long = screened(found.logs)
-    _tell(long.logs, say, detail)
-    for shortened in long.shortened:
-        say(shortened)
-    for problem in (*found.problems, *long.problems):
-        warn(f"left out: {problem}")
-    if not long.logs:
-        raise _none_usable(len(discover(paths, controls, mapping)[0]))
-    return LogSet(long.logs, (*found.problems, *long.problems))
-
-
-def _none_usable(count: int) -> NegativeResult:
-    return NegativeResult("the only log cannot be used" if count == 1 else f"none of the {count} logs can be used")
-
-
-def explain(error: InputError, warn: Say) -> None:
-    """Tell every problem."""
-    for diagnostic in error.diagnostics:
-        warn(str(diagnostic))
-
-
-def _tell(logs: Sequence[Log], say: Say, detail: Say) -> None:
-    """Say what was taken for what, once for logs of one kind, and what was found; what is harmless is summed up."""
-    kinds: dict[str, list[str]] = {}
-    for log in logs:
-        kinds.setdefault(log.guess, []).append(log.name)
-    for guess, names in kinds.items():
-        whose = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-        say(f"{whose}: {guess}")
-    found = [(log.name, finding) for log in logs for finding in log.findings]
-    often = Counter(finding.kind for _, finding in found)
-    for kind, what in HARMLESS.items():
-        if often[kind] > 1:
-            say(f"{often[kind]} logs: {what} (-v tells where)")
-    for name, finding in found:
-        tell = detail if finding.kind in HARMLESS and often[finding.kind] > 1 else say
-        tell(f"{name}: {finding}")

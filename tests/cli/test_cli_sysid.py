@@ -13,7 +13,7 @@ import pytest
 from support.paths import ROOT
 
 from kraft.sysid import compilation
-from kraft.sysid.parameters import moves
+from kraft.sysid.auxiliary import moves
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module

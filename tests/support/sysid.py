@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from kraft.logs.log import Log, Part, Source
+from kraft.sysid.acceptance import Forecast, Predicted
 from kraft.sysid.data import Split
-from kraft.sysid.prediction import Forecast, Predicted, Window
+from kraft.sysid.prediction import Window
 from kraft.sysid.result import Estimated, Identification, LogFit, PartFit
 from kraft.sysid.settings import Noise
 

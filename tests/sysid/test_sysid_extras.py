@@ -12,11 +12,13 @@ from benchmarks.synthetic_logs import Commands, random_commands, synthetic_logs
 from benchmarks.sysid import TRUTH
 from kraft.errors import InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
-from kraft.sysid.commands import hat_means
+from kraft.sysid.actuators import hat_means
+from kraft.sysid.auxiliary import extras_of
 from kraft.sysid.dynamics import Dynamics, Motion
 from kraft.sysid.observation import Observation
-from kraft.sysid.parameters import extras_of, parameters_of, vehicle_of
-from kraft.sysid.selection import check_free, choice
+from kraft.sysid.parameters import parameters_of, vehicle_of
+from kraft.sysid.selection import choice
+from kraft.sysid.settings_validation import check_free
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative

@@ -15,6 +15,7 @@ from kraft.logs.log import Log, Part
 from kraft.sysid.chains import between, whole
 from kraft.sysid.dynamics import Motion
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import Search, smooth
 from kraft.sysid.observation import noise_model, threshold
 from kraft.sysid.optimiser import RhoFactors, bounded_step, held_at_bounds
 from kraft.sysid.paper_graph import PaperGraph
@@ -22,7 +23,6 @@ from kraft.sysid.parameters import parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem, assemble, starting_point
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, smoothed
-from kraft.sysid.start import Search, smooth
 from kraft.sysid.uncertainty import uncertainty
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle

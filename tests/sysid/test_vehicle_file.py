@@ -12,18 +12,11 @@ from support.sysid import estimated, fake_identification, fake_log, fake_predict
 
 from kraft.config import bundled
 from kraft.errors import InputError
+from kraft.sysid.acceptance import Forecast, no_better, objections
+from kraft.sysid.base_vehicle import Subject, load_subject
 from kraft.sysid.data import Split, split
-from kraft.sysid.prediction import Forecast, no_better, objections
 from kraft.sysid.result import Estimated
-from kraft.sysid.vehicle_file import (
-    Subject,
-    check_target,
-    identified,
-    load_subject,
-    record_of,
-    vehicle_text,
-    write_vehicle,
-)
+from kraft.sysid.vehicle_file import check_target, identified, record_of, vehicle_text, write_vehicle
 from kraft.vehicles.config import Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main

@@ -18,6 +18,9 @@ from kraft.sysid.chains import Stretch
 from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Ints, Matrix
 
+MOMENT = 1e-6
+"""A shorter lag is none, s."""
+
 
 class Commands:
     """Commands of some stretches, and which extras shift or shrink them."""
@@ -79,10 +82,6 @@ class Commands:
         if not delays and lag < 0:
             return box_means(times, values, at, stretch.h)
         return hat_means(times, values, at, stretch.h, float(rho[lag]) if lag >= 0 else 0.0)
-
-
-MOMENT = 1e-6
-"""A shorter lag is none, s."""
 
 
 @dataclass(frozen=True, eq=False)
