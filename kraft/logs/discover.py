@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.csv_table import read_heading
 from kraft.logs.guess import offers
 from kraft.logs.mapping import Mapping
@@ -82,10 +82,10 @@ def discover(
         except InputError as error:
             problems += error.diagnostics
         except OSError as error:
-            problems.append(Diagnostic(str(path), f"cannot be read: {error.strerror}", FORMATS))
+            problems.append(Diagnostic(str(path), f"cannot be read: {error.strerror}", FORMATS, code=Code.UNREADABLE))
     for (folder, _), files in loose.items():  # files of one folder may belong together, but none to itself
         found += _logs_of(files, folder, controls, mapping)
-    found, repeated = each_once(found)
+    found, repeated = without_repeated(found)
     return _named_apart(found), problems + repeated
 
 
@@ -94,14 +94,17 @@ def _check_file(path: Path) -> None:
         siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
         near = nearest(path.name, siblings)
         raise InputError.of(
-            str(path), "is not there", f"did you mean {str(path.parent / near)!r}?" if near else FORMATS
+            str(path), "is not there", f"did you mean {str(path.parent / near)!r}?" if near else FORMATS, Code.NOT_FOUND
         )
     if path.name == TRUTH:
         raise InputError.of(
-            str(path), "is the truth of a recorded run, which is never opened", "expected the folder that it is in"
+            str(path),
+            "is the truth of a recorded run, which is never opened",
+            "expected the folder that it is in",
+            Code.MISMATCH,
         )
     if path.suffix.lower() not in CSV + BAGS:
-        raise InputError.of(str(path), "is no log that kraft reads", FORMATS)
+        raise InputError.of(str(path), "is no log that kraft reads", FORMATS, Code.MISMATCH)
 
 
 def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> list[Candidate]:
@@ -111,7 +114,7 @@ def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> list[C
         content = (
             f"holds no logs, only {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}" if names else "is empty"
         )
-        raise InputError.of(str(folder), content, FORMATS)
+        raise InputError.of(str(folder), content, FORMATS, Code.NOT_FOUND)
     return found
 
 
@@ -137,7 +140,7 @@ def _logs_of(files: Sequence[Path], root: Path, controls: Sequence[str], mapping
     bags = [path for path in files if path.suffix.lower() in BAGS]
     tables = [path for path in files if path not in bags and path.name != TRUTH]
     found = [Candidate(_name(path, root), "bag", (path,)) for path in bags]
-    found += [Candidate(_shared_name(paths, root), "csv", paths) for paths in group(tables, controls, mapping)]
+    found += [Candidate(_shared_name(paths, root), "csv", paths) for paths in group_files(tables, controls, mapping)]
     return sorted(found, key=lambda candidate: candidate.name)
 
 
@@ -157,7 +160,7 @@ def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:
     return [c if count[c.name] == 1 else Candidate(str(c.files[0]), c.kind, c.files) for c in found]
 
 
-def each_once(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnostic]]:
+def without_repeated(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnostic]]:
     """Leave out candidates whose files are all in one that is kept, and say so in one diagnostic.
 
     A log that is fitted twice would count twice, and be held out to test the very fit that it is in.
@@ -175,11 +178,11 @@ def each_once(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnos
     if again:
         others = f", as {'is' if len(again) == 2 else 'are'} {counted(len(again) - 1, 'other log')}"
         problem = "is found more than once" + (others if len(again) > 1 else "")
-        said = [Diagnostic(str(again[0]), problem, "each log counts once")]
+        said = [Diagnostic(str(again[0]), problem, "each log counts once", code=Code.DUPLICATE)]
     return [found[i] for i in sorted(kept)], said
 
 
-def group(files: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> list[tuple[Path, ...]]:
+def group_files(files: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> list[tuple[Path, ...]]:
     """Group files of one folder: each group is a log. What is recognised as nothing is a group of its own."""
     stated = _stated(files, mapping)
     if stated:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from kraft.logs.choice import Choice
-from kraft.logs.held_commands import Commands, timeout
+from kraft.logs.held_commands import HeldCommands, timeout
 from kraft.logs.log import Array, Findings
 from kraft.logs.mapping import Limits
 from kraft.logs.outliers import OUTLIER
@@ -79,7 +79,7 @@ def add_teleports(poses: Samples, labels: Rows, speed: float, findings: Findings
         findings.add("teleport", len(jumps), text)
 
 
-def add_uncommanded(poses: Samples, commands: Commands, findings: Findings) -> None:
+def add_uncommanded(poses: Samples, commands: HeldCommands, findings: Findings) -> None:
     """Poses for which no command is known."""
     early = poses.times < commands.times[0]
     late = (commands.in_force(poses.times) < 0) & ~early

@@ -13,19 +13,19 @@ from kraft.logs.mapping import DeadMan, Limits
 from kraft.logs.samples import Samples
 from kraft.logs.table import Flags, Rows
 
-GAP_LEAST: Final = 0.5
+GAP_MIN: Final = 0.5
 
 
 GAP_STEPS: Final = 10.0
-"""A gap is longer than `GAP_LEAST` s and than this many usual steps."""
+"""A gap is longer than `GAP_MIN` s and than this many usual steps."""
 
 
-REGULAR: Final = 3.0
+RATE_STEP_RATIO: Final = 3.0
 """Commands whose steps are rarely longer than this many usual ones are sent at a rate; others when they change."""
 
 
 @dataclass(frozen=True, eq=False)
-class Commands:
+class HeldCommands:
     """Commands, each of them held until the next one.
 
     Attributes:
@@ -58,12 +58,12 @@ def timeout(times: Array, limits: Limits) -> float:
         return float("inf")
     steps = np.diff(times)
     usual = float(np.median(steps))
-    if np.mean(steps > REGULAR * usual) > 0.1:
+    if np.mean(steps > RATE_STEP_RATIO * usual) > 0.1:
         return float("inf")
-    return max(GAP_LEAST, GAP_STEPS * usual)
+    return max(GAP_MIN, GAP_STEPS * usual)
 
 
-def merge(streams: Sequence[Samples], controls: Sequence[str], limits: Limits) -> Commands:
+def merge_commands(streams: Sequence[Samples], controls: Sequence[str], limits: Limits) -> HeldCommands:
     """Put the controls of all streams on one clock, in the order of ``controls``, from when all are known."""
     times = np.unique(np.concatenate([samples.times for samples in streams]))
     times = times[times >= max(samples.times[0] for samples in streams)]
@@ -74,7 +74,7 @@ def merge(streams: Sequence[Samples], controls: Sequence[str], limits: Limits) -
         until = np.minimum(until, samples.times[index] + timeout(samples.times, limits))
         for role, values in zip(samples.stream.roles, samples.values.T, strict=True):
             columns[role] = values[index]
-    return Commands(times, np.column_stack([columns[name] for name in controls]), until)
+    return HeldCommands(times, np.column_stack([columns[name] for name in controls]), until)
 
 
 def held_intervals(switch: Samples, rule: DeadMan | None) -> Array:

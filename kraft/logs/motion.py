@@ -1,4 +1,4 @@
-"""Motion of a log from its poses, whatever their units: noise, chords, extent, agreement of yaw and direction of motion."""
+"""Motion of a log from its poses, whatever their units: noise, chords, extent, agreement with the yaw."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from kraft.logs.log import Array
 
-CHORD = 0.1
+CHORD_MIN = 0.1
 """Least distance over which a direction of motion is told, m; noise may ask for more."""
 
-AVERAGED = 0.5
+AVERAGING_TIME = 0.5
 """Time over which noise is averaged where it is asked how far the vehicle gets, at most, s."""
 
 
@@ -42,7 +42,7 @@ class Chords:
 
 def chords(times: Array, positions: Array) -> Chords:
     """Follow the positions, shape (n, 2), from one to the next that is far enough away."""
-    least = max(CHORD, 10 * position_noise(positions))
+    least = max(CHORD_MIN, 10 * position_noise(positions))
     knots, (x, y) = [0], positions[0]
     for i, (to_x, to_y) in enumerate(positions.tolist()):  # plain numbers are faster than rows of an array
         if (to_x - x) ** 2 + (to_y - y) ** 2 >= least * least:
@@ -69,14 +69,14 @@ def agreement(found: Chords, yaw: Array) -> tuple[float, float]:
 
 
 def extent(times: Array, poses: Array) -> tuple[float, float]:
-    """How far the vehicle gets (m) and turns (rad), between means over equal times of at most `AVERAGED`.
+    """How far the vehicle gets (m) and turns (rad), between means over equal times of at most `AVERAGING_TIME`.
 
     Args:
         times: of two poses or more, shape (n,), s.
         poses: shape (n, 3).
     """
     passed = times - times[0]
-    blocks = max(2, int(np.ceil(passed[-1] / AVERAGED)))  # a single mean would show no motion at all
+    blocks = max(2, int(np.ceil(passed[-1] / AVERAGING_TIME)))  # a single mean would show no motion at all
     block = np.minimum((passed * (blocks / passed[-1])).astype(np.int64), blocks - 1)
     _, block, counts = np.unique(block, return_inverse=True, return_counts=True)
     means = np.column_stack([np.bincount(block, poses[:, k]) / counts for k in range(3)])

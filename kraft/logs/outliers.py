@@ -10,7 +10,7 @@ from kraft.logs.log import Array
 from kraft.logs.motion import chords, position_noise
 from kraft.logs.table import Flags, Rows
 
-LEAST_TOP_SPEED: Final = 3.0
+TOP_SPEED_MIN: Final = 3.0
 """Speed that any vehicle is believed to reach, m/s."""
 
 
@@ -18,14 +18,14 @@ NOISE_MARGIN: Final = 10.0
 """Standard deviations of a position that are no teleport."""
 
 
-TURN: Final = 1.2
-"""Change of yaw between two poses that is no flip, rad, besides what `TURN_RATE` allows."""
+YAW_STEP_MAX: Final = 1.2
+"""Change of yaw between two poses that is no flip, rad, besides what `YAW_RATE_MAX` allows."""
 
 
-TURN_RATE: Final = 10.0
+YAW_RATE_MAX: Final = 10.0
 
 
-SETTLED: Final = 8
+TRACK_POSES_MIN: Final = 8
 """Poses in a row that agree with each other before the vehicle is believed to be elsewhere."""
 
 
@@ -39,11 +39,11 @@ def top_speed(times: Array, positions: Array) -> float:
     """Speed that the vehicle does not exceed: three times what it stays below for nine tenths of the time."""
     path = chords(times, positions)
     if not len(path.speeds):
-        return LEAST_TOP_SPEED
+        return TOP_SPEED_MIN
     order = np.argsort(path.speeds)
     passed = np.cumsum(path.durations[order])  # weighed by time: jumps to and fro are many, but short
     usual = path.speeds[order][int(np.searchsorted(passed, 0.9 * passed[-1]))]
-    return max(LEAST_TOP_SPEED, 3.0 * float(usual))
+    return max(TOP_SPEED_MIN, 3.0 * float(usual))
 
 
 def tracks(times: Array, poses: Array, speed: float) -> Rows:
@@ -68,7 +68,7 @@ def tracks(times: Array, poses: Array, speed: float) -> Rows:
             labels[suspects] = OUTLIER
             suspects = []
         suspects.append(i)
-        if len(suspects) == SETTLED:
+        if len(suspects) == TRACK_POSES_MIN:
             track += 1
             labels[suspects] = track
             suspects, last = [], i
@@ -80,7 +80,7 @@ def _reachable(t0: Array, p0: Array, t1: Array, p1: Array, speed: float, reach: 
     dt, step = t1 - t0, p1 - p0
     turn = np.abs((step[:, 2] + np.pi) % (2 * np.pi) - np.pi)
     near: Flags = np.hypot(step[:, 0], step[:, 1]) <= reach + speed * dt
-    return near & (turn <= TURN + TURN_RATE * dt)
+    return near & (turn <= YAW_STEP_MAX + YAW_RATE_MAX * dt)
 
 
 def stale(times: Array, poses: Array) -> Flags:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.choice import Stream
 from kraft.logs.log import Array, Findings
 from kraft.logs.table import Flags, Rows
@@ -15,7 +15,7 @@ from kraft.logs.table import Flags, Rows
 BACKWARD_MAX: Final = 0.2
 """Share of rows that may run backwards in time; a file with more holds several recordings."""
 
-HUGE: Final = 1e30
+VALUE_MAX: Final = 1e30
 """No quantity of a log is as large in any unit: what is larger are bytes that were no number."""
 
 
@@ -52,13 +52,13 @@ class Samples:
         """Return the samples with times from ``origin`` on, s."""
         return Samples(self.what, self.stream, self.times - origin, self.values, self.index)
 
-    def diagnostic(self, problem: str, expected: str, i: int | None = None) -> Diagnostic:
+    def diagnostic(self, problem: str, expected: str, i: int | None = None, code: Code = Code.DATA) -> Diagnostic:
         """Make a diagnostic for all of them or for one."""
-        return self.stream.table.diagnostic(problem, expected, None if i is None else int(self.index[i]))
+        return self.stream.table.diagnostic(problem, expected, None if i is None else int(self.index[i]), code)
 
-    def refuse(self, problem: str, expected: str, i: int | None = None) -> InputError:
+    def refuse(self, problem: str, expected: str, i: int | None = None, code: Code = Code.DATA) -> InputError:
         """Make an error for all of them or for one."""
-        return InputError([self.diagnostic(problem, expected, i)])
+        return InputError([self.diagnostic(problem, expected, i, code)])
 
 
 def read_samples(what: str, stream: Stream, findings: Findings, rows: str = "") -> Samples:
@@ -74,7 +74,7 @@ def read_samples(what: str, stream: Stream, findings: Findings, rows: str = "") 
 
 def _numbers(samples: Samples, findings: Findings) -> Samples:
     cells = np.column_stack([samples.times, samples.values])
-    finite = np.abs(cells) < HUGE  # neither NaN nor infinite, and squares of it are finite
+    finite = np.abs(cells) < VALUE_MAX  # neither NaN nor infinite, and squares of it are finite
     good: Flags = np.all(finite, axis=1)
     if not good.any():
         columns = [c.column for c in (samples.stream.time, *samples.stream.channels)]

@@ -21,7 +21,7 @@ from ompl_ext.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Subject:
+class BaseVehicle:
     """A vehicle to identify.
 
     Attributes:
@@ -32,7 +32,7 @@ class Subject:
     """
 
     reference: str
-    given: VehicleConfig | Vehicle
+    definition: VehicleConfig | Vehicle
     vehicle: Vehicle
     model: str
 
@@ -44,8 +44,8 @@ class Subject:
     @property
     def parameters(self) -> Mapping[str, Parameter]:
         """Parameters as a vehicle file has them; those of code have no more than a value."""
-        if isinstance(self.given, VehicleConfig):
-            return self.given.parameters
+        if isinstance(self.definition, VehicleConfig):
+            return self.definition.parameters
         return {name: Parameter(value=value, unit="?") for name, value in self.vehicle.parameters.items()}
 
     @property
@@ -57,10 +57,12 @@ class Subject:
     @property
     def top_speed(self) -> float | str:
         """Top speed, m/s, or the parameter that is that speed."""
-        return self.given.top_speed if isinstance(self.given, VehicleConfig) else float(self.vehicle.top_speed)
+        return (
+            self.definition.top_speed if isinstance(self.definition, VehicleConfig) else float(self.vehicle.top_speed)
+        )
 
 
-def load_subject(reference: str) -> Subject:
+def load_base_vehicle(reference: str) -> BaseVehicle:
     """Load a bundled vehicle, a vehicle file, or code.
 
     Raises:
@@ -72,12 +74,12 @@ def load_subject(reference: str) -> Subject:
         raise InputError.of(reference, error.problem, error.expected) from None
     if is_attribute(resolved) or split_file(resolved) is not None:
         vehicle = vehicle_of(resolved, reference)
-        subject = Subject(reference, vehicle, vehicle, resolved)
+        base = BaseVehicle(reference, vehicle, vehicle, resolved)
     else:
         config = load_vehicle_config(resolved)
         model = config.model
         if split_file(model) is not None:
             model = resolve_vehicle(model, Path(config.source.file).parent)
-        subject = Subject(reference, config, configured(config), model)
-    check_functions(subject.vehicle, reference)
-    return subject
+        base = BaseVehicle(reference, config, configured(config), model)
+    check_functions(base.vehicle, reference)
+    return base

@@ -34,7 +34,9 @@ class Observation:
         """Look up where pose and extras are."""
         self._np = len(parameters.names)
         self._x, self._y, self._theta = (parameters.vehicle.index(name) for name in ("x", "y", "theta"))
-        self._lever, self._side, self._offset = (parameters.extra(name) for name in ("lever", "side", "yaw_offset"))
+        self._lever, self._side, self._offset = (
+            parameters.auxiliary_index(name) for name in ("lever", "side", "yaw_offset")
+        )
 
     def predict(self, states: Matrix, rho: Floats, out: Matrix | None = None) -> Matrix:
         """Poses (n, 3) seen of states (n, nx); yaw is 0 for a vehicle that does not turn."""

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kraft.errors import InputError
-from kraft.sysid.auxiliary import extras_of
-from kraft.sysid.chains import Stretch, between
+from kraft.errors import Code, InputError
+from kraft.sysid.auxiliary import auxiliary_parameters
+from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
 from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.initial_values import smooth
+from kraft.sysid.initial_values import smooth_chains
 from kraft.sysid.observation import noise_model
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log, Part
 
 
-LENGTH = 3.0
+WINDOW_LENGTH = 3.0
 """Of a window, s; and of what is seen before it."""
-BELIEF = 3.0
+HISTORY_PROCESS_FACTOR = 3.0
 """Process noise of what is seen before a window, in that of an identification: a start shall follow the poses even
 where the parameters are wrong."""
-LEAST_HISTORY, LEAST_LENGTH = 0.5, 0.5
+HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """s"""
-AFTER = (1.0, 2.0, 3.0)
+HORIZONS = (1.0, 2.0, 3.0)
 """When errors are taken, s after a window's beginning."""
 
 
@@ -59,7 +59,7 @@ class Window:
     """(n, 3)"""
 
 
-def windows(
+def predict_windows(
     vehicle: VehicleConfig | Vehicle,
     logs: Sequence[Log],
     values: Mapping[str, float] | None = None,
@@ -75,10 +75,10 @@ def windows(
     settings = settings or Settings()
     values = {**settings.values, **(values or {})}
     model = vehicle_of(vehicle)
-    extras = tuple(name for name in extras_of(model) if values.get(name, 0.0) != 0.0)
-    given = replace(settings, values=values, frozen=(*model.parameters, *extras), extras="auto")
+    auxiliary = tuple(name for name in auxiliary_parameters(model) if values.get(name, 0.0) != 0.0)
+    given = replace(settings, values=values, frozen=(*model.parameters, *auxiliary), auxiliary="auto")
     check_settings(vehicle, given)
-    parameters = parameters_of(vehicle, given, extras)
+    parameters = parameters_of(vehicle, given, auxiliary)
     usable = usable_logs(model, logs)
     pieces = [
         (i, before, ahead)
@@ -87,11 +87,11 @@ def windows(
         for before, ahead in _pieces(part, i, settings.step)
     ]
     if not pieces:
-        raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict")
+        raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict", Code.DATA)
     problem = _problem([ahead for _, _, ahead in pieces], len(usable), parameters, settings)
     start = _starts(pieces, len(usable), parameters, settings)
-    states = simulated(problem, start, problem.commands.mean(parameters.nominal)[0], parameters.nominal)
-    predicted = problem.observation.predict(problem.between(states), parameters.nominal)
+    states = simulated(problem, start, problem.actuators.mean(parameters.nominal)[0], parameters.nominal)
+    predicted = problem.observation.predict(problem.at_poses(states), parameters.nominal)
     ends = np.cumsum([len(ahead.part.pose_times[ahead.poses]) for _, _, ahead in pieces])[:-1]
     return tuple(
         Window(usable[i].name, ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses], part)
@@ -110,17 +110,17 @@ def prediction_errors(
     Raises:
         InputError: as `windows`.
     """
-    return errors_of(windows(vehicle, logs, values, settings))
+    return window_errors(predict_windows(vehicle, logs, values, settings))
 
 
-def errors_of(predicted: Sequence[Window]) -> PredictionErrors:
+def window_errors(predicted: Sequence[Window]) -> PredictionErrors:
     """Root mean square errors of windows that were predicted."""
     since = np.concatenate([w.times - w.times[0] for w in predicted])
     # of each window's own poses, lest those seen less often than most be missed
     interval = np.concatenate([np.full(len(w.times), np.median(np.diff(w.times))) for w in predicted])
     off = np.concatenate([w.predicted - w.poses for w in predicted])
     position, yaw = np.hypot(off[:, 0], off[:, 1]), off[:, 2]
-    at = {after: np.abs(since - after) <= 0.75 * interval for after in AFTER}
+    at = {after: np.abs(since - after) <= 0.75 * interval for after in HORIZONS}
     reached = {after: chosen for after, chosen in at.items() if chosen.any()}
     later = since > 0.0
     return PredictionErrors(
@@ -137,34 +137,34 @@ def _rms(values: Floats, chosen: Bools) -> float:
     return float(np.sqrt(np.mean(values[chosen] ** 2)))
 
 
-def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Stretch | None, Stretch]]:
+def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Segment | None, Segment]]:
     """What is seen before each window (None: it begins at rest), and the window."""
     times = part.pose_times
     resting = begins_at_rest(part)
-    begin = times[0] if resting else times[0] + LEAST_HISTORY
-    while times[-1] - begin >= LEAST_LENGTH:
+    begin = times[0] if resting else times[0] + HISTORY_MIN
+    while times[-1] - begin >= WINDOW_MIN:
         first = int(np.searchsorted(times, begin - 1e-9))
-        last = int(np.searchsorted(times, times[first] + LENGTH + 0.5 * step, side="right"))
+        last = int(np.searchsorted(times, times[first] + WINDOW_LENGTH + 0.5 * step, side="right"))
         if last - first < 2:
             return
-        ahead = between(part, log, step, first, last, resting)
-        seen = int(np.searchsorted(times, times[first] - LENGTH))
+        ahead = segment_between(part, log, step, first, last, resting)
+        seen = int(np.searchsorted(times, times[first] - WINDOW_LENGTH))
         if first == 0:
             yield None, ahead
         elif first - seen >= 2:
-            yield between(part, log, step, seen, first + 1, resting), ahead
+            yield segment_between(part, log, step, seen, first + 1, resting), ahead
         begin = times[last - 1]
 
 
-def _problem(stretches: list[Stretch], logs: int, parameters: Parameters, settings: Settings) -> Problem:
+def _problem(segments: list[Segment], logs: int, parameters: Parameters, settings: Settings) -> Problem:
     noise = settings.noise or measured_noise(
-        [s.part.pose_times[s.poses] for s in stretches], [s.part.poses[s.poses] for s in stretches]
+        [s.part.pose_times[s.poses] for s in segments], [s.part.poses[s.poses] for s in segments]
     )
-    return assemble(stretches, logs, parameters, noise_model(parameters.vehicle, settings, noise))
+    return assemble(segments, logs, parameters, noise_model(parameters.vehicle, settings, noise))
 
 
 def _starts(
-    pieces: Sequence[tuple[int, Stretch | None, Stretch]],
+    pieces: Sequence[tuple[int, Segment | None, Segment]],
     logs: int,
     parameters: Parameters,
     settings: Settings,
@@ -176,8 +176,8 @@ def _starts(
     histories = [before for _, before, _ in pieces if before is not None]
     if histories:
         problem = _problem(histories, logs, parameters, settings)
-        problem = replace(problem, noise=replace(problem.noise, process=BELIEF * problem.noise.process))
-        point = starting_point(problem, smooth(problem.chains), rho)
+        problem = replace(problem, noise=replace(problem.noise, process=HISTORY_PROCESS_FACTOR * problem.noise.process))
+        point = starting_point(problem, smooth_chains(problem.chains), rho)
         optimum = optimise(FastGraph(problem), point, settings.iterations)
         moving = np.array([before is not None for _, before, _ in pieces])
         start[moving] = optimum.point.states[problem.chains.first[1:] - 1]
@@ -190,7 +190,7 @@ def _starts(
 def _at_rest(model: Vehicle, parameters: Parameters, pose: Floats) -> Floats:
     """State at rest that shows an observed pose."""
     lever, side, offset = (
-        float(parameters.nominal[k]) if (k := parameters.extra(name)) >= 0 else 0.0
+        float(parameters.nominal[k]) if (k := parameters.auxiliary_index(name)) >= 0 else 0.0
         for name in ("lever", "side", "yaw_offset")
     )
     yaw = pose[2] - offset
