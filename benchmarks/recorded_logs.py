@@ -25,7 +25,7 @@ class Errors:
 
     nominal: float
     plain: float
-    extras: float
+    auxiliary: float
 
 
 def recorded_rows(effort: Effort) -> list[Row]:
@@ -40,8 +40,8 @@ def recorded_rows(effort: Effort) -> list[Row]:
         rows += [
             row(f"recorded, {name}: held-out error after 2 s, nominal", "m", [found.nominal]),
             row(f"recorded, {name}: the same, identified", "m", [found.plain]),
-            row(f"recorded, {name}: the same, with the extras that the data show", "m", [found.extras]),
-            row(f"recorded, {name}: with extras over nominal", "times", [found.extras / found.nominal], Target(0.5)),
+            row(f"recorded, {name}: the same, with the extras that the data show", "m", [found.auxiliary]),
+            row(f"recorded, {name}: with extras over nominal", "times", [found.auxiliary / found.nominal], Target(0.5)),
         ]
     return [*rows, row("recorded: mushr-lag over mushr", "times", [lag.plain / paper.plain], Target(1.0))]
 
@@ -49,10 +49,10 @@ def recorded_rows(effort: Effort) -> list[Row]:
 def errors(name: str, logs: list[Log]) -> Errors:
     """Of one model."""
     vehicle, fitted, held_out = load_vehicle_config(name), logs[::2], logs[1::2]
-    plain = identify(vehicle, fitted, Settings(extras="none"))
-    extras = identify(vehicle, fitted)
+    plain = identify(vehicle, fitted, Settings(auxiliary="none"))
+    auxiliary = identify(vehicle, fitted)
     after = [
         prediction_errors(vehicle, held_out, values).position[AFTER]
-        for values in (NOMINAL[name], plain.values, extras.values)
+        for values in (NOMINAL[name], plain.values, auxiliary.values)
     ]
     return Errors(*after)

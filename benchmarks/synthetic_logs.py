@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from kraft.logs.log import Log, Part
-from kraft.sysid.dynamics import Motion
+from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.parameters import vehicle_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
@@ -23,11 +23,11 @@ FIRST_POSE = 0.0123
 """Time of the first pose, s: the clocks of commands and poses have nothing to do with each other."""
 OUTLIER = 0.5  # m
 
-Commands = tuple[Floats, Matrix]
+CommandSeries = tuple[Floats, Matrix]
 
 
-def random_commands(vehicle: Vehicle, seconds: float, rng: np.random.Generator, hold: float = 1.0) -> Commands:
-    """Commands that jump about every `hold` s, to anything between their bounds, but never far back."""
+def random_commands(vehicle: Vehicle, seconds: float, rng: np.random.Generator, hold: float = 1.0) -> CommandSeries:
+    """CommandSeries that jump about every `hold` s, to anything between their bounds, but never far back."""
     times = np.cumsum([0.0, *(hold * rng.uniform(0.5, 1.5, round(2 * seconds / hold) + 1))])
     times = times[times < seconds]
     columns = []
@@ -48,7 +48,7 @@ def synthetic_logs(
     control_noise: Sequence[float] = (),
     rate: float = 30.0,
     outliers: float = 0.0,
-    commands: Sequence[Commands] | None = None,
+    commands: Sequence[CommandSeries] | None = None,
 ) -> list[Log]:
     """One log per seed, each from rest at the origin, of a vehicle with parameters and extras `truth`.
 
@@ -73,7 +73,7 @@ def synthetic_logs(
     ]
 
 
-def _acting(model: Vehicle, truth: Mapping[str, float], commands: Commands, seconds: float) -> Matrix:
+def _acting(model: Vehicle, truth: Mapping[str, float], commands: CommandSeries, seconds: float) -> Matrix:
     """Controls (steps, nu) as they act: delayed, less the dead band, and lagging."""
     times, values = commands
     middles = FINE * (np.arange(round(seconds / FINE)) + 0.5)
@@ -110,18 +110,18 @@ def _driven(
     process: Floats,
 ) -> Floats:
     """States (steps + 1, logs, nx)."""
-    motion, count = Motion(model), acting.shape[1]
+    discrete_model, count = DiscreteModel(model), acting.shape[1]
     p = np.array([truth.get(name, value) for name, value in model.parameters.items()] or [0.0])
     h = np.full(count, FINE)
     start = np.zeros((count, len(model.state)))
     friction = truth.get("friction", 0.0)
     if not len(process) and not friction:
-        return motion.simulate(start, acting, np.tile(p, (count, 1)), h)
+        return discrete_model.simulate(start, acting, np.tile(p, (count, 1)), h)
     states = np.empty((len(acting) + 1, *start.shape))
     states[0] = start
     pushes = _pushes(generators, len(acting), process) if len(process) else np.zeros((len(acting), *start.shape))
     for i, push in enumerate(pushes):
-        states[i + 1] = motion.after(states[i], _rubbed(model, acting[i], states[i], friction), p, h) + push
+        states[i + 1] = discrete_model.step(states[i], _rubbed(model, acting[i], states[i], friction), p, h) + push
     return states
 
 

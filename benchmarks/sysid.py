@@ -24,7 +24,7 @@ TRUTH = {"L": 0.30, "phi_diff": 0.03, "v_delta": 0.7, "tau": 0.6}
 PROCESS = {"x": 0.003, "y": 0.003, "theta": 0.006, "v": 0.015}
 CONTROL = {"throttle": 0.01, "steering": 0.0076}
 NOISE = Noise(0.01, 0.02)
-PLAIN = Settings(extras="none")
+PLAIN = Settings(auxiliary="none")
 STATED = replace(PLAIN, noise=NOISE, process=PROCESS, control_noise=CONTROL)
 LOGS, SECONDS = 10, 10.0
 
@@ -59,7 +59,7 @@ def speed(effort: Effort) -> list[Row]:
     timed(vehicle, logs[:2])  # compiles
     few = [timed(vehicle, logs[:20])[1] for _ in range(effort.repeats)]
     lots = [timed(vehicle, logs)[1] for _ in range(max(1, effort.repeats // 3))]
-    result, paper = timed(vehicle, logs[:2], Settings(graph="paper", extras="none"))
+    result, paper = timed(vehicle, logs[:2], Settings(graph="paper", auxiliary="none"))
     return [
         row("20 logs of 20 s, 50 ms steps, 30 Hz", "s", few, Target(1.0)),
         row("200 logs, time per log over that of 20", "times", [np.median(lots) / np.median(few) / many], Target(1.2)),

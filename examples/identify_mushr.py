@@ -21,12 +21,11 @@ from pathlib import Path
 
 from kraft.config import bundled
 from kraft.files import write_whole
-from kraft.sysid.vehicle_file import record_of, vehicle_text
+from kraft.sysid.vehicle_file import identification_record, vehicle_text
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.record import Request as RecordRequest
 from kraft_cli.work.record import carry_out as record
-from kraft_cli.work.sysid import Identified, Options, Request
-from kraft_cli.work.sysid import carry_out as identify
+from kraft_cli.work.sysid import SysidRequest, SysidResult, run_sysid
 from kraft_cli.work.sysid_report import parameter_table, prediction_table
 
 MODELS = ("mushr", "mushr-lag", "mushr-drive")
@@ -37,25 +36,25 @@ def say(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def identified(model: str, logs: Path, folder: Path) -> Identified:
+def identified(model: str, logs: Path, folder: Path) -> SysidResult:
     """Identify one model; without extra parameters, because a planner knows the model's own alone."""
     out, plot = folder / f"{model}.yaml", folder / f"{model}.png"
-    return identify(Request((logs,), model, out=out, plot=plot, options=Options(extras="none")), say, say)
+    return run_sysid(SysidRequest((logs,), model, out=out, plot=plot, extras="none"), say, say)
 
 
-def bundle(done: Identified) -> Path:
+def bundle(result: SysidResult) -> Path:
     """Write the bundled vehicle file anew: its comments, name, description, bounds and priors stay."""
-    path = bundled.folder("vehicle") / f"{done.request.model}.yaml"
+    path = bundled.folder("vehicle") / f"{result.request.model}.yaml"
     before = load_vehicle_config(path)
     header = list(takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines()))
-    record = record_of(done.request.model, done.result, done.split, done.predicted)
+    record = identification_record(result.request.model, result.identification, result.split, result.evaluation)
     text = vehicle_text(
         path.parent,
         before.name,
         before.description,
         header,
-        done.subject,
-        done.result.parameters,
+        result.base,
+        result.identification.parameters,
         record,
         tighten=False,
     )
@@ -63,14 +62,14 @@ def bundle(done: Identified) -> Path:
     return path
 
 
-def show(done: Identified) -> None:
+def show(result: SysidResult) -> None:
     """Print what came out."""
-    print(f"{done.request.model}:")
-    for heading, rows in (parameter_table(done), prediction_table(done)):
+    print(f"{result.request.model}:")
+    for heading, rows in (parameter_table(result), prediction_table(result)):
         widths = [max(map(len, column)) for column in zip(heading, *rows, strict=True)]
         for row in (heading, *rows):
             print("   ", "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    for warning in done.result.warnings:
+    for warning in result.identification.warnings:
         print("    warning:", warning)
 
 
@@ -85,14 +84,14 @@ def main() -> int:
     logs = asked.out / "logs"
     record(RecordRequest("training", logs, asked.runs, asked.seed), say)
     results = [identified(model, logs, asked.out) for model in MODELS]
-    for done in results:
-        show(done)
-    doubtful = [done.request.model for done in results if done.objections]
+    for result in results:
+        show(result)
+    doubtful = [result.request.model for result in results if result.objections]
     if doubtful:
         say(f"not identified: {', '.join(doubtful)}; nothing is bundled")
         return 1
-    for done in results if asked.write else ():
-        print("wrote", bundle(done))
+    for result in results if asked.write else ():
+        print("wrote", bundle(result))
     return 0
 
 

@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.table import LOG_TIME, STAMP, Table
 
 TYPES: Final = {
@@ -61,11 +61,15 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
     except InputError:
         raise
     except Exception as error:  # whatever a parser may trip over in bytes that are not what they should be
-        raise InputError.of(str(path), f"is not a whole bag ({_reason(error)})", _repair(path)) from error
+        raise InputError.of(
+            str(path), f"is not a whole bag ({_reason(error)})", _repair(path), Code.UNREADABLE
+        ) from error
     if not read:
         there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(known.items())) or "none"
         expected = "expected AckermannDriveStamped or Twist, and Odometry, PoseStamped or the like; or a mapping file"
-        raise InputError.of(str(path), f"has no messages on topics that kraft knows; there are {there}", expected)
+        raise InputError.of(
+            str(path), f"has no messages on topics that kraft knows; there are {there}", expected, Code.DATA
+        )
     origin = min(topic.times[0] for topic in read.values())
     return tuple(_table(str(path), name, topic, origin) for name, topic in sorted(read.items()))
 
@@ -102,7 +106,9 @@ def _check_types(path: Path, chosen: Iterable[Any], connections: Sequence[Any]) 
         types = sorted({connection.msgtype for connection in connections if connection.topic == topic})
         if len(types) > 1:
             problem = f"has messages of {len(types)} types: {', '.join(types)}"
-            problems.append(Diagnostic(str(path), problem, "expected one type on a topic", path=topic))
+            problems.append(
+                Diagnostic(str(path), problem, "expected one type on a topic", path=topic, code=Code.CONFLICT)
+            )
     if problems:
         raise InputError(problems)
 

@@ -11,8 +11,11 @@ import numpy as np
 
 from kraft.errors import Diagnostic
 from kraft.logs.log import Array
-from kraft.logs.names import FACTOR, Unit
 from kraft.logs.table import LOG_TIME, STAMP, Flags, Table
+from kraft.logs.units import FACTOR, Unit
+
+STAMP_TOLERANCE: Final = 1.0
+"""How far the clocks of the senders and of the recorder may be apart, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +126,6 @@ class Choice:
         one = len({id(stream.table) for _, stream in self.streams()}) == 1 and not self.poses.table.topic
         parts = [f"{what}: {'' if one else stream.table.name + ': '}{stream}" for what, stream in self.streams()]
         return "; ".join(parts) + (f"; not used: {', '.join(self.unused)}" if self.unused else "")
-
-
-STAMP_TOLERANCE: Final = 1.0
-"""How far the clocks of the senders and of the recorder may be apart, s."""
 
 
 def on_one_clock(choice: Choice) -> Choice:

@@ -8,18 +8,34 @@ from typing import Final
 import numpy as np
 
 from kraft.errors import Diagnostic, InputError
-from kraft.logs import reports
 from kraft.logs.choice import Choice
+from kraft.logs.findings import (
+    add_broken_lines,
+    add_command_gaps,
+    add_dropouts,
+    add_left_out,
+    add_pose_gaps,
+    add_teleports,
+    add_uncommanded,
+    add_wraps,
+)
+from kraft.logs.held_commands import GAP_MIN, GAP_STEPS, HeldCommands, held_intervals, interval_of, merge_commands
 from kraft.logs.log import Array, Finding, Findings, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGED, OUTLIER, extent, stale, top_speed, tracks
-from kraft.logs.samples import GAP_LEAST, GAP_STEPS, Commands, Samples, held_intervals, interval_of, merge, read_samples
+from kraft.logs.motion import AVERAGING_TIME, extent
+from kraft.logs.outliers import OUTLIER, stale, top_speed, tracks
+from kraft.logs.samples import Samples, read_samples
 from kraft.logs.table import Flags, Rows
 from kraft.logs.unit_checks import check_units
 from kraft.text import counted
 
-TURN_LEAST: Final = 0.2
+TURN_MIN: Final = 0.2
 """A log in which the vehicle turns at least this much has motion, rad."""
+HISTORY: Final = 1.0
+"""How long before a part's first pose its commands begin, if they do, s: the vehicle may obey them late."""
+POSES_MIN: Final = 3
+UPRIGHT_COSINE_MIN: Final = 0.7
+"""Cosine of the tilt beyond which a vehicle does not stand on its wheels."""
 
 
 def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tuple[Part, ...], tuple[Finding, ...]]:
@@ -29,18 +45,18 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
         InputError: if nothing remains, with the reason and the row.
     """
     findings, limits = Findings(), mapping.limits
-    reports.broken_lines(choice, findings)
+    add_broken_lines(choice, findings)
     streams, poses, origin = _read(choice, findings)
     poses, xyyaw = planar(poses, findings)
     _check_number(poses, "has an orientation in only")
     check_units(streams, poses, xyyaw, findings)
-    commands = merge(streams, controls, limits)
+    commands = merge_commands(streams, controls, limits)
     _check_overlap(commands, poses, choice)
-    reports.dropouts(poses, pose_gap(poses.times, limits), findings)
+    add_dropouts(poses, pose_gap(poses.times, limits), findings)
     repeated = stale(poses.times, xyyaw)
-    reports.left_out("stale", poses, repeated, "repeat the one before while the vehicle moves", findings)
+    add_left_out("stale", poses, repeated, "repeat the one before while the vehicle moves", findings)
     poses, xyyaw = poses.keep(~repeated), xyyaw[~repeated]
-    reports.command_gaps(streams, limits, findings)
+    add_command_gaps(streams, limits, findings)
     held, intervals = _held(choice, poses, mapping, origin, findings)
     parts = _cut(poses, xyyaw, commands, held, intervals, limits, findings)
     _check_motion(poses, parts, limits)
@@ -71,7 +87,7 @@ def _check_number(poses: Samples, only: str) -> None:
         raise poses.refuse(f"{only} {counted(len(poses), 'pose')}", f"expected {POSES_MIN} or more", 0)
 
 
-def _check_overlap(commands: Commands, poses: Samples, choice: Choice) -> None:
+def _check_overlap(commands: HeldCommands, poses: Samples, choice: Choice) -> None:
     expected = "expected both to be of the same drive, by the same clock, in the same unit"
     if not len(commands.times):
         raise poses.refuse("the controls are never all commanded", "expected commands of all controls at the same time")
@@ -92,14 +108,14 @@ def _held(choice: Choice, poses: Samples, mapping: Mapping, origin: float, findi
     switch = read_samples("switch positions", choice.dead_man, findings).shifted(origin)
     intervals = held_intervals(switch, mapping.dead_man)
     held = interval_of(poses.times, intervals)
-    reports.left_out("dead man", poses, held < 0, "while the dead-man switch is released", findings)
+    add_left_out("dead man", poses, held < 0, "while the dead-man switch is released", findings)
     return held, intervals
 
 
 def _cut(
     poses: Samples,
     xyyaw: Array,
-    commands: Commands,
+    commands: HeldCommands,
     held: Rows,
     intervals: Array,
     limits: Limits,
@@ -108,14 +124,14 @@ def _cut(
     gap = pose_gap(poses.times, limits)
     speed = limits.top_speed or top_speed(poses.times, xyyaw[:, :2])
     labels = tracks(poses.times, xyyaw, speed)
-    reports.pose_gaps(poses, gap, findings)
-    reports.teleports(poses, labels, speed, findings)
-    reports.uncommanded(poses, commands, findings)
-    found = stretches(poses, labels, held, commands, gap)
+    add_pose_gaps(poses, gap, findings)
+    add_teleports(poses, labels, speed, findings)
+    add_uncommanded(poses, commands, findings)
+    found = segments(poses, labels, held, commands, gap)
     long = [index for index in found if len(index) >= POSES_MIN]
     short = sum(len(index) for index in found if len(index) < POSES_MIN)
     findings.add("short", short, f"{counted(short, 'pose')} in parts of fewer than {POSES_MIN}; left out")
-    reports.wraps(poses, xyyaw[:, 2], findings)
+    add_wraps(poses, xyyaw[:, 2], findings)
     if not long:
         why = "; ".join(finding.text for finding in findings.found)
         raise poses.refuse(f"nothing remains: {why}", "expected a stretch of poses while commands are given")
@@ -126,24 +142,19 @@ def _cut(
 
 def _check_motion(poses: Samples, parts: tuple[Part, ...], limits: Limits) -> None:
     ways = [extent(part.pose_times, part.poses) for part in parts]
-    if all(way < limits.least_motion and turn < TURN_LEAST for way, turn in ways):
+    if all(way < limits.least_motion and turn < TURN_MIN for way, turn in ways):
         way = max(way for way, _ in ways)
         expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
-        fact = f"the vehicle gets {way:.2g} m far (between means over up to {AVERAGED:g} s)"
+        fact = f"the vehicle gets {way:.2g} m far (between means over up to {AVERAGING_TIME:g} s)"
         raise poses.refuse(f"there is no motion: {fact}", expected)
-
-
-HISTORY: Final = 1.0
-"""How long before a part's first pose its commands begin, if they do, s: the vehicle may obey them late."""
-POSES_MIN: Final = 3
 
 
 def pose_gap(times: Array, limits: Limits) -> float:
     """How long poses may be missing within a part, s."""
-    return limits.pose_gap or max(GAP_LEAST, GAP_STEPS * float(np.median(np.diff(times))))
+    return limits.pose_gap or max(GAP_MIN, GAP_STEPS * float(np.median(np.diff(times))))
 
 
-def stretches(poses: Samples, tracks: Rows, held: Rows, commands: Commands, gap: float) -> list[Rows]:
+def segments(poses: Samples, tracks: Rows, held: Rows, commands: HeldCommands, gap: float) -> list[Rows]:
     """Indices of the poses of each part.
 
     Args:
@@ -164,7 +175,7 @@ def stretches(poses: Samples, tracks: Rows, held: Rows, commands: Commands, gap:
     return np.split(chosen, np.flatnonzero(breaks) + 1)
 
 
-def make_part(times: Array, poses: Array, commands: Commands, since: float) -> Part:
+def make_part(times: Array, poses: Array, commands: HeldCommands, since: float) -> Part:
     """Make a part of its poses, shape (n, 3), and of the commands from at most `HISTORY` before them.
 
     ``since`` is when commands began to be obeyed, s: one that was in force before then counts from then.
@@ -182,10 +193,6 @@ def make_part(times: Array, poses: Array, commands: Commands, since: float) -> P
     return Part(command_times, commands.values[first:last].copy(), times.copy(), whole)
 
 
-UPRIGHT: Final = 0.7
-"""Cosine of the tilt beyond which a vehicle does not stand on its wheels."""
-
-
 def planar(poses: Samples, findings: Findings) -> tuple[Samples, Array]:
     """Poses that have an orientation, and these as x, y and yaw, shape (n, 3).
 
@@ -198,10 +205,10 @@ def planar(poses: Samples, findings: Findings) -> tuple[Samples, Array]:
     if none.all():
         columns = ", ".join(channel.column for channel in poses.stream.channels[2:])
         raise poses.refuse(f"{columns} are no orientation", "expected a quaternion of length 1", 0)
-    reports.left_out("nan", poses, none, "have no orientation", findings)
+    add_left_out("nan", poses, none, "have no orientation", findings)
     poses = poses.keep(~none)
     x, y, z, w = (poses.values[:, 2:] / np.linalg.norm(poses.values[:, 2:], axis=1, keepdims=True)).T
-    if np.median(1 - 2 * (x * x + y * y)) < UPRIGHT:
+    if np.median(1 - 2 * (x * x + y * y)) < UPRIGHT_COSINE_MIN:
         findings.add("tilted", 1, f"{poses.stream.table.name}: the vehicle does not stand upright; is z not up?")
     yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return poses, np.column_stack([poses.values[:, :2], yaw])

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Array
 from kraft.logs.table import Flags, Table
 
@@ -28,7 +28,7 @@ def read_csv(path: Path, content: bytes) -> Table:
     """
     (names, separator), lines, above = _heading(str(path), _text(str(path), content))
     if not any(line.strip() for line in lines):
-        raise InputError.of(str(path), "has a heading but no rows", "expected a row for each moment")
+        raise InputError.of(str(path), "has a heading but no rows", "expected a row for each moment", Code.DATA)
     table = _clean_table(str(path), names, separator, lines, above)
     if table is None:
         table = _any_table(str(path), names, separator, lines, above)
@@ -61,7 +61,9 @@ def _any_table(file: str, names: Sequence[str], separator: str, lines: list[str]
             broken.append(number)
     if not rows:
         expected = f"expected {len(names)} fields, as in its heading"
-        raise InputError([Diagnostic(file, "no line has as many fields as the heading", expected, above + 1)])
+        raise InputError(
+            [Diagnostic(file, "no line has as many fields as the heading", expected, above + 1, code=Code.SYNTAX)]
+        )
     table: dict[str, Array] = {}
     blank: dict[str, Flags] = {}
     for name, texts in zip(names, zip(*rows, strict=True), strict=True):
@@ -94,7 +96,7 @@ def _fields(file: str, lines: Sequence[str], separator: str, above: int) -> Iter
 
 
 def _misquoted(file: str, problem: str, line: int) -> InputError:
-    return InputError([Diagnostic(file, problem, 'expected numbers, and " in pairs', line)])
+    return InputError([Diagnostic(file, problem, 'expected numbers, and " in pairs', line, code=Code.SYNTAX)])
 
 
 def read_heading(path: Path, content: bytes) -> tuple[str, ...]:
@@ -108,10 +110,10 @@ def read_heading(path: Path, content: bytes) -> tuple[str, ...]:
 
 def _text(file: str, content: bytes) -> list[str]:
     if b"\0" in content[:4096]:
-        raise InputError.of(file, "is not a text file", "expected comma-separated values in UTF-8")
+        raise InputError.of(file, "is not a text file", "expected comma-separated values in UTF-8", Code.SYNTAX)
     lines = content.decode("utf-8-sig", errors="replace").splitlines()
     if not any(line.strip() for line in lines):
-        raise InputError.of(file, "is empty", _HEADING)
+        raise InputError.of(file, "is empty", _HEADING, Code.SYNTAX)
     return lines
 
 
@@ -125,7 +127,9 @@ def _heading(file: str, lines: list[str]) -> tuple[tuple[tuple[str, ...], str], 
     if first == len(lines) or _is_numeric(lines[first]):
         comments = [i for i in range(first) if lines[i].strip()]
         if not comments:
-            raise InputError([Diagnostic(file, "the first line is not a heading", _HEADING, first + 1)])
+            raise InputError(
+                [Diagnostic(file, "the first line is not a heading", _HEADING, first + 1, code=Code.SYNTAX)]
+            )
         at = comments[-1]
     line = lines[at].strip().lstrip("#%").strip()
     separator = max(_SEPARATORS, key=lambda s: (line.count(s) > 0, -_SEPARATORS.index(s)))

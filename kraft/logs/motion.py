@@ -1,19 +1,17 @@
-"""What a log's poses say about the motion, whatever their units: noise, chords, speeds, and where the yaw points."""
+"""Motion of a log from its poses, whatever their units: noise, chords, extent, agreement with the yaw."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from kraft.logs.log import Array
-from kraft.logs.table import Flags, Rows
 
-CHORD = 0.1
+CHORD_MIN = 0.1
 """Least distance over which a direction of motion is told, m; noise may ask for more."""
 
-AVERAGED = 0.5
+AVERAGING_TIME = 0.5
 """Time over which noise is averaged where it is asked how far the vehicle gets, at most, s."""
 
 
@@ -44,7 +42,7 @@ class Chords:
 
 def chords(times: Array, positions: Array) -> Chords:
     """Follow the positions, shape (n, 2), from one to the next that is far enough away."""
-    least = max(CHORD, 10 * position_noise(positions))
+    least = max(CHORD_MIN, 10 * position_noise(positions))
     knots, (x, y) = [0], positions[0]
     for i, (to_x, to_y) in enumerate(positions.tolist()):  # plain numbers are faster than rows of an array
         if (to_x - x) ** 2 + (to_y - y) ** 2 >= least * least:
@@ -71,90 +69,16 @@ def agreement(found: Chords, yaw: Array) -> tuple[float, float]:
 
 
 def extent(times: Array, poses: Array) -> tuple[float, float]:
-    """How far the vehicle gets (m) and turns (rad), between means over equal times of at most `AVERAGED`.
+    """How far the vehicle gets (m) and turns (rad), between means over equal times of at most `AVERAGING_TIME`.
 
     Args:
         times: of two poses or more, shape (n,), s.
         poses: shape (n, 3).
     """
     passed = times - times[0]
-    blocks = max(2, int(np.ceil(passed[-1] / AVERAGED)))  # a single mean would show no motion at all
+    blocks = max(2, int(np.ceil(passed[-1] / AVERAGING_TIME)))  # a single mean would show no motion at all
     block = np.minimum((passed * (blocks / passed[-1])).astype(np.int64), blocks - 1)
     _, block, counts = np.unique(block, return_inverse=True, return_counts=True)
     means = np.column_stack([np.bincount(block, poses[:, k]) / counts for k in range(3)])
     spread = means.max(axis=0) - means.min(axis=0)
     return float(np.hypot(spread[0], spread[1])), float(spread[2])
-
-
-LEAST_TOP_SPEED: Final = 3.0
-"""Speed that any vehicle is believed to reach, m/s."""
-NOISE_MARGIN: Final = 10.0
-"""Standard deviations of a position that are no teleport."""
-TURN: Final = 1.2
-"""Change of yaw between two poses that is no flip, rad, besides what `TURN_RATE` allows."""
-TURN_RATE: Final = 10.0
-SETTLED: Final = 8
-"""Poses in a row that agree with each other before the vehicle is believed to be elsewhere."""
-OUTLIER, FIRST_TRACK = -1, 0
-
-
-def top_speed(times: Array, positions: Array) -> float:
-    """Speed that the vehicle does not exceed: three times what it stays below for nine tenths of the time."""
-    path = chords(times, positions)
-    if not len(path.speeds):
-        return LEAST_TOP_SPEED
-    order = np.argsort(path.speeds)
-    passed = np.cumsum(path.durations[order])  # weighed by time: jumps to and fro are many, but short
-    usual = path.speeds[order][int(np.searchsorted(passed, 0.9 * passed[-1]))]
-    return max(LEAST_TOP_SPEED, 3.0 * float(usual))
-
-
-def tracks(times: Array, poses: Array, speed: float) -> Rows:
-    """Number the poses, shape (n, 3), by the track they belong to, from 0; an outlier has -1. Shape (n,)."""
-    reach = max(0.05, NOISE_MARGIN * position_noise(poses[:, :2]))
-    labels = np.full(len(times), FIRST_TRACK, np.int64)
-    if _reachable(times[:-1], poses[:-1], times[1:], poses[1:], speed, reach).all():
-        return labels
-    track, last = FIRST_TRACK, 0
-    suspects: list[int] = []
-
-    def near(a: int, b: int) -> bool:
-        at, to = slice(a, a + 1), slice(b, b + 1)
-        return bool(_reachable(times[at], poses[at], times[to], poses[to], speed, reach)[0])
-
-    for i in range(1, len(times)):
-        if near(last, i):
-            labels[suspects] = OUTLIER
-            suspects, labels[i], last = [], track, i
-            continue
-        if suspects and not near(suspects[-1], i):
-            labels[suspects] = OUTLIER
-            suspects = []
-        suspects.append(i)
-        if len(suspects) == SETTLED:
-            track += 1
-            labels[suspects] = track
-            suspects, last = [], i
-    labels[suspects] = OUTLIER
-    return labels
-
-
-def _reachable(t0: Array, p0: Array, t1: Array, p1: Array, speed: float, reach: float) -> Flags:
-    dt, step = t1 - t0, p1 - p0
-    turn = np.abs((step[:, 2] + np.pi) % (2 * np.pi) - np.pi)
-    near: Flags = np.hypot(step[:, 0], step[:, 1]) <= reach + speed * dt
-    return near & (turn <= TURN + TURN_RATE * dt)
-
-
-def stale(times: Array, poses: Array) -> Flags:
-    """Poses that repeat the one before bit for bit while the vehicle drives on: nothing was measured. Shape (n,)."""
-    flags = np.zeros(len(times), bool)
-    fresh = np.flatnonzero(np.concatenate([[True], np.any(np.diff(poses, axis=0) != 0, axis=1)]))
-    if len(fresh) == len(times) or len(fresh) < 3:
-        return flags
-    way = np.hypot(*np.diff(poses[fresh, :2], axis=0).T)
-    speeds = way / np.diff(times[fresh])
-    for k in range(1, len(fresh) - 1):  # speed into and out of each run of equal poses
-        if speeds[k] >= 0.5 * speeds[k - 1] and way[k - 1] > 1e-3:
-            flags[fresh[k] + 1 : fresh[k + 1]] = True
-    return flags

@@ -12,21 +12,27 @@ from typing import Final
 import numpy as np
 
 from kraft.config.source import KeyPath
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.choice import Choice, on_one_clock
 from kraft.logs.cleaning import clean
+from kraft.logs.column_match import written_at
 from kraft.logs.csv_table import read_csv
 from kraft.logs.discover import FORMATS, Candidate, discover
 from kraft.logs.guess import choose, unknown_controls
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.names import SYNONYMS, control_score
-from kraft.logs.pick import written_at
 from kraft.logs.table import Table
-from kraft.logs.unit_checks import DegreesError, doubtful
+from kraft.logs.unit_checks import DegreesError, assumed_radians
 from kraft.text import suggestion
 
 CONTROLS: Final = ("throttle", "steering")
+_SHOWN: Final = 3
+"""Names of tables in one sentence."""
+
+
+class MismatchError(InputError):
+    """The mapping file or the vehicle does not fit any of the logs, whatever they hold."""
 
 
 def read_logs(
@@ -42,27 +48,27 @@ def read_logs(
         mapping: what `load_mapping` returned, where the names of the columns say too little.
 
     Raises:
-        InputError: if there is no log at all, or if none can be read; with every problem.  It is an `UnfitError` where
-            mapping file or controls fit none of the logs.
+        InputError: if there is no log at all, or if none can be read; with every problem.  It is a `MismatchError`
+            where mapping file or controls fit none of the logs.
     """
     given = [paths] if isinstance(paths, str | Path) else list(paths)
     if not given:
-        raise InputError.of("logs", "there are none to read", FORMATS)
-    said = mapping or Mapping()
-    candidates, problems = discover([Path(path) for path in given], controls, said)
+        raise InputError.of("logs", "there are none to read", FORMATS, Code.MISSING)
+    stated = mapping or Mapping()
+    candidates, problems = discover([Path(path) for path in given], controls, stated)
     read: list[tuple[Log, Choice]] = []
     degrees: set[tuple[str, str]] = set()
     places, tables, unread = tuple(problems), list[Table](), 0
     for candidate in candidates:
         try:
-            sources, found = _tables(candidate, said)
+            sources, found = _tables(candidate, stated)
         except InputError as error:
             problems += error.diagnostics
             unread += 1
             continue
         tables += map(heading, found)
         try:
-            read.append(_read(candidate.name, sources, found, controls, said))
+            read.append(_read(candidate.name, sources, found, controls, stated))
         except DegreesError as error:
             degrees |= error.columns
             problems += error.diagnostics
@@ -72,8 +78,8 @@ def read_logs(
     problems += alike
     if not logs:
         # a table that cannot be read may have what is looked for
-        if not unread and tables and (wrong := unfit(_common(candidates), tables, controls, said)):
-            raise UnfitError([*places, *wrong])
+        if not unread and tables and (wrong := mapping_mismatch(_common(candidates), tables, controls, stated)):
+            raise MismatchError([*places, *wrong])
         raise InputError(problems)
     return LogSet(tuple(logs), tuple(dict.fromkeys(problems)))
 
@@ -104,7 +110,9 @@ def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:
         try:
             content = path.read_bytes()
         except OSError as error:
-            raise InputError.of(str(path), f"cannot be read: {error.strerror}", "expected a CSV file") from error
+            raise InputError.of(
+                str(path), f"cannot be read: {error.strerror}", "expected a CSV file", Code.UNREADABLE
+            ) from error
         sources.append(Source(str(path), hashlib.sha256(content).hexdigest()))
         tables.append(read_csv(path, content))
     return sources, tables
@@ -139,7 +147,9 @@ def _without_degrees(
     """Leave out logs whose columns hold degrees in other logs, even where a straight drive does not show it."""
     logs, problems = [], []
     for log, choice in read:
-        channels = [(s.table, channel) for _, s in choice.streams() for channel in s.channels if doubtful(channel)]
+        channels = [
+            (s.table, channel) for _, s in choice.streams() for channel in s.channels if assumed_radians(channel)
+        ]
         alike = [(table, channel) for table, channel in channels if (channel.role, channel.column) in columns]
         for table, channel in alike:
             problem = f"{channel.column!r} is in degrees in other logs, so it is not believed to be in radians here"
@@ -149,21 +159,15 @@ def _without_degrees(
     return logs, problems
 
 
-_SHOWN: Final = 3
-"""Names of tables in one sentence."""
-
-
-class UnfitError(InputError):
-    """The mapping file or the vehicle does not fit any of the logs, whatever they hold."""
-
-
 def heading(table: Table) -> Table:
     """A table without its rows."""
     none = np.zeros(0)
     return Table(table.file, table.topic, dict.fromkeys(table.columns, none), none.astype(np.int64))
 
 
-def unfit(where: str, tables: Sequence[Table], controls: Sequence[str], mapping: Mapping) -> tuple[Diagnostic, ...]:
+def mapping_mismatch(
+    where: str, tables: Sequence[Table], controls: Sequence[str], mapping: Mapping
+) -> tuple[Diagnostic, ...]:
     """What is wrong with the mapping file for all logs alike, else with the controls, each in one diagnostic.
 
     Args:
@@ -173,11 +177,18 @@ def unfit(where: str, tables: Sequence[Table], controls: Sequence[str], mapping:
         mapping: what the mapping file says.
     """
     unknown = unknown_controls(controls, mapping)
-    wrong = [*unknown, *(problem for wish in _wishes(mapping) for problem in _missing(*wish, tables, mapping))]
-    return tuple(wrong or _foreign(where, controls, mapping, tables))
+    wrong = [
+        *unknown,
+        *(
+            problem
+            for mapped_column in _mapped_columns(mapping)
+            for problem in _missing(*mapped_column, tables, mapping)
+        ),
+    ]
+    return tuple(wrong or _other_vehicle(where, controls, mapping, tables))
 
 
-def _wishes(mapping: Mapping) -> Iterator[tuple[KeyPath, Column | None, KeyPath, str | None]]:
+def _mapped_columns(mapping: Mapping) -> Iterator[tuple[KeyPath, Column | None, KeyPath, str | None]]:
     """Each column that may be named: where, what is said, and the table that its family is in with its place."""
     commands, poses, switch = mapping.commands, mapping.poses, mapping.dead_man
     yield ("commands", "time"), commands.time, ("commands", "table"), commands.table
@@ -205,15 +216,19 @@ def _missing(
         family, table = (*path, "table"), column.table
     among = [each for each in tables if table is None or table in (each.name, each.file)]
     if not among:
-        problem = f"there is no {table!r} in {_some([each.file for each in tables])}"
-        yield mapping.source.diagnostic(family, problem, suggestion(str(table), dict.fromkeys(t.name for t in tables)))
+        problem = f"there is no {table!r} in {_listed([each.file for each in tables])}"
+        yield mapping.source.diagnostic(
+            family, problem, suggestion(str(table), dict.fromkeys(t.name for t in tables)), code=Code.UNKNOWN
+        )
     elif column is not None and not any(column.column in each.columns for each in among):
-        problem = f"there is no column {column.column!r} in {_some([each.name for each in among])}"
+        problem = f"there is no column {column.column!r} in {_listed([each.name for each in among])}"
         known = dict.fromkeys(name for each in among for name in each.columns)
-        yield mapping.source.diagnostic(written_at(path, mapping), problem, suggestion(column.column, known))
+        yield mapping.source.diagnostic(
+            written_at(path, mapping), problem, suggestion(column.column, known), code=Code.UNKNOWN
+        )
 
 
-def _foreign(where: str, controls: Sequence[str], mapping: Mapping, tables: Sequence[Table]) -> list[Diagnostic]:
+def _other_vehicle(where: str, controls: Sequence[str], mapping: Mapping, tables: Sequence[Table]) -> list[Diagnostic]:
     """That the logs are of a vehicle with other controls, where they show those of a car and no control of this one."""
     columns = list(dict.fromkeys(name for table in tables for name in table.columns))
 
@@ -224,10 +239,10 @@ def _foreign(where: str, controls: Sequence[str], mapping: Mapping, tables: Sequ
         return []
     problem = f"the logs have {', '.join(shown(SYNONYMS))}; the vehicle needs {', '.join(controls)}"
     expected = "expected logs of this vehicle, another vehicle, or a mapping file that says which columns they are"
-    return [Diagnostic(where, problem, expected)]
+    return [Diagnostic(where, problem, expected, code=Code.MISMATCH)]
 
 
-def _some(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     """Names for a sentence, not more than a few."""
     each = list(dict.fromkeys(names))
     return ", ".join(each) if len(each) <= _SHOWN else f"{', '.join(each[:_SHOWN])} and {len(each) - _SHOWN} more"

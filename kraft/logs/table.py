@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kraft.errors import Diagnostic
+from kraft.errors import Code, Diagnostic
 from kraft.logs.log import Array
 
 Flags = NDArray[np.bool_]
@@ -53,7 +53,7 @@ class Table:
         """Say which row: ``line 12 of a.csv``, ``message 3 of /odom``."""
         return f"{'message' if self.topic else 'line'} {self.rows[index]} of {self.name}"
 
-    def diagnostic(self, problem: str, expected: str, index: int | None = None) -> Diagnostic:
+    def diagnostic(self, problem: str, expected: str, index: int | None = None, code: Code = Code.DATA) -> Diagnostic:
         """Make a diagnostic for the whole table, or for one of its rows."""
         line = None if index is None or self.topic else int(self.rows[index])
-        return Diagnostic(self.file, problem, expected, line, path=self.topic)
+        return Diagnostic(self.file, problem, expected, line, path=self.topic, code=code)

@@ -13,13 +13,13 @@ from kraft.logs.log import Array, Findings
 from kraft.logs.motion import Chords, agreement, chords
 from kraft.logs.samples import Samples
 
-FASTEST: Final = 30.0
+SPEED_MAX: Final = 30.0
 """Speed above which positions are not metres, m/s: small vehicles are meant here."""
-SLOWEST_POSES: Final = 2.0
+POSE_INTERVAL_MAX: Final = 2.0
 """Time between poses above which stamps are not seconds, s."""
-STEERING_LARGEST: Final = 1.6
+STEERING_MAX: Final = 1.6
 """Steering command above which it is no angle in radians, a little more than a right angle."""
-_LEAST_CHORDS: Final = 5
+_CHORDS_MIN: Final = 5
 
 
 class DegreesError(InputError):
@@ -33,7 +33,7 @@ class DegreesError(InputError):
         self.columns = frozenset(columns)
 
 
-def doubtful(channel: Channel) -> bool:
+def assumed_radians(channel: Channel) -> bool:
     """Whether a column is only believed to be in radians."""
     return channel.unit == "rad" and not (channel.place is not None and channel.stated)
 
@@ -73,7 +73,7 @@ def _clock(poses: Samples) -> list[Diagnostic]:
     if len(poses) < 3:
         return []
     step = float(np.median(np.diff(poses.times)))
-    if SLOWEST_POSES > step > 1e-5:
+    if POSE_INTERVAL_MAX > step > 1e-5:
         return []
     problem = f"{time.column!r} taken in {time.unit} means a pose every {step:.4g} s"
     return [poses.diagnostic(problem, f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} ({time.column}_ms)")]
@@ -93,7 +93,7 @@ def _steering(samples: Samples) -> list[tuple[Diagnostic, Channel]]:
     found = []
     for channel, values in zip(samples.stream.channels, samples.values.T, strict=True):
         largest = int(np.argmax(np.abs(values)))
-        if doubtful(channel) and abs(values[largest]) > STEERING_LARGEST:
+        if assumed_radians(channel) and abs(values[largest]) > STEERING_MAX:
             problem = f"{channel.column!r} reaches {values[largest]:g}: degrees, where radians are expected"
             expected = in_mapping(channel, f"commands.controls.{channel.role}", "deg") + f" ({channel.column}_deg)"
             found.append((samples.diagnostic(problem, expected, largest), channel))
@@ -101,7 +101,7 @@ def _steering(samples: Samples) -> list[tuple[Diagnostic, Channel]]:
 
 
 def _lengths(poses: Samples, path: Chords) -> list[Diagnostic]:
-    if len(path.speeds) < _LEAST_CHORDS or np.median(path.speeds) < FASTEST:
+    if len(path.speeds) < _CHORDS_MIN or np.median(path.speeds) < SPEED_MAX:
         return []
     x, y = poses.stream.channels[:2]
     problem = f"{x.column!r} and {y.column!r} taken in {x.unit} mean a speed of {np.median(path.speeds):.3g} m/s"
@@ -111,7 +111,7 @@ def _lengths(poses: Samples, path: Chords) -> list[Diagnostic]:
 def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[tuple[Diagnostic, Channel]]:
     """Degrees taken for radians do not follow the motion, or jump by 360."""
     channel = poses.stream.channels[2]
-    if channel.role != "yaw" or not doubtful(channel):
+    if channel.role != "yaw" or not assumed_radians(channel):
         return []
     steps = np.abs(np.diff(yaw))
     if not ((steps > 300) & (steps < 400)).any() and not _follows_as_degrees(path, yaw):
@@ -124,7 +124,7 @@ def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[tuple[Diagnostic, Cha
 
 def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
     """Whether yaw follows the motion as degrees and not as radians; up to 7 it may as well be noise on a straight."""
-    if len(path.directions) < _LEAST_CHORDS or float(np.abs(yaw).max()) < 7.0:
+    if len(path.directions) < _CHORDS_MIN or float(np.abs(yaw).max()) < 7.0:
         return False
     as_radians, offset = agreement(path, yaw)
     as_degrees, offset_degrees = agreement(path, np.deg2rad(yaw))
@@ -135,7 +135,7 @@ def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
 
 
 def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> None:
-    if len(path.directions) < _LEAST_CHORDS or agreement(path, yaw)[0] > 0.7:
+    if len(path.directions) < _CHORDS_MIN or agreement(path, yaw)[0] > 0.7:
         return
     mirrored = agreement(path, -yaw)[0] > 0.9
     why = "it follows when its sign is changed (scale: -1 in a mapping file)" if mirrored else "are x, y and yaw right?"

@@ -34,8 +34,8 @@ from kraft.plot.sysid_style import (
     draw_ways,
     fit_floor,
 )
-from kraft.sysid.data import Split
-from kraft.sysid.prediction import Predicted
+from kraft.sysid.acceptance import PredictionEvaluation
+from kraft.sysid.data import LogSplit
 from kraft.sysid.result import Identification
 from kraft.text import counted
 from ompl_ext.vehicle import Vehicle
@@ -53,9 +53,9 @@ ROWS: Final = (2.9, 3.3, 2.7)
 def plot_identification(
     path: Path,
     vehicle: Vehicle,
-    split: Split,
+    split: LogSplit,
     result: Identification,
-    predicted: Predicted,
+    evaluation: PredictionEvaluation,
     objections: Sequence[str] = (),
 ) -> None:
     """Draw an identification as PNG, SVG or PDF by the suffix of `path`.
@@ -67,14 +67,18 @@ def plot_identification(
     """
     picture_format(path)
     with look():
-        write_picture(path, compose(vehicle, split, result, predicted, objections))
+        write_picture(path, compose(vehicle, split, result, evaluation, objections))
 
 
 def compose(
-    vehicle: Vehicle, split: Split, result: Identification, predicted: Predicted, objections: Sequence[str]
+    vehicle: Vehicle,
+    split: LogSplit,
+    result: Identification,
+    evaluation: PredictionEvaluation,
+    objections: Sequence[str],
 ) -> Figure:
     """The page."""
-    rows = note_rows_of(_notes(split, result, predicted), WIDTH - LEFT - RIGHT)
+    rows = note_rows_of(_notes(split, result, evaluation), WIDTH - LEFT - RIGHT)
     tops, top = [], HEAD + NOTES * len(rows) + 0.32
     for height in ROWS:
         tops.append(top)
@@ -86,26 +90,28 @@ def compose(
     page.heading(figure, f"{vehicle.name}, identified from {counted(len(split.fitted), 'log')}", warning)
     _draw_data(figure, page, floor, split, result, tops[0])
     _draw_fit(figure, page, tops[1], vehicle, split, result)
-    _draw_prediction(figure, page, tops[2], predicted)
+    _draw_prediction(figure, page, tops[2], evaluation)
     return figure
 
 
-def _notes(split: Split, result: Identification, predicted: Predicted) -> Mapping[str, str]:
-    unseen = predicted.held_out
-    forecast, whose = (unseen, "held out") if unseen else (predicted.fitted, "fitted")
+def _notes(split: LogSplit, result: Identification, evaluation: PredictionEvaluation) -> Mapping[str, str]:
+    unseen = evaluation.held_out
+    pair, whose = (unseen, "held out") if unseen else (evaluation.fitted, "fitted")
     source, noise = "measured" if result.noise_measured else "stated", result.noise
     return {
         "driven": f"{sum(log.duration for log in (*split.fitted, *split.held_out)):.0f} s",
         "95 % intervals": result.interval,
         f"noise of the poses, {source}": f"{1000 * noise.position:.2g} mm, {math.degrees(noise.yaw):.2g}°",
-        f"open loop, {whose}": f"{100 * forecast.errors.overall_position:.2f} cm",
-        "with the initial values": f"{100 * forecast.errors_before.overall_position:.2f} cm",
+        f"open loop, {whose}": f"{100 * pair.errors.overall_position:.2f} cm",
+        "with the initial values": f"{100 * pair.initial_errors.overall_position:.2f} cm",
         "fit": f"converged after {counted(result.iterations, 'iteration')}" if result.converged else "NOT converged",
         "warning" if len(result.warnings) == 1 else "warnings": str(len(result.warnings)),
     }
 
 
-def _draw_data(figure: Figure, page: Page, floor: Rectangle, split: Split, result: Identification, top: float) -> None:
+def _draw_data(
+    figure: Figure, page: Page, floor: Rectangle, split: LogSplit, result: Identification, top: float
+) -> None:
     axes = page.axes(figure, floor)
     ways = {FITTED: _ways(split.fitted), HELD_OUT: _ways(split.held_out)}
     for colour, found in ways.items():
@@ -127,7 +133,9 @@ def _ways(logs: Sequence[Log]) -> list[np.ndarray[tuple[int, int], np.dtype[np.f
     return [part.poses[:, :2] for log in logs for part in log.parts]
 
 
-def _draw_fit(figure: Figure, page: Page, top: float, vehicle: Vehicle, split: Split, result: Identification) -> None:
+def _draw_fit(
+    figure: Figure, page: Page, top: float, vehicle: Vehicle, split: LogSplit, result: Identification
+) -> None:
     log = telling(split.fitted)
     fit = next(found for found in result.logs if found.name == log.name)
     number = int(np.argmax([len(part.pose_times) for part in fit.parts]))
@@ -150,22 +158,22 @@ def _draw_fit(figure: Figure, page: Page, top: float, vehicle: Vehicle, split: S
         caption(figure, page, part_of_page, words)
 
 
-def _draw_prediction(figure: Figure, page: Page, top: float, predicted: Predicted) -> None:
-    forecast = predicted.held_out or predicted.fitted
-    whose = "held-out logs" if predicted.held_out else "fitted logs"
-    name = typical(forecast.after)
+def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: PredictionEvaluation) -> None:
+    pair = evaluation.held_out or evaluation.fitted
+    whose = "held-out logs" if evaluation.held_out else "fitted logs"
+    name = typical(pair.identified)
     floor = Rectangle(LEFT, top, SIDE + 0.2, ROWS[2])
-    draw_windows(page.axes(figure, floor), floor, forecast, name)
+    draw_windows(page.axes(figure, floor), floor, pair, name)
     words: tuple[Word, ...] = ((f"Prediction of {name}, 3 s at a time", INK), ("poses", DATA))
     caption(figure, page, floor, words)
-    forecasts = [(forecast, whose)] + ([(predicted.fitted, "fitted logs")] if predicted.held_out else [])
+    pairs = [(pair, whose)] + ([(evaluation.fitted, "fitted logs")] if evaluation.held_out else [])
     width = (WIDTH - RIGHT - floor.left - floor.width - 1.5) / 2
     for k, (columns, factor, unit, title) in enumerate((
         ((0, 1), 100.0, "cm", "Position"),
         ((2,), 180.0 / math.pi, "deg", "Yaw"),
     )):  # fmt: skip
         part = Rectangle(floor.left + floor.width + 0.75 + k * (width + 0.75), top, width, ROWS[2])
-        draw_growth(page.axes(figure, part), forecasts, columns, factor, unit)
-        rest = (("dashed: fitted", INK),) if len(forecasts) > 1 else ()
+        draw_growth(page.axes(figure, part), pairs, columns, factor, unit)
+        rest = (("dashed: fitted", INK),) if len(pairs) > 1 else ()
         words = ((f"{title}, {whose}", INK), ("identified", AFTER), ("initial", BEFORE), *rest)
         caption(figure, page, part, words)

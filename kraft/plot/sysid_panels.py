@@ -15,13 +15,14 @@ from kraft.plot.page import Page, Rectangle
 from kraft.plot.style import GREY, INK, LABEL, RULE, SMALL, WARNING, Look, plain_number, text_width
 from kraft.plot.sysid_logs import held, speeds
 from kraft.plot.sysid_style import AFTER, BEFORE, DATA, Curve, Panel, draw_ways, fit_floor, note, plain
-from kraft.sysid.result import Estimated, Identification, PartFit
+from kraft.sysid.result import Identification, ParameterEstimate, PartFit
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
-    from kraft.sysid.prediction import Forecast, Window
+    from kraft.sysid.acceptance import PredictionPair
+    from kraft.sysid.prediction import Window
 
 ROW: Final = 0.215
 BAR: Final = 0.75
@@ -35,7 +36,7 @@ BIN: Final = 0.1
 
 
 def draw_parameters(
-    figure: Figure, page: Page, part: Rectangle, parameters: Mapping[str, Estimated], warnings: Sequence[str]
+    figure: Figure, page: Page, part: Rectangle, parameters: Mapping[str, ParameterEstimate], warnings: Sequence[str]
 ) -> None:
     """A table, for each parameter where estimate and initial value lie between its bounds; warnings below it."""
     rows = [("", "value", "95 % interval", "initial"), *(_cells(name, each) for name, each in parameters.items())]
@@ -60,14 +61,14 @@ def draw_parameters(
     _draw_warnings(figure, page, Rectangle(part.left, below, part.width, part.bottom - below), warnings)
 
 
-def _cells(name: str, estimate: Estimated) -> tuple[str, str, str, str]:
+def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:
     """Numbers with as many decimals as the standard deviation is worth."""
     size = estimate.std if estimate.std > 0 else abs(estimate.value) / 1000
     digits = min(max(1 - math.floor(math.log10(size)), 0), 5) if size > 0 else 3
     values = (estimate.value, *estimate.ci95, estimate.initial)
     value, low, high, initial = (f"{number:.{digits}f}".replace("-", "\N{MINUS SIGN}") for number in values)
     unit = "" if estimate.unit in ("", "1") else f", {estimate.unit}"
-    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.remark}"
+    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.interval_note}"
     return f"{name}{unit}", value, interval, initial
 
 
@@ -83,7 +84,7 @@ def _draw_warnings(figure: Figure, page: Page, part: Rectangle, warnings: Sequen
         page.text(figure, part.left, part.top + line * (k + 1), text, SMALL, WARNING)
 
 
-def _draw_bar(axes: Axes, estimate: Estimated) -> None:
+def _draw_bar(axes: Axes, estimate: ParameterEstimate) -> None:
     axes.set_axis_off()
     axes.set(xlim=(estimate.min, estimate.max), ylim=(-1, 1))
     axes.plot((estimate.min, estimate.max), (0, 0), color=RULE, linewidth=2.0, clip_on=False)
@@ -159,10 +160,10 @@ def draw_histogram(axes: Axes, residuals: Floats, sigma: float, unit: str) -> No
     axes.set_xlabel(unit, labelpad=1)
 
 
-def draw_windows(axes: Axes, part: Rectangle, forecast: Forecast, name: str) -> None:
+def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -> None:
     """Each window of one log: where it went, and where it was predicted to go."""
-    after = [window for window in forecast.after if window.log == name]
-    before = [window for window in forecast.before if window.log == name]
+    after = [window for window in pair.identified if window.log == name]
+    before = [window for window in pair.initial if window.log == name]
     observed = [window.poses for window in after]
     for way in observed:
         axes.plot(way[:, 0], way[:, 1], ".", color=DATA, markersize=2.6, markeredgewidth=0, zorder=2)
@@ -192,12 +193,12 @@ def growth(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, F
 
 
 def draw_growth(
-    axes: Axes, forecasts: Sequence[tuple[Forecast, str]], columns: Sequence[int], factor: float, unit: str
+    axes: Axes, pairs: Sequence[tuple[PredictionPair, str]], columns: Sequence[int], factor: float, unit: str
 ) -> None:
     """How the error grows with time, identified and initial; a forecast after the first is drawn thin and dashed."""
-    for k, (forecast, _) in enumerate(forecasts):
+    for k, (pair, _) in enumerate(pairs):
         style: Look = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
-        for windows, colour in ((forecast.before, BEFORE), (forecast.after, AFTER)):
+        for windows, colour in ((pair.initial, BEFORE), (pair.identified, AFTER)):
             times, errors = growth(windows, columns)
             axes.plot(np.append(0.0, times), factor * np.append(0.0, errors), color=colour, **style)
     plain(axes)

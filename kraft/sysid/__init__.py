@@ -5,20 +5,20 @@ prediction_errors(vehicle, logs, values, settings) how far open-loop prediction 
 """
 
 from kraft.sysid.identify import identify
-from kraft.sysid.prediction import Window, prediction_errors, windows
-from kraft.sysid.result import Estimated, Identification, LogFit, PartFit, PredictionErrors
+from kraft.sysid.prediction import Window, predict_windows, prediction_errors
+from kraft.sysid.result import Identification, LogFit, ParameterEstimate, PartFit, PredictionErrors
 from kraft.sysid.settings import Noise, Settings
 
 __all__ = [
-    "Estimated",
     "Identification",
     "LogFit",
     "Noise",
+    "ParameterEstimate",
     "PartFit",
     "PredictionErrors",
     "Settings",
     "Window",
     "identify",
+    "predict_windows",
     "prediction_errors",
-    "windows",
 ]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """A part of a log, or a piece of it, on its time grid."""
 
     log: int
@@ -48,7 +48,7 @@ class Stretch:
 class Chains:
     """All stretches in common arrays: S states, N steps, n poses."""
 
-    stretches: tuple[Stretch, ...]
+    segments: tuple[Segment, ...]
     first: Ints
     """(chains + 1,) where each chain's states begin"""
     log: Ints
@@ -73,41 +73,41 @@ class Chains:
         return int(self.first[-1])
 
 
-def whole(part: Part, log: int, step: float) -> Stretch:
+def whole_segment(part: Part, log: int, step: float) -> Segment:
     """All of a part, in steps of at most `step` s."""
-    return between(part, log, step, 0, len(part.pose_times), begins_at_rest(part))
+    return segment_between(part, log, step, 0, len(part.pose_times), begins_at_rest(part))
 
 
-def between(part: Part, log: int, step: float, first: int, last: int, resting: bool) -> Stretch:
+def segment_between(part: Part, log: int, step: float, first: int, last: int, resting: bool) -> Segment:
     """From pose `first` to the one before `last`, in steps of at most `step` s."""
     begin, end = float(part.pose_times[first]), float(part.pose_times[last - 1])
     steps = max(1, math.ceil((end - begin) / step - 1e-9))
-    return Stretch(log, part, begin, steps, max(end - begin, 1e-6) / steps, slice(first, last), resting)
+    return Segment(log, part, begin, steps, max(end - begin, 1e-6) / steps, slice(first, last), resting)
 
 
-def chains_of(stretches: Sequence[Stretch], logs: int) -> Chains:
+def chains_of(segments: Sequence[Segment], logs: int) -> Chains:
     """Stack stretches."""
-    steps = np.array([s.steps for s in stretches])
+    steps = np.array([s.steps for s in segments])
     first = np.concatenate([[0], np.cumsum(steps + 1)])
     offset = np.concatenate([[0], np.cumsum(steps)])
-    places = [_places(s) for s in stretches]
+    places = [_places(s) for s in segments]
     step = np.concatenate([at + offset[c] for c, (at, _) in enumerate(places)])
     return Chains(
-        stretches=tuple(stretches),
+        segments=tuple(segments),
         first=first.astype(np.int64),
-        log=np.array([s.log for s in stretches], dtype=np.int64),
+        log=np.array([s.log for s in segments], dtype=np.int64),
         logs=logs,
-        state=np.concatenate([first[c] + np.arange(s.steps) for c, s in enumerate(stretches)]).astype(np.int64),
-        h=np.concatenate([np.full(s.steps, s.h) for s in stretches]),
+        state=np.concatenate([first[c] + np.arange(s.steps) for c, s in enumerate(segments)]).astype(np.int64),
+        h=np.concatenate([np.full(s.steps, s.h) for s in segments]),
         seen=np.searchsorted(step, np.arange(offset[-1] + 1)).astype(np.int64),
         step=step.astype(np.int64),
         share=np.concatenate([share for _, share in places]),
-        poses=np.ascontiguousarray(np.concatenate([s.part.poses[s.poses] for s in stretches]), dtype=np.float64),
+        poses=np.ascontiguousarray(np.concatenate([s.part.poses[s.poses] for s in segments]), dtype=np.float64),
     )
 
 
-def _places(stretch: Stretch) -> tuple[Ints, Floats]:
+def _places(segment: Segment) -> tuple[Ints, Floats]:
     """Step and share of each pose."""
-    since = (stretch.part.pose_times[stretch.poses] - stretch.begin) / stretch.h
-    step = np.clip(np.floor(since + 1e-9), 0, stretch.steps - 1).astype(np.int64)
+    since = (segment.part.pose_times[segment.poses] - segment.begin) / segment.h
+    step = np.clip(np.floor(since + 1e-9), 0, segment.steps - 1).astype(np.int64)
     return step, np.clip(since - step, 0.0, 1.0)

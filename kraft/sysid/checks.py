@@ -8,42 +8,57 @@ from typing import Final
 
 import numpy as np
 
+from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.optimiser import Optimum
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import Problem, residual_ratio
-from kraft.sysid.result import AT_BOUND, correlations
-from kraft.sysid.start import Smooth
+from kraft.sysid.result import AT_BOUND, CORRELATION_HIGH, correlations
 from kraft.sysid.uncertainty import Uncertainty
 from kraft.text import counted
 from ompl_ext.arrays import Floats
 
-HARDLY_TOLD = 0.95
-"""Correlation from which two parameters are hardly told apart: a warning.  From `selection.UNTOLD` an extra goes, and
-from `verdict.SAME` the parameters are not identified."""
-NOT_TIGHTER = 0.7
+PRIOR_STD_RATIO = 0.7
 """Share of the prior's standard deviation that the data must stay below."""
-TOO_LARGE, TOO_SMALL = 2.0, 0.4
+RESIDUAL_RATIO_HIGH, RESIDUAL_RATIO_LOW = 2.0, 0.4
 """Mean squared residual, in those that the noise lets expect."""
-DISAGREE = 3.0
+DISAGREEMENT_RATIO = 3.0
 """Standard deviations by the logs, in those by the stated noise."""
-UNRELATED = 0.5
+STEERING_CORRELATION_LOW = 0.5
 """Correlation of steering and curvature."""
-TURNS_WITH = 0.7
+STEERING_CORRELATION_PRESENT = 0.7
 """Correlation from which the vehicle turns with the steering, however little that is said to be."""
-SLOW = 0.3
+MOVING_SPEED_SHARE = 0.3
 """Share of the highest speed below which curvature is not looked at."""
-STEERS = 0.02
+STEERING_STD_MIN = 0.02
 """Standard deviation of a steering that shows anything, rad."""
+_ARCS: Final = "arcs to the left and to the right, of several radii"
+_THROTTLE_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
+_THROTTLE_LEVELS: Final = "stretches at several constant throttles, low ones too"
+_COMMAND_CHANGES: Final = "sudden changes of the commands while driving"
+_MANOEUVRES: Final = {
+    "L": _ARCS,
+    "phi_diff": _ARCS,
+    "v_delta": _THROTTLE_LEVELS,
+    "tau": _THROTTLE_STEPS,
+    "u_0": _THROTTLE_LEVELS,
+    "delay": _COMMAND_CHANGES,
+    "friction": _THROTTLE_STEPS,
+    "dead_band_throttle": _THROTTLE_LEVELS,
+    "dead_band_steering": _ARCS,
+    "lever": _ARCS,
+    "side": _ARCS,
+    "yaw_offset": _ARCS,
+}
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class Solution:
     """Everything that the checks look at."""
 
     problem: Problem
     optimum: Optimum
-    uncertain: Uncertainty
-    data: Smooth
+    uncertainty: Uncertainty
+    data: SmoothedPoses
     logs: Sequence[str]
     """names"""
     noise_measured: bool
@@ -57,17 +72,17 @@ class Case:
         return [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
 
 
-def warnings_of(case: Case) -> tuple[str, ...]:
+def warnings_of(solution: Solution) -> tuple[str, ...]:
     """All that is doubtful, most important first."""
-    checks = (_convergence, _steering, _bounds, _prior, _open, _correlation, _residuals, _disagreement)
-    return tuple(warning for check in checks for warning in check(case))
+    checks = (_convergence, _steering, _bounds, _unidentified, _unbounded, _correlation, _residuals, _disagreement)
+    return tuple(warning for check in checks for warning in check(solution))
 
 
-def at_bound(case: Case) -> dict[str, str]:
+def at_bound(solution: Solution) -> dict[str, str]:
     """Parameters at a bound and which one it is; 0 of an extra that cannot be negative is none."""
-    p = case.problem.parameters
+    p = solution.problem.parameters
     margin = AT_BOUND * (p.high - p.low)
-    rho = case.optimum.point.rho
+    rho = solution.optimum.point.rho
     found = {}
     for k, name in enumerate(p.names):
         if p.free[k] and (rho[k] <= p.low[k] + margin[k] or rho[k] >= p.high[k] - margin[k]):
@@ -75,134 +90,140 @@ def at_bound(case: Case) -> dict[str, str]:
     return found
 
 
-def unidentified(case: Case) -> tuple[str, ...]:
+def unidentified(solution: Solution) -> tuple[str, ...]:
     """Parameters of the model about which the data say next to nothing beyond the prior."""
-    p = case.problem.parameters
+    p = solution.problem.parameters
     prior = p.std[p.free]
-    std = np.sqrt(np.diag(case.uncertain.graph))
-    return tuple(name for name, a, b in zip(case.names, std, prior, strict=True) if a > NOT_TIGHTER * b)
+    std = np.sqrt(np.diag(solution.uncertainty.graph))
+    return tuple(name for name, a, b in zip(solution.names, std, prior, strict=True) if a > PRIOR_STD_RATIO * b)
 
 
-def _convergence(case: Case) -> Iterator[str]:
-    if not case.optimum.converged:
+def _convergence(solution: Solution) -> Iterator[str]:
+    if not solution.optimum.converged:
         yield (
-            f"the optimiser had not converged after {counted(case.iterations, 'iteration')}: values and intervals are "
-            "where it stopped; freeze parameters that the logs do not show, or leave out extra ones (extras none)"
+            f"the optimiser had not converged after {counted(solution.iterations, 'iteration')}: values and intervals "
+            "are where it stopped; freeze parameters that the logs do not show, or leave out extra ones (extras none)"
         )
 
 
-def _bounds(case: Case) -> Iterator[str]:
-    p = case.problem.parameters
-    for name, which in at_bound(case).items():
-        number = p.numbers[p.index(name)]
-        if name in p.extras and number.min == 0.0 and which == "lower":
+def _bounds(solution: Solution) -> Iterator[str]:
+    p = solution.problem.parameters
+    for name, which in at_bound(solution).items():
+        spec = p.specs[p.index(name)]
+        if name in p.auxiliary and spec.min == 0.0 and which == "lower":
             yield f"{name} is 0, the least it can be: the data show none"
             continue
-        bound = number.min if which == "lower" else number.max
+        bound = spec.min if which == "lower" else spec.max
         yield (
-            f"{name} is at its {which} bound {bound:g} {number.unit}".rstrip()
+            f"{name} is at its {which} bound {bound:g} {spec.unit}".rstrip()
             + ": widen the bound if it is wrong, else the model lacks something that this parameter stands in for"
         )
 
 
-def _prior(case: Case) -> Iterator[str]:
-    p = case.problem.parameters
-    for name in unidentified(case):
+def _unidentified(solution: Solution) -> Iterator[str]:
+    p = solution.problem.parameters
+    for name in unidentified(solution):
         yield (
-            f"{name} is known no better than before: the logs do not show it; drive {lacking(p, name)}, or freeze it"
+            f"{name} is known no better than before: the logs do not show it; "
+            f"drive {informative_manoeuvres(p, name)}, or freeze it"
         )
 
 
-def _open(case: Case) -> Iterator[str]:
-    p, known = case.problem.parameters, {*at_bound(case), *unidentified(case)}  # those have warnings of their own
-    half = case.uncertain.quantile * case.uncertain.std
-    values = case.optimum.point.rho[p.free]
-    for name, value, reach in zip(case.names, values, half, strict=True):
-        number = p.numbers[p.index(name)]
-        if name in known or number.min <= value - reach <= value + reach <= number.max:
+def _unbounded(solution: Solution) -> Iterator[str]:
+    p, known = (
+        solution.problem.parameters,
+        {*at_bound(solution), *unidentified(solution)},
+    )  # those have warnings of their own
+    half = solution.uncertainty.quantile * solution.uncertainty.std
+    values = solution.optimum.point.rho[p.free]
+    for name, value, reach in zip(solution.names, values, half, strict=True):
+        spec = p.specs[p.index(name)]
+        if name in known or spec.min <= value - reach <= value + reach <= spec.max:
             continue
         yield (
             f"the data do not bound {name}: its 95 % interval, {value - reach:.3g} to {value + reach:.3g}, "
-            f"reaches beyond its bounds {number.min:g} to {number.max:g} {number.unit}".rstrip()
-            + f" and is cut there; drive {lacking(p, name)}, or freeze it"
+            f"reaches beyond its bounds {spec.min:g} to {spec.max:g} {spec.unit}".rstrip()
+            + f" and is cut there; drive {informative_manoeuvres(p, name)}, or freeze it"
         )
 
 
-def _correlation(case: Case) -> Iterator[str]:
-    reported, stated = correlations(case.uncertain.covariance), correlations(case.uncertain.graph)
-    names = case.names
+def _correlation(solution: Solution) -> Iterator[str]:
+    reported, stated = correlations(solution.uncertainty.covariance), correlations(solution.uncertainty.graph)
+    names = solution.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
         # either says that one makes up for the other; the one that is reported is named first
-        by_noise = abs(reported[i, j]) <= HARDLY_TOLD
+        by_noise = abs(reported[i, j]) <= CORRELATION_HIGH
         found = stated[i, j] if by_noise else reported[i, j]
-        if abs(found) > HARDLY_TOLD:
+        if abs(found) > CORRELATION_HIGH:
             yield (
                 f"{names[j]} and {names[i]} are hardly told apart (correlation {found:.2f}"
                 f"{' by the stated noise' if by_noise else ''}): drive "
-                f"{lacking(case.problem.parameters, names[j], names[i])}, or freeze one of them"
+                f"{informative_manoeuvres(solution.problem.parameters, names[j], names[i])}, or freeze one of them"
             )
 
 
-def _residuals(case: Case) -> Iterator[str]:
-    ratio = residual_ratio(case.problem, case.optimum.point)
-    whose = "measured" if case.noise_measured else "stated"
-    noise = case.problem.noise.noise
+def _residuals(solution: Solution) -> Iterator[str]:
+    ratio = residual_ratio(solution.problem, solution.optimum.point)
+    whose = "measured" if solution.noise_measured else "stated"
+    noise = solution.problem.noise.noise
     said = f"the {whose} noise ({noise.position:.3g} m, {noise.yaw:.3g} rad) and the process noise"
-    if ratio > TOO_LARGE:
+    if ratio > RESIDUAL_RATIO_HIGH:
         yield (
             f"residuals are {np.sqrt(ratio):.1f} times as large as {said} let expect: one is stated too small, or "
             "the model lacks something"
         )
-    elif ratio < TOO_SMALL:
+    elif ratio < RESIDUAL_RATIO_LOW:
         yield f"residuals are {np.sqrt(ratio):.2f} times as large as {said} let expect: one is stated too large"
 
 
-def _disagreement(case: Case) -> Iterator[str]:
-    if case.uncertain.kind != "sandwich" or not case.names:
+def _disagreement(solution: Solution) -> Iterator[str]:
+    if solution.uncertainty.kind != "sandwich" or not solution.names:
         return
-    graph = np.sqrt(np.diag(case.uncertain.graph))
-    ratio = case.uncertain.std / graph
+    graph = np.sqrt(np.diag(solution.uncertainty.graph))
+    ratio = solution.uncertainty.std / graph
     worst = int(np.argmax(ratio))
-    if ratio[worst] > DISAGREE:
-        odd = int(np.argmax(np.abs(case.uncertain.moves[:, worst])))
-        share = case.uncertain.moves[odd, worst] ** 2 / max(np.sum(case.uncertain.moves[:, worst] ** 2), 1e-300)
-        said = f"; {case.logs[odd]} differs most" if share > 2.0 / len(case.logs) else ""
+    if ratio[worst] > DISAGREEMENT_RATIO:
+        odd = int(np.argmax(np.abs(solution.uncertainty.shifts[:, worst])))
+        share = solution.uncertainty.shifts[odd, worst] ** 2 / max(
+            np.sum(solution.uncertainty.shifts[:, worst] ** 2), 1e-300
+        )
+        said = f"; {solution.logs[odd]} differs most" if share > 2.0 / len(solution.logs) else ""
         yield (
-            f"the logs disagree about {case.names[worst]}, {ratio[worst]:.1f} times what noise explains{said}: "
+            f"the logs disagree about {solution.names[worst]}, {ratio[worst]:.1f} times what noise explains{said}: "
             "something changed between them, or the model lacks something"
         )
 
 
-def _steering(case: Case) -> Iterator[str]:
-    vehicle = case.problem.parameters.vehicle
+def _steering(solution: Solution) -> Iterator[str]:
+    vehicle = solution.problem.parameters.vehicle
     controls = list(vehicle.controls)
     if "steering" not in controls or vehicle.index("theta") < 0:
         return
-    steering = case.problem.commands.mean(case.optimum.point.rho)[0][:, controls.index("steering")]
-    at = case.problem.chains.state
-    rates, yaw = case.data.rates[at], case.data.poses[at, 2]
+    steering = solution.problem.actuators.mean(solution.optimum.point.rho)[0][:, controls.index("steering")]
+    at = solution.problem.chains.state
+    rates, yaw = solution.data.rates[at], solution.data.poses[at, 2]
     speed = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
-    moving = speed > SLOW * np.quantile(speed, 0.95)
+    moving = speed > MOVING_SPEED_SHARE * np.quantile(speed, 0.95)
     enough = moving.sum() >= 10
     correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving) if enough else 0.0
-    if not enough or np.std(steering[moving]) < STEERS:
+    if not enough or np.std(steering[moving]) < STEERING_STD_MIN:
         low, high = (float(np.min(steering)), float(np.max(steering))) if len(steering) else (0.0, 0.0)
         hint = (
             "the vehicle turns with it all the same: were radians taken for degrees?"
-            if abs(correlation) > TURNS_WITH
+            if abs(correlation) > STEERING_CORRELATION_PRESENT
             else "drive arcs to the left and to the right"
         )
         yield f"the steering hardly changes while driving ({low:.2f} to {high:.2f} rad): {hint}"
         return
-    if correlation < -UNRELATED:
+    if correlation < -STEERING_CORRELATION_LOW:
         yield f"steering and curvature have opposite signs (correlation {correlation:.2f}): is positive to the left?"
-    elif correlation < UNRELATED:
+    elif correlation < STEERING_CORRELATION_LOW:
         yield (
             f"steering does not correlate with curvature (correlation {correlation:.2f}): are commands and poses of "
             "the same drive, on the same clock, the steering in radians?"
         )
-    elif np.min(steering[moving]) > -STEERS or np.max(steering[moving]) < STEERS:
-        side = "left" if np.min(steering[moving]) > -STEERS else "right"
+    elif np.min(steering[moving]) > -STEERING_STD_MIN or np.max(steering[moving]) < STEERING_STD_MIN:
+        side = "left" if np.min(steering[moving]) > -STEERING_STD_MIN else "right"
         yield f"the vehicle only steers to the {side}: drive arcs to the left and to the right"
 
 
@@ -225,27 +246,7 @@ def _ranks(values: Floats) -> Floats:
     return ranks
 
 
-_TURNS: Final = "arcs to the left and to the right, of several radii"
-_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
-_LEVELS: Final = "stretches at several constant throttles, low ones too"
-_CHANGES: Final = "sudden changes of the commands while driving"
-_KNOWN: Final = {
-    "L": _TURNS,
-    "phi_diff": _TURNS,
-    "v_delta": _LEVELS,
-    "tau": _STEPS,
-    "u_0": _LEVELS,
-    "delay": _CHANGES,
-    "friction": _STEPS,
-    "dead_band_throttle": _LEVELS,
-    "dead_band_steering": _TURNS,
-    "lever": _TURNS,
-    "side": _TURNS,
-    "yaw_offset": _TURNS,
-}
-
-
-def lacking(parameters: Parameters, *names: str) -> str:
+def informative_manoeuvres(parameters: Parameters, *names: str) -> str:
     """The manoeuvres that would show some parameters, for a sentence."""
     controls = ", ".join(parameters.vehicle.controls)
     general = f"steps of each command ({controls}) one at a time, at several levels and of both signs"
@@ -254,4 +255,4 @@ def lacking(parameters: Parameters, *names: str) -> str:
 
 
 def _of(name: str, general: str) -> str:
-    return _CHANGES if name.startswith(("delay_", "lag_")) else _KNOWN.get(name, general)
+    return _COMMAND_CHANGES if name.startswith(("delay_", "lag_")) else _MANOEUVRES.get(name, general)

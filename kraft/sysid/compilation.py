@@ -8,14 +8,14 @@ from collections.abc import Callable
 import numpy as np
 
 from kraft.logs.log import Part
-from kraft.sysid.chains import whole
+from kraft.sysid.chains import whole_segment
 from kraft.sysid.elimination import is_cached
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import smooth_chains
 from kraft.sysid.observation import noise_model
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.problem import assemble, starting_point
 from kraft.sysid.settings import Noise, Settings
-from kraft.sysid.start import smooth
 from ompl_ext.jit import cache_root
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
@@ -44,8 +44,8 @@ def _exercise(vehicle: Vehicle) -> None:
     part = Part(times[:1], np.zeros((1, len(vehicle.controls))), times, np.zeros((2, 3)))
     parameters = parameters_of(vehicle, settings, ())
     noise = noise_model(vehicle, settings, Noise(0.01, 0.01))
-    problem = assemble([whole(part, 0, settings.step)], 1, parameters, noise)
+    problem = assemble([whole_segment(part, 0, settings.step)], 1, parameters, noise)
     graph = FastGraph(problem)
-    graph.linearise(starting_point(problem, smooth(problem.chains), parameters.nominal))
+    graph.linearise(starting_point(problem, smooth_chains(problem.chains), parameters.nominal))
     graph.reduce(0.0)
     graph.moved(np.zeros(len(parameters.names)))

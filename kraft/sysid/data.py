@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import alternatives, counted
 from ompl_ext.vehicle import Vehicle
 
@@ -16,13 +16,16 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log, Part
 
 
-LEAST_POSES = 5
-LEAST_MOTION = 0.05
+POSES_MIN = 5
+MOTION_MIN = 0.05
 """Distance from its first pose that a part must get to, m, for a log to show motion."""
+HOLDOUT_FRACTION: Final = 0.25
+HOLDOUT_LOGS_MIN: Final = 4
+"""With fewer logs than this none is held out, unless it is asked for: the fit needs them all."""
 
 
 @dataclass(frozen=True)
-class Screened:
+class ScreenedLogs:
     """Logs of which only parts long enough to say something are left.
 
     Attributes:
@@ -36,42 +39,44 @@ class Screened:
     problems: tuple[Diagnostic, ...]
 
 
-def screened(logs: Sequence[Log]) -> Screened:
-    """Leave out parts with fewer than `LEAST_POSES` poses, and logs that have no other."""
+def screen_logs(logs: Sequence[Log]) -> ScreenedLogs:
+    """Leave out parts with fewer than `POSES_MIN` poses, and logs that have no other."""
     kept, shortened, problems = [], [], []
     for log in logs:
-        parts = tuple(part for part in log.parts if len(part.pose_times) >= LEAST_POSES and len(part.command_times) > 0)
+        parts = tuple(part for part in log.parts if len(part.pose_times) >= POSES_MIN and len(part.command_times) > 0)
         if not parts:
             longest = max((len(part.pose_times) for part in log.parts), default=0)
-            problem = f"has no part with {LEAST_POSES} poses, the longest has {longest}"
-            problems.append(Diagnostic(log.name, problem, "expected a longer drive"))
+            problem = f"has no part with {POSES_MIN} poses, the longest has {longest}"
+            problems.append(Diagnostic(log.name, problem, "expected a longer drive", code=Code.DATA))
             continue
         if len(parts) < len(log.parts):
             short = len(log.parts) - len(parts)
             shortened.append(
-                f"{log.name}: {short} of {len(log.parts)} parts left out, with less than {LEAST_POSES} poses"
+                f"{log.name}: {short} of {len(log.parts)} parts left out, with less than {POSES_MIN} poses"
             )
         kept.append(replace(log, parts=parts))
-    return Screened(tuple(kept), tuple(shortened), tuple(problems))
+    return ScreenedLogs(tuple(kept), tuple(shortened), tuple(problems))
 
 
 def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
-    """The logs with their commands in the vehicle's order, less parts too short to say anything (see `screened`).
+    """The logs with their commands in the vehicle's order, less parts too short to say anything (see `screen_logs`).
 
     Raises:
         InputError: with every log whose commands are not the vehicle's, or whose numbers are not finite; if there are
             no logs, or nothing in them moves.
     """
     if not logs:
-        raise InputError.of("logs", "there are none", "expected at least one log with commands and poses")
+        raise InputError.of("logs", "there are none", "expected at least one log with commands and poses", Code.MISSING)
     problems = [problem for log in logs for problem in _problems(vehicle, log)]
     if problems:
         raise InputError(problems)
-    usable = [_shaped(vehicle, log) for log in screened(logs).logs]
+    usable = [_shaped(vehicle, log) for log in screen_logs(logs).logs]
     if not usable:
-        raise InputError.of("logs", f"have no part with {LEAST_POSES} poses", "expected longer drives")
+        raise InputError.of("logs", f"have no part with {POSES_MIN} poses", "expected longer drives", Code.DATA)
     if not any(_moves(part) for log in usable for part in log.parts):
-        raise InputError.of("logs", "show no motion", "expected drives: nothing can be learnt from a vehicle at rest")
+        raise InputError.of(
+            "logs", "show no motion", "expected drives: nothing can be learnt from a vehicle at rest", Code.DATA
+        )
     return usable
 
 
@@ -81,6 +86,7 @@ def _problems(vehicle: Vehicle, log: Log) -> list[Diagnostic]:
             log.name,
             f"has no control {name}, only {', '.join(log.controls)}",
             f"{vehicle.name} takes {alternatives(vehicle.controls)}",
+            code=Code.MISMATCH,
         )
         for name in vehicle.controls
         if name not in log.controls
@@ -88,9 +94,13 @@ def _problems(vehicle: Vehicle, log: Log) -> list[Diagnostic]:
     for part in log.parts:
         arrays = (part.command_times, part.commands, part.pose_times, part.poses)
         if not all(np.isfinite(array).all() for array in arrays):
-            problems.append(Diagnostic(log.name, "has numbers that are not finite", "expected finite numbers"))
+            problems.append(
+                Diagnostic(log.name, "has numbers that are not finite", "expected finite numbers", code=Code.DATA)
+            )
         elif any((np.diff(times) <= 0).any() for times in (part.command_times, part.pose_times)):
-            problems.append(Diagnostic(log.name, "has times that do not ascend", "expected ascending times"))
+            problems.append(
+                Diagnostic(log.name, "has times that do not ascend", "expected ascending times", code=Code.DATA)
+            )
     return problems
 
 
@@ -103,17 +113,12 @@ def _shaped(vehicle: Vehicle, log: Log) -> Log:
 
 
 def _moves(part: Part) -> bool:
-    away = part.poses[:, :2] - np.median(part.poses[:LEAST_POSES, :2], axis=0)
-    return bool(np.quantile(np.hypot(away[:, 0], away[:, 1]), 0.95) > LEAST_MOTION)
-
-
-FRACTION: Final = 0.25
-FEW: Final = 4
-"""With fewer logs than this none is held out, unless it is asked for: the fit needs them all."""
+    away = part.poses[:, :2] - np.median(part.poses[:POSES_MIN, :2], axis=0)
+    return bool(np.quantile(np.hypot(away[:, 0], away[:, 1]), 0.95) > MOTION_MIN)
 
 
 @dataclass(frozen=True)
-class Split:
+class LogSplit:
     """Logs to fit and logs to test with, each in their order, and what was decided, as a sentence."""
 
     fitted: tuple[Log, ...]
@@ -121,8 +126,8 @@ class Split:
     note: str
 
 
-def split(logs: Sequence[Log], fraction: float | None = None) -> Split:
-    """Hold out a fraction of the logs, by default a quarter if there are at least `FEW`.
+def split_logs(logs: Sequence[Log], holdout: float | None = None) -> LogSplit:
+    """Hold out a fraction of the logs, by default a quarter if there are at least `HOLDOUT_LOGS_MIN`.
 
     Which ones depends on how many there are and on nothing else.  One log at least is fitted; a fraction above 0 holds
     out one at least.
@@ -130,20 +135,22 @@ def split(logs: Sequence[Log], fraction: float | None = None) -> Split:
     Raises:
         InputError: if the fraction is not in [0, 1), or the only log is asked to be held out.
     """
-    if fraction is not None and not 0.0 <= fraction < 1.0:
-        raise InputError.of("--holdout", f"is {fraction:g}", "expected a fraction of at least 0 and below 1")
+    if holdout is not None and not 0.0 <= holdout < 1.0:
+        raise InputError.of_argument("holdout", f"is {holdout:g}", "expected a fraction of at least 0 and below 1")
     count = len(logs)
-    if fraction is None and count < FEW:
-        note = f"{counted(count, 'log')}: none is held out (from {FEW} on a quarter is, or --holdout)"
-        return Split(tuple(logs), (), note)
-    wanted = FRACTION if fraction is None else fraction
-    if wanted == 0.0:
-        return Split(tuple(logs), (), "no log is held out")
+    if holdout is None and count < HOLDOUT_LOGS_MIN:
+        note = f"{counted(count, 'log')}: none is held out (a quarter of {HOLDOUT_LOGS_MIN} logs or more, by default)"
+        return LogSplit(tuple(logs), (), note)
+    fraction = HOLDOUT_FRACTION if holdout is None else holdout
+    if fraction == 0.0:
+        return LogSplit(tuple(logs), (), "no log is held out")
     if count == 1:
-        raise InputError.of("--holdout", "is given, and there is one log", "expected two logs at least, or --holdout 0")
-    held = min(max(round(wanted * count), 1), count - 1)
+        raise InputError.of_argument(
+            "holdout", f"is {holdout:g}, and there is one log", "expected at least two logs, or 0"
+        )
+    held = min(max(round(fraction * count), 1), count - 1)
     # drawn, since every fourth or fifth log may well be of the same manoeuvre
     chosen = set(np.random.default_rng(0).permutation(count)[:held].tolist())
     out = tuple(log for k, log in enumerate(logs) if k in chosen)
     fitted = tuple(log for k, log in enumerate(logs) if k not in chosen)
-    return Split(fitted, out, f"{held} of {counted(count, 'log')} held out: {', '.join(log.name for log in out)}")
+    return LogSplit(fitted, out, f"{held} of {counted(count, 'log')} held out: {', '.join(log.name for log in out)}")

@@ -27,8 +27,8 @@ class FastGraph:
         p, chains, noise = self.problem, self.problem.chains, self.problem.noise
         x = point.states[chains.state]
         led, jacobian = p.dynamics.linearise(x, point.controls, point.rho, chains.h)
-        mean, slopes = p.commands.mean(point.rho)
-        seen = p.between(point.states)
+        mean, slopes = p.actuators.mean(point.rho)
+        seen = p.at_poses(point.states)
         by_state, by_rho = p.observation.linearise(seen, point.rho)
         residuals = p.observation.residual(seen, point.rho, chains.poses)
         self._point = point
@@ -71,5 +71,5 @@ class FastGraph:
         states, deviations = np.empty_like(self._point.states), np.empty_like(self._point.controls)
         back_substitute(self._graph, self._out, change, states, deviations)
         rho = self.problem.parameters.within_bounds(self._point.rho + change)
-        controls = self.problem.commands.mean(rho)[0] + self._graph.control + deviations
+        controls = self.problem.actuators.mean(rho)[0] + self._graph.control + deviations
         return Point(self._point.states + states, controls, rho)

@@ -9,21 +9,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kraft.sysid.chains import whole
-from kraft.sysid.checks import Case, at_bound, unidentified, warnings_of
-from kraft.sysid.data import screened, usable_logs
-from kraft.sysid.dynamics import Motion
+from kraft.sysid.chains import whole_segment
+from kraft.sysid.checks import Solution, at_bound, unidentified, warnings_of
+from kraft.sysid.data import screen_logs, usable_logs
+from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chains
 from kraft.sysid.observation import NoiseModel, noise_model
-from kraft.sysid.optimiser import Linearised, Optimum, Watch, held_at_bounds, optimise, unwatched
+from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at_bounds, ignore_iteration, optimise
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
-from kraft.sysid.result import Estimated, Identification, LogFit, PartFit
-from kraft.sysid.selection import asked_for, check_free, check_settings, choice, shown, to_try
+from kraft.sysid.result import Identification, LogFit, ParameterEstimate, PartFit
+from kraft.sysid.selection import candidates_of, requested_names, selected, selection_note
 from kraft.sysid.settings import Settings
+from kraft.sysid.settings_validation import check_free_parameters, check_settings
 from kraft.sysid.smoothing import measured_noise
-from kraft.sysid.start import Search, Smooth, smooth
-from kraft.sysid.uncertainty import Uncertainty, uncertainty
+from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -32,17 +33,20 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log
 
 
-TYPICAL = 1.5
+RESIDUAL_SCALE_TOLERANCE = 1.5
 """Residuals by this factor larger or smaller than the noise lets expect set the threshold of the robust loss."""
-REFITS = 3
+REFITS_MAX = 3
 """Most times that extras are dropped and the rest is fitted anew."""
+TURN_SECONDS, TURN_STEP = 3.0, 0.02
+TURN_STEERING_SHARE = 0.1
+"""Of the full steering: a gentle turn."""
 
 
 def identify(
     vehicle: VehicleConfig | Vehicle,
     logs: Sequence[Log],
     settings: Settings | None = None,
-    watch: Watch = unwatched,
+    on_iteration: OnIteration = ignore_iteration,
 ) -> Identification:
     """Estimate the parameters of a vehicle from logs.
 
@@ -50,7 +54,8 @@ def identify(
         vehicle: a vehicle file, whose parameters have bounds and priors, or a vehicle from code, which gets wide ones.
         logs: of `kraft.logs.reader.read_logs`; the sandwich interval treats them as independent of each other.
         settings: by default what suits most logs.
-        watch: is told after each iteration of the optimiser how many it made, trying extras included, and the cost.
+        on_iteration: called after each iteration with the number of iterations, those of model selection included,
+            and the cost.
 
     Raises:
         InputError: if the logs cannot be used (no motion, controls that the vehicle does not have), or a setting names
@@ -59,28 +64,30 @@ def identify(
     settings = settings or Settings()
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
-    check_free(vehicle, settings)
-    task = _Task(vehicle, model, settings, usable_logs(model, logs), watch)
-    extras = to_try(model, settings)
-    fit = task.fit(task.start(extras), settings.iterations)
-    if task.rescale(fit):
-        fit = task.fit(task.without(fit, extras), settings.iterations)
-    short = screened(logs)
+    check_free_parameters(vehicle, settings)
+    estimator = _Estimator(vehicle, model, settings, usable_logs(model, logs), on_iteration)
+    auxiliary = candidates_of(model, settings)
+    fit = estimator.fit(estimator.start(auxiliary), settings.iterations)
+    if estimator.rescale(fit):
+        fit = estimator.fit(estimator.without(fit, auxiliary), settings.iterations)
+    short = screen_logs(logs)
     notes = [*(f"left out: {problem}" for problem in short.problems), *short.shortened]
-    if settings.extras in ("auto", "plan"):
-        for _ in range(REFITS):
-            kept = shown(fit.problem.parameters, fit.optimum.point.rho, fit.uncertain, task.asked)
-            if kept == fit.problem.parameters.extras:
+    if settings.auxiliary in ("auto", "plan"):
+        for _ in range(REFITS_MAX):
+            kept = selected(fit.problem.parameters, fit.optimum.point.rho, fit.uncertainty, estimator.requested)
+            if kept == fit.problem.parameters.auxiliary:
                 break
-            fit = task.fit(task.without(fit, kept), settings.iterations)
-        notes.append(choice(extras, fit.problem.parameters.extras, task.asked))
-    names = [log.name for log in task.logs]
-    case = Case(fit.problem, fit.optimum, fit.uncertain, task.data, names, not settings.noise, task.iterations)
-    return identification(case, warnings_of(case), tuple(notes))
+            fit = estimator.fit(estimator.without(fit, kept), settings.iterations)
+        notes.append(selection_note(auxiliary, fit.problem.parameters.auxiliary, estimator.requested))
+    names = [log.name for log in estimator.logs]
+    solution = Solution(
+        fit.problem, fit.optimum, fit.uncertainty, estimator.data, names, not settings.noise, estimator.iterations
+    )
+    return assemble_identification(solution, warnings_of(solution), tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
-class _Start:
+class _InitialProblem:
     """A problem and where to begin with it."""
 
     problem: Problem
@@ -93,25 +100,30 @@ class _Fit:
 
     problem: Problem
     optimum: Optimum
-    uncertain: Uncertainty
+    uncertainty: Uncertainty
 
 
-class _Task:
+class _Estimator:
     """What stays the same while extras come and go."""
 
     def __init__(
-        self, vehicle: VehicleConfig | Vehicle, model: Vehicle, settings: Settings, logs: Sequence[Log], watch: Watch
+        self,
+        vehicle: VehicleConfig | Vehicle,
+        model: Vehicle,
+        settings: Settings,
+        logs: Sequence[Log],
+        on_iteration: OnIteration,
     ) -> None:
-        self.watch, self.iterations = watch, 0
+        self.on_iteration, self.iterations = on_iteration, 0
         self.vehicle, self.model, self.settings, self.logs = vehicle, model, settings, logs
-        self.stretches = [whole(part, i, settings.step) for i, log in enumerate(logs) for part in log.parts]
+        self.segments = [whole_segment(part, i, settings.step) for i, log in enumerate(logs) for part in log.parts]
         self.noise: NoiseModel = noise_model(
             model,
             settings,
             settings.noise
-            or measured_noise([s.part.pose_times for s in self.stretches], [s.part.poses for s in self.stretches]),
+            or measured_noise([s.part.pose_times for s in self.segments], [s.part.poses for s in self.segments]),
         )
-        self.asked = asked_for(settings)
+        self.requested = requested_names(settings)
 
     def rescale(self, fit: _Fit) -> bool:
         """Count outliers by how large residuals are where that is not what the noise says, and whether it is not.
@@ -119,46 +131,53 @@ class _Task:
         Noise that is stated too small would make an outlier of every pose.
         """
         scale = math.sqrt(residual_ratio(fit.problem, fit.optimum.point))
-        if 1.0 / TYPICAL < scale < TYPICAL or not self.noise.robust:
+        if 1.0 / RESIDUAL_SCALE_TOLERANCE < scale < RESIDUAL_SCALE_TOLERANCE or not self.noise.robust:
             return False
         self.noise = replace(self.noise, threshold=scale * self.noise.threshold)
         return True
 
     def problem(self, parameters: Parameters) -> Problem:
         """The problem with some parameters."""
-        return assemble(self.stretches, len(self.logs), parameters, self.noise)
+        return assemble(self.segments, len(self.logs), parameters, self.noise)
 
-    def start(self, extras: tuple[str, ...]) -> _Start:
+    def start(self, auxiliary: tuple[str, ...]) -> _InitialProblem:
         """Begin with what the data alone say."""
-        problem = self.problem(parameters_of(self.vehicle, self.settings, extras))
-        self.data: Smooth = smooth(problem.chains)
+        problem = self.problem(parameters_of(self.vehicle, self.settings, auxiliary))
+        self.data: SmoothedPoses = smooth_chains(problem.chains)
         nominal = problem.parameters.nominal
-        search = Search(
-            problem.parameters, problem.dynamics.motion, problem.chains, self.data, problem.commands.mean(nominal)[0]
+        search = InitialSearch(
+            problem.parameters,
+            problem.dynamics.discrete_model,
+            problem.chains,
+            self.data,
+            problem.actuators.mean(nominal)[0],
         )
-        return _Start(problem, starting_point(problem, self.data, search.best()))
+        return _InitialProblem(problem, starting_point(problem, self.data, search.best()))
 
-    def without(self, fit: _Fit, extras: tuple[str, ...]) -> _Start:
+    def without(self, fit: _Fit, auxiliary: tuple[str, ...]) -> _InitialProblem:
         """Begin where a fit with more extras ended."""
-        problem = self.problem(parameters_of(self.vehicle, self.settings, extras))
+        problem = self.problem(parameters_of(self.vehicle, self.settings, auxiliary))
         before = dict(zip(fit.problem.parameters.names, fit.optimum.point.rho, strict=True))
         rho: Floats = np.array([before[name] for name in problem.parameters.names])
         deviations = fit.problem.control_residuals(fit.optimum.point)
-        controls = problem.commands.mean(rho)[0] + deviations
-        return _Start(problem, replace(fit.optimum.point, rho=rho, controls=controls))
+        controls = problem.actuators.mean(rho)[0] + deviations
+        return _InitialProblem(problem, replace(fit.optimum.point, rho=rho, controls=controls))
 
-    def fit(self, start: _Start, iterations: int) -> _Fit:
+    def fit(self, start: _InitialProblem, iterations: int) -> _Fit:
         """Solve a problem."""
         before = self.iterations
         optimum = optimise(
-            self._graph(start.problem), start.point, iterations, lambda made, cost: self.watch(before + made, cost)
+            self._graph(start.problem),
+            start.point,
+            iterations,
+            lambda made, cost: self.on_iteration(before + made, cost),
         )
         self.iterations += optimum.iterations
         p, rho = start.problem.parameters, optimum.point.rho
         held = held_at_bounds(optimum.factors, p.low - rho, p.high - rho)
-        return _Fit(start.problem, optimum, uncertainty(optimum.factors, p.free, held))
+        return _Fit(start.problem, optimum, estimate_uncertainty(optimum.factors, p.free, held))
 
-    def _graph(self, problem: Problem) -> Linearised:
+    def _graph(self, problem: Problem) -> LinearisedGraph:
         if self.settings.graph == "fast":
             return FastGraph(problem)
         from kraft.sysid.paper_graph import PaperGraph
@@ -166,12 +185,7 @@ class _Task:
         return PaperGraph(problem)
 
 
-SECONDS, STEP = 3.0, 0.02
-SHARE = 0.1
-"""Of the full steering: a gentle turn."""
-
-
-def ahead_of_axle(parameters: Parameters, motion: Motion, rho: Floats) -> float | None:
+def ahead_of_axle(parameters: Parameters, discrete_model: DiscreteModel, rho: Floats) -> float | None:
     """Distance of the model's point ahead of its rear axle, m; None for a vehicle without steering.
 
     In a steady turn a point b ahead of the axle moves sideways with b times the turning rate.
@@ -181,13 +195,13 @@ def ahead_of_axle(parameters: Parameters, motion: Motion, rho: Floats) -> float 
     if "steering" not in controls or vehicle.index("theta") < 0:
         return None
     control = np.maximum(vehicle.control_bounds[:, 1], 0.0)
-    control[controls.index("steering")] *= SHARE
-    steps = round(SECONDS / STEP)
-    states = motion.simulate(
-        np.zeros((1, motion.nx)),
+    control[controls.index("steering")] *= TURN_STEERING_SHARE
+    steps = round(TURN_SECONDS / TURN_STEP)
+    states = discrete_model.simulate(
+        np.zeros((1, discrete_model.nx)),
         np.tile(control, (steps, 1, 1)),
         parameters.model_values(rho)[None],
-        np.array([STEP]),
+        np.array([TURN_STEP]),
     )[-2:, 0]
     dx, dy, turn = np.diff(states, axis=0)[0][[vehicle.index(name) for name in ("x", "y", "theta")]]
     middle = states[0, vehicle.index("theta")] + 0.5 * turn
@@ -195,74 +209,74 @@ def ahead_of_axle(parameters: Parameters, motion: Motion, rho: Floats) -> float 
     return float(sideways / turn) if abs(turn) > 1e-6 else None
 
 
-def identification(case: Case, warnings: tuple[str, ...], notes: tuple[str, ...]) -> Identification:
+def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes: tuple[str, ...]) -> Identification:
     """The result."""
-    p, noise = case.problem.parameters, case.problem.noise
-    vehicle, rho = p.vehicle, case.optimum.point.rho
-    axle = ahead_of_axle(p, case.problem.dynamics.motion, rho)
-    lever = float(rho[k]) if (k := p.extra("lever")) >= 0 else 0.0
+    p, noise = solution.problem.parameters, solution.problem.noise
+    vehicle, rho = p.vehicle, solution.optimum.point.rho
+    axle = ahead_of_axle(p, solution.problem.dynamics.discrete_model, rho)
+    lever = float(rho[k]) if (k := p.auxiliary_index("lever")) >= 0 else 0.0
     return Identification(
         model=vehicle.name,
-        parameters=_estimated(case),
-        extras=p.extras,
-        names=tuple(case.names),
-        covariance=case.uncertain.covariance,
-        interval=case.uncertain.kind,
-        graph_covariance=case.uncertain.graph,
-        unidentified=unidentified(case),
-        converged=case.optimum.converged,
-        iterations=case.iterations,
-        cost=case.optimum.cost,
+        parameters=_estimated(solution),
+        auxiliary=p.auxiliary,
+        names=tuple(solution.names),
+        covariance=solution.uncertainty.covariance,
+        interval=solution.uncertainty.kind,
+        graph_covariance=solution.uncertainty.graph,
+        unidentified=unidentified(solution),
+        converged=solution.optimum.converged,
+        iterations=solution.iterations,
+        cost=solution.optimum.cost,
         noise=noise.noise,
-        noise_measured=case.noise_measured,
+        noise_measured=solution.noise_measured,
         process={name: float(value) for name, value in zip(vehicle.state, noise.process, strict=True)},
         warnings=warnings,
         notes=notes,
-        logs=_log_fits(case),
+        logs=_log_fits(solution),
         rear_axle=None if axle is None else axle + lever,
     )
 
 
-def _estimated(case: Case) -> dict[str, Estimated]:
-    p, rho = case.problem.parameters, case.optimum.point.rho
+def _estimated(solution: Solution) -> dict[str, ParameterEstimate]:
+    p, rho = solution.problem.parameters, solution.optimum.point.rho
     std: Floats = np.zeros(len(rho))
-    std[p.free] = case.uncertain.std
-    half, bounds = case.uncertain.quantile * std, at_bound(case)
+    std[p.free] = solution.uncertainty.std
+    half, bounds = solution.uncertainty.quantile * std, at_bound(solution)
     return {
-        number.name: Estimated(
+        spec.name: ParameterEstimate(
             value=float(rho[k]),
             std=float(std[k]),
-            ci95=(max(float(rho[k] - half[k]), number.min), min(float(rho[k] + half[k]), number.max)),
-            unit=number.unit,
-            description=number.description,
-            initial=number.value,
-            min=number.min,
-            max=number.max,
+            ci95=(max(float(rho[k] - half[k]), spec.min), min(float(rho[k] + half[k]), spec.max)),
+            unit=spec.unit,
+            description=spec.description,
+            initial=spec.value,
+            min=spec.min,
+            max=spec.max,
             frozen=not p.free[k],
-            at_bound=number.name in bounds,
+            at_bound=spec.name in bounds,
         )
-        for k, number in enumerate(p.numbers)
+        for k, spec in enumerate(p.specs)
     }
 
 
-def _log_fits(case: Case) -> tuple[LogFit, ...]:
-    problem, point, chains = case.problem, case.optimum.point, case.problem.chains
-    fitted = problem.observation.predict(problem.between(point.states), point.rho)
+def _log_fits(solution: Solution) -> tuple[LogFit, ...]:
+    problem, point, chains = solution.problem, solution.optimum.point, solution.problem.chains
+    fitted = problem.observation.predict(problem.at_poses(point.states), point.rho)
     weights = problem.noise.weights(problem.pose_residuals(point))
-    parts: list[list[PartFit]] = [[] for _ in case.logs]
+    parts: list[list[PartFit]] = [[] for _ in solution.logs]
     step, pose = 0, 0
-    for c, stretch in enumerate(chains.stretches):
-        count = len(stretch.part.pose_times[stretch.poses])
-        parts[stretch.log].append(
+    for c, segment in enumerate(chains.segments):
+        count = len(segment.part.pose_times[segment.poses])
+        parts[segment.log].append(
             PartFit(
-                times=stretch.times,
+                times=segment.times,
                 states=point.states[chains.first[c] : chains.first[c + 1]],
-                controls=point.controls[step : step + stretch.steps],
-                pose_times=stretch.part.pose_times[stretch.poses],
-                poses=stretch.part.poses[stretch.poses],
+                controls=point.controls[step : step + segment.steps],
+                pose_times=segment.part.pose_times[segment.poses],
+                poses=segment.part.poses[segment.poses],
                 fitted=fitted[pose : pose + count],
                 weights=weights[pose : pose + count],
             )
         )
-        step, pose = step + stretch.steps, pose + count
-    return tuple(LogFit(name, tuple(found)) for name, found in zip(case.logs, parts, strict=True))
+        step, pose = step + segment.steps, pose + count
+    return tuple(LogFit(name, tuple(found)) for name, found in zip(solution.logs, parts, strict=True))

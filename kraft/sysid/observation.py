@@ -17,6 +17,15 @@ from kraft.sysid.settings import Noise, Settings
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
+PROCESS_POSITION = 0.001
+"""What a model misses of the position, m per square root of a second."""
+PROCESS_YAW = 0.002
+"""Of the heading, rad per square root of a second."""
+PROCESS_OTHER = 0.005
+"""Of a speed or another hidden component, in its unit per square root of a second."""
+CONTROL_SHARE = 0.01
+"""Of a control's range: how far the applied control strays from the command."""
+
 
 class Observation:
     """Poses that a camera sees of a vehicle's states, with a lever arm and a yaw offset if rho has them."""
@@ -25,7 +34,9 @@ class Observation:
         """Look up where pose and extras are."""
         self._np = len(parameters.names)
         self._x, self._y, self._theta = (parameters.vehicle.index(name) for name in ("x", "y", "theta"))
-        self._lever, self._side, self._offset = (parameters.extra(name) for name in ("lever", "side", "yaw_offset"))
+        self._lever, self._side, self._offset = (
+            parameters.auxiliary_index(name) for name in ("lever", "side", "yaw_offset")
+        )
 
     def predict(self, states: Matrix, rho: Floats, out: Matrix | None = None) -> Matrix:
         """Poses (n, 3) seen of states (n, nx); yaw is 0 for a vehicle that does not turn."""
@@ -73,16 +84,6 @@ class Observation:
         if not self.turns:
             difference[:, 2] = 0.0
         return difference
-
-
-PROCESS_POSITION = 0.001
-"""What a model misses of the position, m per square root of a second."""
-PROCESS_YAW = 0.002
-"""Of the heading, rad per square root of a second."""
-PROCESS_OTHER = 0.005
-"""Of a speed or another hidden component, in its unit per square root of a second."""
-CONTROL_SHARE = 0.01
-"""Of a control's range: how far the applied control strays from the command."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,22 +15,23 @@ import numpy as np
 from kraft.sysid.problem import Point, Problem
 from ompl_ext.arrays import Bools, Floats, Matrix
 
-ENOUGH = 1e-9
+RHO = gtsam.symbol("r", 0)
+COST_TOLERANCE = 1e-9
 """Share of the cost by which a step must change it, else it has converged."""
-EXPECTED = 1e-6
+DECREASE_TOLERANCE = 1e-6
 """And the decrease that is then expected: a change of rho by a thousandth of its standard deviation."""
 RELAXATIONS = 2
 """Of the states, before a step is refused."""
-FIRST_DAMPING = 1e-4
-LEAST_DAMPING = 1e-9
-MOST_DAMPING = 1e10
+DAMPING_INITIAL = 1e-4
+DAMPING_MIN = 1e-9
+DAMPING_MAX = 1e10
 
 
-Watch = Callable[[int, float], None]
+OnIteration = Callable[[int, float], None]
 """Is told how many iterations were made, and the cost."""
 
 
-class Linearised(Protocol):
+class LinearisedGraph(Protocol):
     """One of the two forms of the graph."""
 
     problem: Problem
@@ -60,34 +61,34 @@ class Optimum:
     """at the point, undamped"""
 
 
-def unwatched(_: int, __: float) -> None:
+def ignore_iteration(_: int, __: float) -> None:
     """For those who do not want to be told."""
 
 
-def optimise(graph: Linearised, start: Point, most: int, watch: Watch = unwatched) -> Optimum:
-    """Minimise the cost within the parameters' bounds, in at most `most` iterations; `watch` is told after each."""
+def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIteration = ignore_iteration) -> Optimum:
+    """Minimise the cost within the bounds of the parameters, in at most `most` iterations."""
     problem = graph.problem
     low, high, free = problem.parameters.low, problem.parameters.high, problem.parameters.free
     point, cost = start, graph.cost(start)
-    damping, converged, iterations = FIRST_DAMPING, False, 0
+    damping, converged, iterations = DAMPING_INITIAL, False, 0
     graph.linearise(point)
-    while iterations < most and not converged and damping < MOST_DAMPING:
+    while iterations < most and not converged and damping < DAMPING_MAX:
         factors = graph.reduce(damping)
         change = bounded_step(factors, damping, low - point.rho, high - point.rho, free)
         candidate = graph.moved(change)
         candidate, lower = _relaxed(graph, candidate, cost)
         iterations += 1
-        converged = abs(cost - lower) < ENOUGH * cost and factors.decrease(change) < EXPECTED
+        converged = abs(cost - lower) < COST_TOLERANCE * cost and factors.decrease(change) < DECREASE_TOLERANCE
         if lower <= cost:
-            point, cost, damping = candidate, lower, max(0.1 * damping, LEAST_DAMPING)
+            point, cost, damping = candidate, lower, max(0.1 * damping, DAMPING_MIN)
         else:
             damping *= 10.0
-        watch(iterations, cost)
+        on_iteration(iterations, cost)
         graph.linearise(point)
     return Optimum(point, cost, converged, iterations, graph.reduce(0.0))
 
 
-def _relaxed(graph: Linearised, candidate: Point, cost: float) -> tuple[Point, float]:
+def _relaxed(graph: LinearisedGraph, candidate: Point, cost: float) -> tuple[Point, float]:
     """A candidate and its cost; one that costs too much after states and controls followed where the model bends."""
     lower = graph.cost(candidate)
     for _ in range(RELAXATIONS):
@@ -98,9 +99,6 @@ def _relaxed(graph: Linearised, candidate: Point, cost: float) -> tuple[Point, f
         candidate = graph.moved(np.zeros_like(candidate.rho))
         lower = graph.cost(candidate)
     return candidate, lower if np.isfinite(lower) else np.inf
-
-
-RHO = gtsam.symbol("r", 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,7 +79,7 @@ class PaperGraph:
                 if s < chains.first[c + 1] - 1:
                     controls[s - c] += solutions[log].at(_u(s - c))
         rho = self.problem.parameters.within_bounds(self._point.rho + change)
-        mean = self.problem.commands.mean
+        mean = self.problem.actuators.mean
         before, slopes = mean(self._point.rho)
         bend = mean(rho)[0] - before - slopes @ change  # a delay moves commands by more than is linear
         return Point(states, controls + bend, rho)
@@ -101,7 +101,7 @@ class PaperGraph:
     def _control(self, i: int) -> Evaluate:
         def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
             control, rho = given
-            means, slopes = self.problem.commands.mean(rho)
+            means, slopes = self.problem.actuators.mean(rho)
             return control - means[i], [np.eye(len(control)), -slopes[i]]
 
         return evaluate

@@ -9,18 +9,19 @@ from functools import cached_property
 import numpy as np
 
 from kraft.errors import Diagnostic, InputError
+from kraft.sysid.auxiliary import auxiliary_parameters
 from kraft.sysid.settings import Settings
 from kraft.vehicles.config import Parameter, VehicleConfig
 from kraft.vehicles.load import configured
 from ompl_ext.arrays import Bools, Floats
 from ompl_ext.vehicle import Vehicle
 
-WIDE = 10.0
+DEFAULT_BOUND_FACTOR = 10.0
 """Without bounds a parameter is taken to be known to this factor."""
 
 
 @dataclass(frozen=True)
-class Number:
+class ParameterSpec:
     """One parameter: nominal value, bounds, prior."""
 
     name: str
@@ -40,56 +41,56 @@ class Parameters:
     """What is estimated, in the order of the vector rho: `own` parameters of the vehicle's model, then extras."""
 
     vehicle: Vehicle
-    numbers: tuple[Number, ...]
+    specs: tuple[ParameterSpec, ...]
     frozen: frozenset[str]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of rho's components."""
-        return tuple(number.name for number in self.numbers)
+        return tuple(spec.name for spec in self.specs)
 
     @property
-    def own(self) -> int:
+    def model_size(self) -> int:
         """How many of rho's first components are the model's."""
         return len(self.vehicle.parameters)
 
     @cached_property
-    def extras(self) -> tuple[str, ...]:
+    def auxiliary(self) -> tuple[str, ...]:
         """Names of the extras."""
-        return self.names[self.own :]
+        return self.names[self.model_size :]
 
     def index(self, name: str) -> int:
         """Place of a parameter in rho, -1 if it is not there."""
         return self.names.index(name) if name in self.names else -1
 
-    def extra(self, name: str) -> int:
+    def auxiliary_index(self, name: str) -> int:
         """Place of an extra in rho, -1 if it is not there; a parameter of the model that is called so is none."""
-        return self.own + self.extras.index(name) if name in self.extras else -1
+        return self.model_size + self.auxiliary.index(name) if name in self.auxiliary else -1
 
     @cached_property
     def nominal(self) -> Floats:
         """(np,) values before the identification."""
-        return np.array([number.value for number in self.numbers])
+        return np.array([spec.value for spec in self.specs])
 
     @cached_property
     def low(self) -> Floats:
         """(np,) lower bounds."""
-        return np.array([number.min for number in self.numbers])
+        return np.array([spec.min for spec in self.specs])
 
     @cached_property
     def high(self) -> Floats:
         """(np,) upper bounds."""
-        return np.array([number.max for number in self.numbers])
+        return np.array([spec.max for spec in self.specs])
 
     @cached_property
     def std(self) -> Floats:
         """(np,) standard deviations of the priors."""
-        return np.array([number.std for number in self.numbers])
+        return np.array([spec.std for spec in self.specs])
 
     @cached_property
     def free(self) -> Bools:
         """(np,) whether a parameter is estimated."""
-        return np.array([number.name not in self.frozen for number in self.numbers], dtype=bool)
+        return np.array([spec.name not in self.frozen for spec in self.specs], dtype=bool)
 
     def within_bounds(self, rho: Floats) -> Floats:
         """Values (np,) at most a rounding error beyond the bounds, within them: low + (high - low) may exceed high."""
@@ -98,7 +99,7 @@ class Parameters:
 
     def model_values(self, rho: Floats) -> Floats:
         """The part of rho that the model takes, at least one number long (as `Vehicle.parameter_array`)."""
-        return np.ascontiguousarray(rho[: self.own]) if self.own else np.zeros(1)
+        return np.ascontiguousarray(rho[: self.model_size]) if self.model_size else np.zeros(1)
 
 
 def vehicle_of(vehicle: VehicleConfig | Vehicle) -> Vehicle:
@@ -106,122 +107,62 @@ def vehicle_of(vehicle: VehicleConfig | Vehicle) -> Vehicle:
     return configured(vehicle) if isinstance(vehicle, VehicleConfig) else vehicle
 
 
-def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, extras: tuple[str, ...]) -> Parameters:
+def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, auxiliary: tuple[str, ...]) -> Parameters:
     """The model's parameters and the named extras with their bounds and priors.
 
     Raises:
         InputError: if settings name a parameter that does not exist, or a value outside its bounds.
     """
-    numbers = tuple(_at(number, settings.values) for number in stated_numbers(vehicle, extras))
-    frozen = frozenset(settings.frozen) & {number.name for number in numbers}
-    return Parameters(vehicle_of(vehicle), numbers, frozen)
+    specs = tuple(_with_value(spec, settings.values) for spec in parameter_specs(vehicle, auxiliary))
+    frozen = frozenset(settings.frozen) & {spec.name for spec in specs}
+    return Parameters(vehicle_of(vehicle), specs, frozen)
 
 
-def stated_numbers(vehicle: VehicleConfig | Vehicle, extras: tuple[str, ...]) -> tuple[Number, ...]:
+def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]) -> tuple[ParameterSpec, ...]:
     """The model's parameters and the named extras as they are where no setting changes them."""
     model = vehicle_of(vehicle)
     stated = vehicle.parameters if isinstance(vehicle, VehicleConfig) else {}
-    own = (_number(name, value, stated.get(name)) for name, value in model.parameters.items())
-    known = extras_of(model)
-    added = (Number(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, False) for e in (known[n] for n in extras))
+    own = (_spec(name, value, stated.get(name)) for name, value in model.parameters.items())
+    known = auxiliary_parameters(model)
+    added = (
+        ParameterSpec(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, False)
+        for e in (known[n] for n in auxiliary)
+    )
     return (*own, *added)
 
 
-def _number(name: str, value: float, stated: Parameter | None) -> Number:
+def _spec(name: str, value: float, stated: Parameter | None) -> ParameterSpec:
     """A parameter of the model; what its file leaves open is wide."""
-    low, high = _wide(value)
+    low, high = _default_bounds(value)
     if stated is None:
-        return Number(name, value, low, high, high - low, "", "", False)
+        return ParameterSpec(name, value, low, high, high - low, "", "", False)
     low = low if stated.min is None else stated.min
     high = high if stated.max is None else stated.max
     if not low <= value <= high:  # one bound is stated, and the nominal value lies far from it
         low, high = min(low, value), max(high, value)
     std = stated.std if stated.std is not None else high - low
-    return Number(name, value, low, high, std, stated.unit, stated.description, stated.std is not None)
+    return ParameterSpec(name, value, low, high, std, stated.unit, stated.description, stated.std is not None)
 
 
-def _wide(value: float) -> tuple[float, float]:
+def _default_bounds(value: float) -> tuple[float, float]:
     """Bounds for a value of which nothing else is known: its sign and magnitude, or that it is about 1 at most."""
     if value == 0.0:
         return -1.0, 1.0
-    ends = sorted((value / WIDE, value * WIDE))
+    ends = sorted((value / DEFAULT_BOUND_FACTOR, value * DEFAULT_BOUND_FACTOR))
     return ends[0], ends[1]
 
 
-def _at(number: Number, values: Mapping[str, float]) -> Number:
-    if problem := out_of_bounds(number, values):
+def _with_value(spec: ParameterSpec, values: Mapping[str, float]) -> ParameterSpec:
+    if problem := out_of_bounds(spec, values):
         raise InputError([problem])
-    return replace(number, value=float(values.get(number.name, number.value)))
+    return replace(spec, value=float(values.get(spec.name, spec.value)))
 
 
-def out_of_bounds(number: Number, values: Mapping[str, float]) -> Diagnostic | None:
+def out_of_bounds(spec: ParameterSpec, values: Mapping[str, float]) -> Diagnostic | None:
     """What is wrong with the value that a number is given, if it is given one."""
-    value = values.get(number.name, number.value)
-    if number.min <= value <= number.max:
+    value = values.get(spec.name, spec.value)
+    if spec.min <= value <= spec.max:
         return None
-    unit = "" if number.unit == "1" else f" {number.unit}"
-    expected = f"expected a value from {number.min:g} to {number.max:g}{unit}".strip()
-    return Diagnostic(number.name, f"is {value:g}", expected)
-
-
-YAW_RATES = ("omega", "yaw_rate", "r", "w")
-"""Names of a state component that is the derivative of theta."""
-FRICTION = 0.5
-"""Share of the full throttle that friction may take."""
-DEAD_BANDS = {"throttle": 0.5, "steering": 0.25}
-"""Controls that a dead band makes sense for, and the share of their range that it may take."""
-
-
-def moves(name: str) -> bool:
-    """Whether an extra belongs to how the vehicle moves: planning does not know it, and is off by as much.
-
-    The others belong to how the vehicle is seen, which planning need not know.
-    """
-    return name.startswith(("delay", "lag_", "dead_band_", "friction"))
-
-
-def speed_index(vehicle: Vehicle) -> int:
-    """Which state component is the speed, -1 if none is: the first of those that are nothing at rest."""
-    return vehicle.rest_indices[0] if vehicle.rest and vehicle.rest[0] not in YAW_RATES else -1
-
-
-@dataclass(frozen=True)
-class Extra:
-    """A parameter that every model may be given; 0 is its nominal value and means that it is not there."""
-
-    name: str
-    unit: str
-    min: float
-    max: float
-    std: float
-    """of what is known beforehand"""
-    description: str
-
-
-def extras_of(vehicle: Vehicle) -> dict[str, Extra]:
-    """The extras that make sense for a vehicle, by name; none that has the name of a parameter of its model."""
-    found = [Extra("delay", "s", 0.0, 0.5, 0.3, "time until a command takes effect")]
-    found += [
-        Extra(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"time that {name} takes effect later still")
-        for name in vehicle.controls
-    ]
-    found += [
-        Extra(f"lag_{name}", "s", 0.0, 2.0, 0.5, f"time constant with which {name} follows its command")
-        for name in vehicle.controls
-    ]
-    full = max(map(abs, vehicle.controls["throttle"])) if "throttle" in vehicle.controls else 0.0
-    if full > 0.0 and speed_index(vehicle) >= 0:
-        most = FRICTION * full
-        found.append(Extra("friction", "1", 0.0, most, most, "throttle that friction uses up"))
-    for name, share in DEAD_BANDS.items():
-        if name in vehicle.controls:
-            most = share * max(map(abs, vehicle.controls[name]))
-            unit = "rad" if name == "steering" else "1"
-            found.append(Extra(f"dead_band_{name}", unit, 0.0, most, most, f"{name} that does nothing"))
-    if vehicle.index("theta") >= 0:
-        found += [
-            Extra("lever", "m", -1.0, 1.0, 0.5, "tracked point ahead of the model's point"),
-            Extra("side", "m", -0.5, 0.5, 0.2, "tracked point left of the model's point"),
-            Extra("yaw_offset", "rad", -0.5, 0.5, 0.2, "observed yaw less the model's"),
-        ]
-    return {extra.name: extra for extra in found if extra.name not in vehicle.parameters}
+    unit = "" if spec.unit == "1" else f" {spec.unit}"
+    expected = f"expected a value from {spec.min:g} to {spec.max:g}{unit}".strip()
+    return Diagnostic(spec.name, f"is {value:g}", expected)

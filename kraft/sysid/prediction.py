@@ -9,24 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kraft.errors import InputError
-from kraft.sysid.chains import Stretch, between
-from kraft.sysid.data import Split, usable_logs
+from kraft.errors import Code, InputError
+from kraft.sysid.auxiliary import auxiliary_parameters
+from kraft.sysid.chains import Segment, segment_between
+from kraft.sysid.data import usable_logs
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import smooth_chains
 from kraft.sysid.observation import noise_model
 from kraft.sysid.optimiser import optimise
-from kraft.sysid.parameters import Parameters, extras_of, parameters_of, vehicle_of
+from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Problem, assemble, simulated, starting_point
-from kraft.sysid.result import Identification, PredictionErrors, correlations
-from kraft.sysid.selection import check_settings
+from kraft.sysid.result import PredictionErrors
 from kraft.sysid.settings import Settings
+from kraft.sysid.settings_validation import check_settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise
-from kraft.sysid.start import smooth
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log, Part
 
 
-LENGTH = 3.0
+WINDOW_LENGTH = 3.0
 """Of a window, s; and of what is seen before it."""
-BELIEF = 3.0
+HISTORY_PROCESS_FACTOR = 3.0
 """Process noise of what is seen before a window, in that of an identification: a start shall follow the poses even
 where the parameters are wrong."""
-LEAST_HISTORY, LEAST_LENGTH = 0.5, 0.5
+HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """s"""
-AFTER = (1.0, 2.0, 3.0)
+HORIZONS = (1.0, 2.0, 3.0)
 """When errors are taken, s after a window's beginning."""
 
 
@@ -59,7 +59,7 @@ class Window:
     """(n, 3)"""
 
 
-def windows(
+def predict_windows(
     vehicle: VehicleConfig | Vehicle,
     logs: Sequence[Log],
     values: Mapping[str, float] | None = None,
@@ -75,10 +75,10 @@ def windows(
     settings = settings or Settings()
     values = {**settings.values, **(values or {})}
     model = vehicle_of(vehicle)
-    extras = tuple(name for name in extras_of(model) if values.get(name, 0.0) != 0.0)
-    given = replace(settings, values=values, frozen=(*model.parameters, *extras), extras="auto")
+    auxiliary = tuple(name for name in auxiliary_parameters(model) if values.get(name, 0.0) != 0.0)
+    given = replace(settings, values=values, frozen=(*model.parameters, *auxiliary), auxiliary="auto")
     check_settings(vehicle, given)
-    parameters = parameters_of(vehicle, given, extras)
+    parameters = parameters_of(vehicle, given, auxiliary)
     usable = usable_logs(model, logs)
     pieces = [
         (i, before, ahead)
@@ -87,11 +87,11 @@ def windows(
         for before, ahead in _pieces(part, i, settings.step)
     ]
     if not pieces:
-        raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict")
+        raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict", Code.DATA)
     problem = _problem([ahead for _, _, ahead in pieces], len(usable), parameters, settings)
     start = _starts(pieces, len(usable), parameters, settings)
-    states = simulated(problem, start, problem.commands.mean(parameters.nominal)[0], parameters.nominal)
-    predicted = problem.observation.predict(problem.between(states), parameters.nominal)
+    states = simulated(problem, start, problem.actuators.mean(parameters.nominal)[0], parameters.nominal)
+    predicted = problem.observation.predict(problem.at_poses(states), parameters.nominal)
     ends = np.cumsum([len(ahead.part.pose_times[ahead.poses]) for _, _, ahead in pieces])[:-1]
     return tuple(
         Window(usable[i].name, ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses], part)
@@ -110,17 +110,17 @@ def prediction_errors(
     Raises:
         InputError: as `windows`.
     """
-    return errors_of(windows(vehicle, logs, values, settings))
+    return window_errors(predict_windows(vehicle, logs, values, settings))
 
 
-def errors_of(predicted: Sequence[Window]) -> PredictionErrors:
+def window_errors(predicted: Sequence[Window]) -> PredictionErrors:
     """Root mean square errors of windows that were predicted."""
     since = np.concatenate([w.times - w.times[0] for w in predicted])
     # of each window's own poses, lest those seen less often than most be missed
     interval = np.concatenate([np.full(len(w.times), np.median(np.diff(w.times))) for w in predicted])
     off = np.concatenate([w.predicted - w.poses for w in predicted])
     position, yaw = np.hypot(off[:, 0], off[:, 1]), off[:, 2]
-    at = {after: np.abs(since - after) <= 0.75 * interval for after in AFTER}
+    at = {after: np.abs(since - after) <= 0.75 * interval for after in HORIZONS}
     reached = {after: chosen for after, chosen in at.items() if chosen.any()}
     later = since > 0.0
     return PredictionErrors(
@@ -137,34 +137,34 @@ def _rms(values: Floats, chosen: Bools) -> float:
     return float(np.sqrt(np.mean(values[chosen] ** 2)))
 
 
-def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Stretch | None, Stretch]]:
+def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Segment | None, Segment]]:
     """What is seen before each window (None: it begins at rest), and the window."""
     times = part.pose_times
     resting = begins_at_rest(part)
-    begin = times[0] if resting else times[0] + LEAST_HISTORY
-    while times[-1] - begin >= LEAST_LENGTH:
+    begin = times[0] if resting else times[0] + HISTORY_MIN
+    while times[-1] - begin >= WINDOW_MIN:
         first = int(np.searchsorted(times, begin - 1e-9))
-        last = int(np.searchsorted(times, times[first] + LENGTH + 0.5 * step, side="right"))
+        last = int(np.searchsorted(times, times[first] + WINDOW_LENGTH + 0.5 * step, side="right"))
         if last - first < 2:
             return
-        ahead = between(part, log, step, first, last, resting)
-        seen = int(np.searchsorted(times, times[first] - LENGTH))
+        ahead = segment_between(part, log, step, first, last, resting)
+        seen = int(np.searchsorted(times, times[first] - WINDOW_LENGTH))
         if first == 0:
             yield None, ahead
         elif first - seen >= 2:
-            yield between(part, log, step, seen, first + 1, resting), ahead
+            yield segment_between(part, log, step, seen, first + 1, resting), ahead
         begin = times[last - 1]
 
 
-def _problem(stretches: list[Stretch], logs: int, parameters: Parameters, settings: Settings) -> Problem:
+def _problem(segments: list[Segment], logs: int, parameters: Parameters, settings: Settings) -> Problem:
     noise = settings.noise or measured_noise(
-        [s.part.pose_times[s.poses] for s in stretches], [s.part.poses[s.poses] for s in stretches]
+        [s.part.pose_times[s.poses] for s in segments], [s.part.poses[s.poses] for s in segments]
     )
-    return assemble(stretches, logs, parameters, noise_model(parameters.vehicle, settings, noise))
+    return assemble(segments, logs, parameters, noise_model(parameters.vehicle, settings, noise))
 
 
 def _starts(
-    pieces: Sequence[tuple[int, Stretch | None, Stretch]],
+    pieces: Sequence[tuple[int, Segment | None, Segment]],
     logs: int,
     parameters: Parameters,
     settings: Settings,
@@ -176,8 +176,8 @@ def _starts(
     histories = [before for _, before, _ in pieces if before is not None]
     if histories:
         problem = _problem(histories, logs, parameters, settings)
-        problem = replace(problem, noise=replace(problem.noise, process=BELIEF * problem.noise.process))
-        point = starting_point(problem, smooth(problem.chains), rho)
+        problem = replace(problem, noise=replace(problem.noise, process=HISTORY_PROCESS_FACTOR * problem.noise.process))
+        point = starting_point(problem, smooth_chains(problem.chains), rho)
         optimum = optimise(FastGraph(problem), point, settings.iterations)
         moving = np.array([before is not None for _, before, _ in pieces])
         start[moving] = optimum.point.states[problem.chains.first[1:] - 1]
@@ -190,7 +190,7 @@ def _starts(
 def _at_rest(model: Vehicle, parameters: Parameters, pose: Floats) -> Floats:
     """State at rest that shows an observed pose."""
     lever, side, offset = (
-        float(parameters.nominal[k]) if (k := parameters.extra(name)) >= 0 else 0.0
+        float(parameters.nominal[k]) if (k := parameters.auxiliary_index(name)) >= 0 else 0.0
         for name in ("lever", "side", "yaw_offset")
     )
     yaw = pose[2] - offset
@@ -201,127 +201,3 @@ def _at_rest(model: Vehicle, parameters: Parameters, pose: Floats) -> Floats:
         if name in model.state:
             state[model.index(name)] = number
     return state
-
-
-@dataclass(frozen=True)
-class Forecast:
-    """Windows of the same logs, predicted with the identified parameters and with those before."""
-
-    after: tuple[Window, ...]
-    before: tuple[Window, ...]
-
-    @cached_property
-    def errors(self) -> PredictionErrors:
-        """Of the identified parameters."""
-        return errors_of(self.after)
-
-    @cached_property
-    def errors_before(self) -> PredictionErrors:
-        """Of those before."""
-        return errors_of(self.before)
-
-
-@dataclass(frozen=True)
-class Predicted:
-    """Forecasts of the logs that were fitted, and of those held out if there are any that can be predicted.
-
-    Attributes:
-        fitted: of the logs that were fitted.
-        held_out: of those held out, None if there are none or none can be predicted.
-        warnings: that the initial values predict better, which held-out logs cannot be predicted, and why.
-    """
-
-    fitted: Forecast
-    held_out: Forecast | None
-    warnings: tuple[str, ...] = ()
-
-
-def predicted(vehicle: VehicleConfig | Vehicle, parted: Split, result: Identification, settings: Settings) -> Predicted:
-    """Predict every log.
-
-    Held-out logs that cannot be predicted leave the fit as it is: that it could not be tested is a warning.
-
-    Raises:
-        InputError: if the fitted logs are too short to predict anything.
-    """
-
-    def forecast(logs: tuple[Log, ...]) -> Forecast:
-        return Forecast(windows(vehicle, logs, result.values, settings), windows(vehicle, logs, {}, settings))
-
-    fitted = forecast(parted.fitted)
-    if not parted.held_out:
-        return Predicted(fitted, None)
-    try:
-        unseen = forecast(parted.held_out)
-    except InputError as error:
-        why = "; ".join(f"{problem.file} {problem.problem}" for problem in error.diagnostics)
-        said = f"the fit is not tested: the {len(parted.held_out)} held out cannot be predicted ({why})"
-        return Predicted(fitted, None, (said,))
-    return Predicted(fitted, unseen, (*no_better(unseen), *_missed(parted.held_out, unseen)))
-
-
-def _missed(logs: tuple[Log, ...], forecast: Forecast) -> tuple[str, ...]:
-    """That some logs are too short for a window, if there are such."""
-    predicted = {window.log for window in forecast.after}
-    missed = [log.name for log in logs if log.name not in predicted]
-    return (f"held out, but too short to be predicted: {', '.join(missed)}",) if missed else ()
-
-
-ALIKE: Final = 1.01
-"""Position errors within a hundredth of each other are alike, as when the initial values come from the same logs."""
-FAR_WORSE: Final = 1.5
-"""Factor from which the initial values are better beyond doubt.  What five logs of the bundled car say, where the
-initial values come from forty, is up to 1.2 times worse by chance; a test of the scatter between windows would object
-to a difference that does not matter if it is steady, and would need more windows than a few held-out logs have."""
-
-
-def no_better(forecast: Forecast) -> tuple[str, ...]:
-    """The warning that the initial values predict better, if they do."""
-    if _ratio(forecast) <= ALIKE:
-        return ()
-    return (
-        f"the identified values predict held-out logs no better than the initial values do ({_errors(forecast)}): "
-        "look for logs of another floor, slope, load or car and leave them out, record more logs, or choose "
-        "a model that has what these lack; --plot shows the prediction",
-    )
-
-
-def far_worse(forecast: Forecast) -> tuple[str, ...]:
-    """The objection that the initial values predict far better, as part of a sentence, if they do."""
-    if _ratio(forecast) < FAR_WORSE:
-        return ()
-    return (f"held-out logs are predicted far better with the initial values ({_errors(forecast)})",)
-
-
-def _ratio(forecast: Forecast) -> float:
-    """Position error of the identified values in that of the initial ones."""
-    after, before = forecast.errors.overall_position, forecast.errors_before.overall_position
-    return after / max(before, 1e-12)
-
-
-def _errors(forecast: Forecast) -> str:
-    after, before = forecast.errors.overall_position, forecast.errors_before.overall_position
-    return f"position {100 * after:.2f} cm identified, {100 * before:.2f} cm initial"
-
-
-SAME: Final = 0.99
-"""Correlation from which two parameters cannot be told apart: the logs show what they do together, neither alone."""
-
-
-def objections(identification: Identification, predicted: Predicted) -> tuple[str, ...]:
-    """Why the parameters are not identified, as parts of a sentence; nothing if they are."""
-    found = [] if identification.converged else ["the fit did not converge"]
-    if not identification.names:
-        found.append("every parameter that is left is frozen, and the data show no other")
-    hidden = [name for name in identification.unidentified if name not in identification.extras]
-    if hidden:
-        found.append(f"the logs do not show {', '.join(hidden)}")
-    found += [f"{a} and {b} cannot be told apart" for a, b in _pairs(identification)]
-    return (*found, *(() if predicted.held_out is None else far_worse(predicted.held_out)))
-
-
-def _pairs(identification: Identification) -> list[tuple[str, str]]:
-    """Pairs of parameters that are one by the stated noise; how far the logs differ says nothing about that."""
-    names, alike = identification.names, np.abs(correlations(identification.graph_covariance)) > SAME
-    rows, columns = np.nonzero(np.triu(alike, 1))
-    return [(names[i], names[j]) for i, j in zip(rows, columns, strict=True)]

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from kraft.sysid.chains import Chains, Stretch, chains_of
-from kraft.sysid.commands import Commands
+from kraft.sysid.actuators import ActuatorModel
+from kraft.sysid.chains import Chains, Segment, chains_of
 from kraft.sysid.dynamics import Dynamics
+from kraft.sysid.initial_values import SmoothedPoses, initial_states
 from kraft.sysid.observation import NoiseModel, Observation
 from kraft.sysid.parameters import Parameters
-from kraft.sysid.start import Smooth, first_states
 from ompl_ext.arrays import Floats, Matrix
 
 
@@ -35,12 +35,12 @@ class Problem:
 
     parameters: Parameters
     chains: Chains
-    commands: Commands
+    actuators: ActuatorModel
     dynamics: Dynamics
     observation: Observation
     noise: NoiseModel
 
-    def between(self, states: Matrix) -> Matrix:
+    def at_poses(self, states: Matrix) -> Matrix:
         """States (n, nx) at the poses, interpolated."""
         at = self.chains.state[self.chains.step]
         share = self.chains.share[:, None]
@@ -49,18 +49,18 @@ class Problem:
 
     def pose_residuals(self, point: Point) -> Matrix:
         """(n, 3) predicted less observed."""
-        return self.observation.residual(self.between(point.states), point.rho, self.chains.poses)
+        return self.observation.residual(self.at_poses(point.states), point.rho, self.chains.poses)
 
     def dynamics_residuals(self, point: Point) -> Matrix:
         """(N, nx) next state less where the model leads."""
         x = point.states[self.chains.state]
-        led = self.dynamics.after(x, point.controls, point.rho, self.chains.h)
+        led = self.dynamics.step(x, point.controls, point.rho, self.chains.h)
         difference: Matrix = point.states[self.chains.state + 1] - led
         return difference
 
     def control_residuals(self, point: Point) -> Matrix:
         """(N, nu) applied controls less commands."""
-        difference: Matrix = point.controls - self.commands.mean(point.rho)[0]
+        difference: Matrix = point.controls - self.actuators.mean(point.rho)[0]
         return difference
 
     def prior_residuals(self, rho: Floats) -> Floats:
@@ -77,22 +77,22 @@ class Problem:
         return float(0.5 * squares) + self.noise.loss(self.pose_residuals(point))
 
 
-def assemble(stretches: Sequence[Stretch], logs: int, parameters: Parameters, noise: NoiseModel) -> Problem:
+def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noise: NoiseModel) -> Problem:
     """The least-squares problem of stretches of `logs` logs."""
     return Problem(
         parameters,
-        chains_of(stretches, logs),
-        Commands(stretches, parameters),
+        chains_of(segments, logs),
+        ActuatorModel(segments, parameters),
         Dynamics(parameters),
         Observation(parameters),
         noise,
     )
 
 
-def starting_point(problem: Problem, data: Smooth, rho: Floats) -> Point:
+def starting_point(problem: Problem, data: SmoothedPoses, rho: Floats) -> Point:
     """Poses as smoothed, what poses do not show as simulated with the parameters rho, controls as commanded."""
-    controls = problem.commands.mean(rho)[0]
-    states = simulated(problem, first_states(problem.parameters.vehicle, problem.chains, data), controls, rho)
+    controls = problem.actuators.mean(rho)[0]
+    states = simulated(problem, initial_states(problem.parameters.vehicle, problem.chains, data), controls, rho)
     for k, name in enumerate(("x", "y", "theta")):
         if name in problem.parameters.vehicle.state:
             states[:, problem.parameters.vehicle.index(name)] = data.poses[:, k]
@@ -107,14 +107,14 @@ def simulated(problem: Problem, start: Matrix, controls: Matrix, rho: Floats) ->
     for c, count in enumerate(steps):
         begin = int(chains.first[c]) - c  # of its steps
         padded[:count, c] = controls[begin : begin + count]
-    h = np.array([s.h for s in chains.stretches])
+    h = np.array([s.h for s in chains.segments])
     states = problem.dynamics.simulate(start, padded, rho, h)
     return _stacked(states, chains)
 
 
 def _stacked(states: Floats, chains: Chains) -> Matrix:
     """(S, nx) of states (most steps + 1, chains, nx)."""
-    stacked: Matrix = np.concatenate([states[: s.steps + 1, c] for c, s in enumerate(chains.stretches)])
+    stacked: Matrix = np.concatenate([states[: s.steps + 1, c] for c, s in enumerate(chains.segments)])
     return stacked
 
 

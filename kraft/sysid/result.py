@@ -10,11 +10,17 @@ from kraft.sysid.settings import Noise
 from ompl_ext.arrays import Floats
 
 AT_BOUND: Final = 1e-6
-"""Share of the range between its bounds within which a value is at one, and an extra is nothing."""
+"""Share of the range between the bounds within which a value counts as at a bound, and an auxiliary parameter as 0."""
+CORRELATION_HIGH: Final = 0.95
+"""Absolute correlation above which two parameters are reported as nearly indistinguishable: a warning."""
+CORRELATION_REMOVED: Final = 0.985
+"""Absolute correlation above which model selection removes an auxiliary parameter."""
+CORRELATION_INDISTINGUISHABLE: Final = 0.99
+"""Absolute correlation above which two parameters are indistinguishable, and the model is not identified."""
 
 
 @dataclass(frozen=True)
-class Estimated:
+class ParameterEstimate:
     """One parameter as the data see it, in its unit."""
 
     value: float
@@ -32,19 +38,19 @@ class Estimated:
     at_bound: bool
 
     @property
-    def nothing(self) -> bool:
+    def is_zero(self) -> bool:
         """Whether it is 0: an extra that is not there."""
         return abs(self.value) <= AT_BOUND * (self.max - self.min)
 
     @property
-    def cut(self) -> bool:
+    def truncated(self) -> bool:
         """Whether its interval reaches to a bound that the value is not at: the data do not bound it on that side."""
         return not (self.frozen or self.at_bound) and (self.ci95[0] <= self.min or self.ci95[1] >= self.max)
 
     @property
-    def remark(self) -> str:
+    def interval_note(self) -> str:
         """What is said after its interval, if anything."""
-        return ", at its bound" if self.at_bound else ", cut at its bound" if self.cut else ""
+        return ", at its bound" if self.at_bound else ", cut at its bound" if self.truncated else ""
 
 
 @dataclass(frozen=True)
@@ -86,9 +92,9 @@ class Identification:
     """Parameters, how well they are known, and what is wrong with them."""
 
     model: str
-    parameters: Mapping[str, Estimated]
+    parameters: Mapping[str, ParameterEstimate]
     """the model's own in its order, then the extras that were kept"""
-    extras: tuple[str, ...]
+    auxiliary: tuple[str, ...]
     """names of those"""
     names: tuple[str, ...]
     """of the parameters that were estimated, in the order of `covariance`"""

@@ -7,63 +7,58 @@ lets expect or the logs disagree about it, whichever is more: few logs may agree
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
-from kraft.errors import Diagnostic, InputError
-from kraft.sysid.parameters import Parameters, extras_of, moves, out_of_bounds, stated_numbers, vehicle_of
+from kraft.sysid.auxiliary import affects_motion, auxiliary_parameters
+from kraft.sysid.parameters import Parameters
+from kraft.sysid.result import CORRELATION_REMOVED
 from kraft.sysid.settings import Settings
 from kraft.sysid.uncertainty import Uncertainty, inverse
-from kraft.text import suggestion
-from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
-AUTOMATIC: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
+NEGLIGIBLE: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
                     "dead_band_steering": 0.005, "friction": 0.01, "lever": 0.01, "yaw_offset": 0.005}  # fmt: skip
 """Extras that are tried, and the value below which one does not matter (s, s, s, 1, rad, 1, m, rad)."""
-SIGNIFICANT = 3.0
+SIGNIFICANCE = 3.0
 """Standard deviations from nothing."""
-TIGHTER = 0.5
+STD_RATIO_MAX = 0.5
 """Of the prior's standard deviation: data that say less than that do not show an extra."""
-UNTOLD = 0.985
-"""Correlation with another parameter from which an extra is not told from it, and left out."""
 
 
-def asked_for(settings: Settings) -> frozenset[str]:
+def requested_names(settings: Settings) -> frozenset[str]:
     """Names that are given a value or frozen: extras of these names stay whatever the data say."""
     return frozenset(settings.values) | frozenset(settings.frozen)
 
 
-def to_try(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
+def candidates_of(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
     """Extras that are in the first fit."""
-    known, wanted = extras_of(vehicle), settings.extras
+    known, wanted = auxiliary_parameters(vehicle), settings.auxiliary
     if wanted == "none":
         return ()
     if isinstance(wanted, tuple):
         return tuple(name for name in known if name in wanted)
-    names = {name for name in AUTOMATIC if wanted == "auto" or not moves(name)} | asked_for(settings)
+    names = {name for name in NEGLIGIBLE if wanted == "auto" or not affects_motion(name)} | requested_names(settings)
     return tuple(name for name in known if name in names)
 
 
-def not_sought(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
+def excluded_for_planning(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
     """Extras that would be in the first fit but for planning, which does not know them."""
-    if settings.extras != "plan":
+    if settings.auxiliary != "plan":
         return ()
-    tried = to_try(vehicle, settings)
-    return tuple(name for name in extras_of(vehicle) if name in AUTOMATIC and name not in tried)
+    candidates = candidates_of(vehicle, settings)
+    return tuple(name for name in auxiliary_parameters(vehicle) if name in NEGLIGIBLE and name not in candidates)
 
 
-def choice(tried: tuple[str, ...], kept: tuple[str, ...], asked: frozenset[str]) -> str:
+def selection_note(candidates: tuple[str, ...], kept: tuple[str, ...], requested: frozenset[str]) -> str:
     """What became of the extras that were tried: those that were asked for say nothing about the data."""
-    if not tried:
+    if not candidates:
         return "there are no extra parameters for this vehicle"
-    given = [name for name in kept if name in asked]
-    seen = [name for name in kept if name not in asked]
-    dropped = [name for name in tried if name not in kept]
+    given = [name for name in kept if name in requested]
+    seen = [name for name in kept if name not in requested]
+    dropped = [name for name in candidates if name not in kept]
     said = [f"asked for, and kept: {', '.join(given)}"] if given else []
     if seen:
         said.append(f"the data show {', '.join(seen)}")
@@ -74,126 +69,47 @@ def choice(tried: tuple[str, ...], kept: tuple[str, ...], asked: frozenset[str])
     return "; ".join(said)
 
 
-def shown(parameters: Parameters, rho: Floats, uncertain: Uncertainty, asked: frozenset[str]) -> tuple[str, ...]:
-    """Extras to keep; those `asked` for stay whatever the data say, and so do frozen ones."""
+def selected(
+    parameters: Parameters, rho: Floats, uncertainty: Uncertainty, requested: frozenset[str]
+) -> tuple[str, ...]:
+    """Extras to keep; those `requested` for stay whatever the data say, and so do frozen ones."""
     names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
     prior = dict(zip(parameters.names, parameters.std, strict=True))
-    left = list(range(len(names)))
+    remaining = list(range(len(names)))
     while True:
-        value, graph, covariance = _refitted(rho[parameters.free], uncertain, left)
+        value, graph, covariance = _reduced(rho[parameters.free], uncertainty, remaining)
         variance = np.maximum(np.diag(covariance), np.diag(graph))
-        doubtful = [
+        removable = [
             i
-            for i, name in enumerate(names[k] for k in left)
-            if name in parameters.extras and name not in asked
-            and (_untold(graph, i) or not _certain(name, value[i], variance[i], prior[name]))
+            for i, name in enumerate(names[k] for k in remaining)
+            if name in parameters.auxiliary and name not in requested
+            and (_indistinguishable(graph, i) or not _significant(name, value[i], variance[i], prior[name]))
         ]  # fmt: skip
-        if not doubtful:
+        if not removable:
             break
-        del left[min(doubtful, key=lambda i: value[i] ** 2 / graph[i, i])]
-    dropped = set(names) - {names[k] for k in left}
-    return tuple(name for name in parameters.extras if name not in dropped)
+        del remaining[min(removable, key=lambda i: value[i] ** 2 / graph[i, i])]
+    dropped = set(names) - {names[k] for k in remaining}
+    return tuple(name for name in parameters.auxiliary if name not in dropped)
 
 
-def _refitted(rho: Floats, uncertain: Uncertainty, left: list[int]) -> tuple[Floats, Matrix, Matrix]:
+def _reduced(rho: Floats, uncertainty: Uncertainty, remaining: list[int]) -> tuple[Floats, Matrix, Matrix]:
     """Values (left,) of those that are left if the others were nothing; covariances by the graph and as reported."""
-    information = inverse(uncertain.graph)
-    graph = inverse(information[np.ix_(left, left)])
-    follow = graph @ information[left]  # how they follow what is taken away
-    follow[:, left] = np.eye(len(left))
-    moving = uncertain.covariance * np.outer(~uncertain.held, ~uncertain.held)
-    return follow @ rho, graph, follow @ moving @ follow.T if uncertain.kind == "sandwich" else graph
+    information = inverse(uncertainty.graph)
+    graph = inverse(information[np.ix_(remaining, remaining)])
+    follow = graph @ information[remaining]  # how they follow what is taken away
+    follow[:, remaining] = np.eye(len(remaining))
+    moving = uncertainty.covariance * np.outer(~uncertainty.held, ~uncertainty.held)
+    return follow @ rho, graph, follow @ moving @ follow.T if uncertainty.kind == "sandwich" else graph
 
 
-def _untold(covariance: Matrix, k: int) -> bool:
+def _indistinguishable(covariance: Matrix, k: int) -> bool:
     """Whether a parameter is not told from another one."""
     std = np.sqrt(np.diag(covariance))
-    along = np.abs(covariance[k]) > UNTOLD * std[k] * std
+    along = np.abs(covariance[k]) > CORRELATION_REMOVED * std[k] * std
     return bool(along.sum() > along[k])
 
 
-def _certain(name: str, value: float, variance: float, prior: float) -> bool:
+def _significant(name: str, value: float, variance: float, prior: float) -> bool:
     """Whether an extra is far from nothing, matters, and is known better than before."""
     std = float(np.sqrt(variance))
-    return abs(value) >= max(AUTOMATIC[name], SIGNIFICANT * std) and std <= TIGHTER * prior
-
-
-def check_settings(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None:
-    """Refuse settings that name what the vehicle or the fit does not have, and values beyond their bounds.
-
-    Raises:
-        InputError: with every such name and value.
-    """
-    model = vehicle_of(vehicle)
-    problems = [*_unknown(model, settings), *_not_positive(settings), *_without_extra(model, settings)]
-    every = stated_numbers(vehicle, tuple(extras_of(model)))
-    problems += [found for number in every if (found := out_of_bounds(number, settings.values))]
-    if problems:
-        raise InputError(problems)
-
-
-def check_free(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None:
-    """Refuse settings that leave nothing to identify, whatever the logs are.
-
-    Raises:
-        InputError: if all parameters of the model are frozen, and so are all extras that the fit may have.
-    """
-    model = vehicle_of(vehicle)
-    names = (*model.parameters, *to_try(model, settings))
-    if not set(names) <= set(settings.frozen):
-        return
-    expected = "expected a parameter that is not frozen, or extra parameters with --extras"
-    if names:
-        raise InputError.of("frozen", f"leaves nothing of {model.name} to identify beside {', '.join(names)}", expected)
-    raise InputError.of("extras", f"there is nothing to identify of {model.name}, which has no parameters", expected)
-
-
-def _unknown(vehicle: Vehicle, settings: Settings) -> list[Diagnostic]:
-    extras = extras_of(vehicle)
-    parameters = [*vehicle.parameters, *extras]
-    asked = settings.extras if isinstance(settings.extras, tuple) else ()
-    questions: list[tuple[str, Mapping[str, object] | tuple[str, ...], list[str], str]] = [
-        ("frozen", settings.frozen, parameters, "parameter"),
-        ("values", tuple(settings.values), parameters, "parameter"),
-        ("extras", asked, list(extras), "extra parameter"),
-        ("process", tuple(settings.process), list(vehicle.state), "state component"),
-        ("control_noise", tuple(settings.control_noise), list(vehicle.controls), "control"),
-    ]
-    return [
-        Diagnostic(setting, f"{vehicle.name} has no {kind} {name}", suggestion(name, options))
-        for setting, names, options, kind in questions
-        for name in names
-        if name not in options
-    ]
-
-
-def _without_extra(vehicle: Vehicle, settings: Settings) -> list[Diagnostic]:
-    """Extras that are frozen or given a value, and that the fit will not have."""
-    if settings.extras in ("auto", "plan"):  # have those that are asked for
-        return []
-    chosen = settings.extras if isinstance(settings.extras, tuple) else ()
-    return [
-        Diagnostic(
-            setting,
-            f"{name} is an extra parameter, and --extras {','.join(chosen) or 'none'} leaves it out",
-            f"expected --extras {','.join((*chosen, name))} or --extras auto with it",
-        )
-        for setting, names in (("frozen", settings.frozen), ("values", tuple(settings.values)))
-        for name in names
-        if name in extras_of(vehicle) and name not in chosen
-    ]
-
-
-def _not_positive(settings: Settings) -> list[Diagnostic]:
-    positive: list[tuple[str, Mapping[str, float]]] = [
-        ("process", settings.process),
-        ("control_noise", settings.control_noise),
-        ("noise", vars(settings.noise) if settings.noise else {}),
-        ("settings", {"step": settings.step, "robust": 1.0 if settings.robust is None else settings.robust}),
-    ]
-    return [
-        Diagnostic(setting, f"{name} is {value:g}", "expected a number greater than 0")
-        for setting, values in positive
-        for name, value in values.items()
-        if not (value > 0.0 and math.isfinite(value))
-    ]
+    return abs(value) >= max(NEGLIGIBLE[name], SIGNIFICANCE * std) and std <= STD_RATIO_MAX * prior

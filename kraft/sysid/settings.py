@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Extras = Literal["auto", "plan", "none"] | tuple[str, ...]
+AuxiliarySelection = Literal["auto", "plan", "none"] | tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Settings:
     """parameters that keep their value"""
     values: Mapping[str, float] = field(default_factory=dict)
     """nominal values in place of the vehicle's, for parameters and extras"""
-    extras: Extras = "auto"
+    auxiliary: AuxiliarySelection = "auto"
     """parameters beside the model's own (`kraft.sysid.parameters`): those that the data show, the same without those
     that belong to the motion, which planning does not know, those named, or none"""
     graph: Literal["fast", "paper"] = "fast"

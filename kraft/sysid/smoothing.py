@@ -16,13 +16,25 @@ if TYPE_CHECKING:
 
 NEIGHBOURS = 9
 """Poses of a local fit."""
-LEAST_POSITION, LEAST_YAW = 1e-4, 1e-4
+POSITION_NOISE_MIN, YAW_NOISE_MIN = 1e-4, 1e-4
 """Noise below which nobody measures, m and rad: logs without noise shall not have infinite weight."""
-LEAST_POSES = 5
+NOISE_POSES_MIN = 5
 """Of which noise can be measured."""
-FAR = 5.0
+OUTLIER_DEVIATIONS = 5.0
 """Standard deviations from the neighbours from which a pose is an outlier."""
 MAD = 1.4826  # standard deviation per median absolute deviation of a normal distribution
+SPEED_INTERVAL: Final = 0.2
+"""Time over which the speeds of a drive are taken, s."""
+REST_SPEED_SHARE: Final = 0.1
+"""Share of a part's high speeds that counts as standing."""
+REST_DEVIATIONS: Final = 3.0
+"""Standard deviations of the speed at the first pose: what is within them may be standing."""
+REST_NOISE_SHARE_MAX: Final = 0.25
+"""Most that these may be, as a share of the high speeds, to tell standing from driving."""
+ROBUST_ITERATIONS: Final = 10
+"""Of the fit that outliers do not pull."""
+REST_SPANS: Final = (0.25, 0.5, 0.75, 1.0)
+"""Over which the speed at the first pose is sought, s: the shortest that tells, since a start bends the path."""
 
 
 def measured_noise(times: list[Floats], poses: list[Matrix]) -> Noise:
@@ -31,14 +43,14 @@ def measured_noise(times: list[Floats], poses: list[Matrix]) -> Noise:
     A vehicle's own motion is smooth enough not to count.  An outlier spoils the deviations of its neighbours too, so
     these are left out once it is known, and the median absolute deviation keeps out what remains.
     """
-    deviations = [_deviations(t, p) for t, p in zip(times, poses, strict=True) if len(t) >= LEAST_POSES]
+    deviations = [_deviations(t, p) for t, p in zip(times, poses, strict=True) if len(t) >= NOISE_POSES_MIN]
     if not deviations:
         return Noise(0.01, 0.02)
     first = _spread(np.concatenate(deviations))
     clean = np.concatenate([d[_undisturbed(d, first)] for d in deviations])
     sigma = _spread(clean) if len(clean) else first
     position = float(np.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2)))
-    return Noise(max(position, LEAST_POSITION), max(float(sigma[2]), LEAST_YAW))
+    return Noise(max(position, POSITION_NOISE_MIN), max(float(sigma[2]), YAW_NOISE_MIN))
 
 
 def _spread(deviations: Matrix) -> Floats:
@@ -50,7 +62,7 @@ def _undisturbed(deviations: Matrix, sigma: Floats) -> Bools:
     """Which deviations (n, 3) are of poses without an outlier among them and their two neighbours on either side."""
     size = np.pad(np.max(np.abs(deviations) / np.maximum(sigma, 1e-12), axis=1), 2)
     around = np.max(np.stack([size[k : len(size) - 4 + k] for k in range(5)]), axis=0)
-    outlier = np.pad((size[2:-2] > FAR) & (size[2:-2] == around), 2)
+    outlier = np.pad((size[2:-2] > OUTLIER_DEVIATIONS) & (size[2:-2] == around), 2)
     disturbed: Bools = np.any(np.stack([outlier[k : len(outlier) - 4 + k] for k in range(5)]), axis=0)
     return ~disturbed
 
@@ -98,36 +110,22 @@ def smoothed(times: Floats, poses: Matrix, at: Floats) -> tuple[Matrix, Matrix]:
     return middle[:, 0] + coefficients[:, :, 0], coefficients[:, :, 1] / scale
 
 
-GLIMPSE: Final = 0.2
-"""Time over which the speeds of a drive are taken, s."""
-SLOW: Final = 0.1
-"""Share of a part's high speeds that counts as standing."""
-CERTAIN: Final = 3.0
-"""Standard deviations of the speed at the first pose: what is within them may be standing."""
-TELLING: Final = 0.25
-"""Most that these may be, as a share of the high speeds, to tell standing from driving."""
-ROUNDS: Final = 10
-"""Of the fit that outliers do not pull."""
-SPANS: Final = (0.25, 0.5, 0.75, 1.0)
-"""Over which the speed at the first pose is sought, s: the shortest that tells, since a start bends the path."""
-
-
 def begins_at_rest(part: Part) -> bool:
     """Whether the poses show that the part begins at rest; not if they are too few or too noisy to tell."""
     times, poses = part.pose_times, part.poses
     if len(times) < 2:
         return False
     interval = float(np.median(np.diff(times)))
-    high = _high_speed(part, max(1, round(GLIMPSE / interval)))
+    high = _high_speed(part, max(1, round(SPEED_INTERVAL / interval)))
     sigma = measured_noise([times], [poses]).position
-    for span in SPANS:
+    for span in REST_SPANS:
         count = 1 + round(span / interval)
         if not 3 <= count <= len(times):
             continue
         basis = np.vander(times[:count] - times[0], 3, increasing=True)
-        noise = CERTAIN * sigma * _slope_noise(basis)
-        if noise <= TELLING * high:
-            return _first_speed(basis, poses[:count, :2], sigma) <= max(SLOW * high, noise)
+        noise = REST_DEVIATIONS * sigma * _slope_noise(basis)
+        if noise <= REST_NOISE_SHARE_MAX * high:
+            return _first_speed(basis, poses[:count, :2], sigma) <= max(REST_SPEED_SHARE * high, noise)
     return False
 
 
@@ -151,7 +149,7 @@ def _first_speed(basis: Matrix, places: Matrix, sigma: float) -> float:
     Outliers hardly count: Huber's loss, from `sigma` (m) on.
     """
     weight, fit = np.ones(len(places)), np.zeros((3, 2))
-    for _ in range(ROUNDS):
+    for _ in range(ROBUST_ITERATIONS):
         root = np.sqrt(weight)[:, None]
         fit[:] = np.linalg.lstsq(root * basis, root * places, rcond=None)[0]
         off = np.hypot(*(places - basis @ fit).T)

@@ -21,7 +21,7 @@ from scipy.stats import norm, t
 from kraft.sysid.optimiser import RhoFactors
 from ompl_ext.arrays import Bools, Floats, Matrix
 
-LEAST_LOGS = 5
+SANDWICH_LOGS_MIN = 5
 """For the sandwich."""
 
 
@@ -35,7 +35,7 @@ class Uncertainty:
     """of the kind"""
     quantile: float
     """half width of a 95 % interval in standard deviations"""
-    moves: Matrix
+    shifts: Matrix
     """(logs, free) how rho would move without each log"""
     held: Bools
     """(free,) which of them their bounds hold: the others move as if these did not"""
@@ -47,7 +47,7 @@ class Uncertainty:
         return std
 
 
-def uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncertainty:
+def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncertainty:
     """The sandwich covariance from five logs up, the graph's below.
 
     Args:
@@ -61,20 +61,20 @@ def uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncertainty:
     logs = len(factors.information)
     if logs < 2:
         return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), np.zeros((logs, len(total))), held[free])
-    moves = np.array(
+    shifts = np.array(
         [
-            _move(total - information[chosen], gradient[free], held[free])
+            _shift(total - information[chosen], gradient[free], held[free])
             for information, gradient in zip(factors.information, factors.gradient, strict=True)
         ]
     )
-    if logs < LEAST_LOGS:
-        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), moves, held[free])
-    centred = moves - moves.mean(axis=0)
+    if logs < SANDWICH_LOGS_MIN:
+        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), shifts, held[free])
+    centred = shifts - shifts.mean(axis=0)
     sandwich = (logs - 1) / logs * centred.T @ centred
-    return Uncertainty("sandwich", graph, sandwich, float(t.ppf(0.975, logs - 1)), moves, held[free])
+    return Uncertainty("sandwich", graph, sandwich, float(t.ppf(0.975, logs - 1)), shifts, held[free])
 
 
-def _move(rest: Matrix, gradient: Floats, held: Bools) -> Floats:
+def _shift(rest: Matrix, gradient: Floats, held: Bools) -> Floats:
     """How the free parameters move (free,) to where `rest`, the information without a log, balances its gradient."""
     move = np.array(np.linalg.lstsq(rest, gradient, rcond=None)[0], dtype=np.float64)
     if held.any():

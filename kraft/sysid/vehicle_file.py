@@ -6,36 +6,30 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from kraft.config.validation import check
 from kraft.config.yaml_reader import read_document
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions
-from kraft.sysid.data import Split
-from kraft.sysid.prediction import Predicted
-from kraft.sysid.result import Estimated, Identification, PredictionErrors
+from kraft.sysid.acceptance import PredictionEvaluation
+from kraft.sysid.base_vehicle import BaseVehicle
+from kraft.sysid.data import LogSplit
+from kraft.sysid.result import Identification, ParameterEstimate, PredictionErrors
 from kraft.text import counted
-from kraft.vehicles.check import check_functions
-from kraft.vehicles.code import vehicle_of
 from kraft.vehicles.config import (
     Covariance,
     Extra,
-    Footprint,
     IdentificationRecord,
     Logged,
     Parameter,
     PoseNoise,
     Prediction,
     VehicleConfig,
-    load_vehicle_config,
 )
-from kraft.vehicles.load import configured
-from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
-from ompl_ext.vehicle import Vehicle
+from kraft.vehicles.reference import split_file
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
@@ -43,41 +37,45 @@ if TYPE_CHECKING:
 
 DIGITS: Final = 6
 """Significant digits of parameters: far more than are known."""
-LOOSER: Final = 3.0
+STD_FACTOR: Final = 3.0
 """The standard deviation in the file is this many times that of the estimate ..."""
-LOOSEST: Final = 0.1
+STD_SHARE_MIN: Final = 0.1
 """... and at least this share of what it was before: another day's car is a little different."""
 HEADER: Final = ("# Identified by kraft sysid; what was identified from is at the end.",)
 
 
-def check_target(path: Path) -> None:
+def check_vehicle_target(path: Path) -> None:
     """Refuse a place that cannot be written, and a file that no identification has written.
 
     Raises:
         InputError: if it is one of these.
     """
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError.of(str(path), "is not the name of a vehicle file", "expected a name that ends in .yaml")
+        raise InputError.of(
+            str(path), "is not the name of a vehicle file", "expected a name that ends in .yaml", Code.MISMATCH
+        )
     check_writable(path)
     if os.path.lexists(path):
         config, _ = check(VehicleConfig, read_document(path))
         if config is None or config.identification is None:
             problem = "is there already, and kraft sysid did not write it"
-            raise InputError.of(str(path), problem, "expected a new file, or one that an identification wrote")
+            raise InputError.of(
+                str(path), problem, "expected a new file, or one that an identification wrote", Code.EXISTS
+            )
 
 
 def write_vehicle(
-    path: Path, subject: Subject, estimated: Mapping[str, Estimated], record: IdentificationRecord
+    path: Path, base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], record: IdentificationRecord
 ) -> None:
     """Write a vehicle named like the file, in one step.
 
     Raises:
         InputError: if it cannot be written.
     """
-    name = path.stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", path.stem) else subject.name
+    name = path.stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", path.stem) else base.name
     fitted = sum(not log.held_out for log in record.logs)
-    description = f"{subject.name} identified from {counted(fitted, 'log')}"
-    write_whole(path, vehicle_text(path.parent, name, description, HEADER, subject, estimated, record).encode())
+    description = f"{base.name} identified from {counted(fitted, 'log')}"
+    write_whole(path, vehicle_text(path.parent, name, description, HEADER, base, estimated, record).encode())
 
 
 def vehicle_text(
@@ -85,8 +83,8 @@ def vehicle_text(
     name: str,
     description: str,
     header: Sequence[str],
-    subject: Subject,
-    estimated: Mapping[str, Estimated],
+    base: BaseVehicle,
+    estimated: Mapping[str, ParameterEstimate],
     record: IdentificationRecord,
     *,
     tighten: bool = True,
@@ -98,23 +96,23 @@ def vehicle_text(
         name: of the vehicle.
         description: of the vehicle.
         header: comments of the first lines.
-        subject: whose model, footprint and top speed it gets.
+        base: whose model, footprint and top speed it gets.
         estimated: parameters; those that the subject does not have are left to the record.
         record: the section `identification`.
         tighten: whether the standard deviations become those of this vehicle, or stay those of its kind.
     """
-    shape = subject.footprint
+    shape = base.footprint
     offset = f", offset: {_number(shape.offset)}" if shape.offset else ""
     lines = [
         *header,
         f"name: {name}",
         f"description: {_text(description, flow=False)}",
         "",
-        f"model: {_model(subject.model, folder)}",
-        *_parameters(subject, estimated, tighten=tighten),
+        f"model: {_model(base.model, folder)}",
+        *_parameters(base, estimated, tighten=tighten),
         "",
         f"footprint: {{length: {_number(shape.length)}, width: {_number(shape.width)}{offset}}}",
-        f"top_speed: {subject.top_speed if isinstance(subject.top_speed, str) else _number(subject.top_speed)}",
+        f"top_speed: {base.top_speed if isinstance(base.top_speed, str) else _number(base.top_speed)}",
         "",
         "identification:",
         *_mapping(record.model_dump(mode="json", exclude_none=True), "  "),
@@ -122,7 +120,7 @@ def vehicle_text(
     return "\n".join(lines) + "\n"
 
 
-def identified(parameter: Parameter, estimate: Estimated, *, tighten: bool = True) -> Parameter:
+def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tighten: bool = True) -> Parameter:
     """A parameter with the estimate in place of its value.
 
     What is plausible stays what it was, unless the estimate is not in it.  The standard deviation shrinks, but not to
@@ -133,16 +131,16 @@ def identified(parameter: Parameter, estimate: Estimated, *, tighten: bool = Tru
     high = None if parameter.max is None else max(parameter.max, value)
     std = parameter.std
     if tighten and std is not None and not estimate.frozen:
-        std = float(f"{min(std, max(LOOSER * estimate.std, LOOSEST * std)):.2g}")
+        std = float(f"{min(std, max(STD_FACTOR * estimate.std, STD_SHARE_MIN * std)):.2g}")
     return Parameter(
         value=value, unit=estimate.unit or "1", description=estimate.description, min=low, max=high, std=std
     )
 
 
-def _parameters(subject: Subject, estimated: Mapping[str, Estimated], *, tighten: bool) -> Iterator[str]:
-    yield "parameters:" if subject.parameters else "parameters: {}"
-    for name, before in subject.parameters.items():
-        parameter = identified(before, estimated[name], tighten=tighten)
+def _parameters(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], *, tighten: bool) -> Iterator[str]:
+    yield "parameters:" if base.parameters else "parameters: {}"
+    for name, before in base.parameters.items():
+        parameter = updated_parameter(before, estimated[name], tighten=tighten)
         limits = ((key, getattr(parameter, key)) for key in ("min", "max", "std"))
         told = "".join(f", {key}: {_number(value)}" for key, value in limits if value is not None)
         about = f", description: {_text(parameter.description)}" if parameter.description else ""
@@ -199,11 +197,11 @@ def _text(text: str, *, flow: bool = True) -> str:
     return text if plain and not (flow and ", " in text) else json.dumps(text, ensure_ascii=False)
 
 
-def record_of(
+def identification_record(
     started_from: str,
     identification: Identification,
-    split: Split,
-    predicted: Predicted,
+    split: LogSplit,
+    evaluation: PredictionEvaluation,
 ) -> IdentificationRecord:
     """Record an identification.
 
@@ -211,23 +209,23 @@ def record_of(
         started_from: the vehicle that was asked for.
         identification: what came out.
         split: the logs that were fitted and held out.
-        predicted: how far their predictions are off.
+        evaluation: how far their predictions are off.
     """
-    unseen = predicted.held_out
+    unseen = evaluation.held_out
     matrix = tuple(tuple(map(float, row)) for row in identification.covariance)
     return IdentificationRecord(
         started_from=started_from,
         interval=identification.interval,
         covariance=Covariance(names=identification.names, matrix=matrix),
-        extras={name: _extra(identification, name) for name in identification.extras},
+        extras={name: _extra(identification, name) for name in identification.auxiliary},
         noise=PoseNoise(
             position=identification.noise.position,
             yaw=identification.noise.yaw,
             measured=identification.noise_measured,
         ),
-        fitted=_prediction(predicted.fitted.errors),
+        fitted=_prediction(evaluation.fitted.errors),
         held_out=None if unseen is None else _prediction(unseen.errors),
-        held_out_before=None if unseen is None else _prediction(unseen.errors_before),
+        held_out_before=None if unseen is None else _prediction(unseen.initial_errors),
         warnings=identification.warnings,
         logs=(*_logged(split.fitted, held_out=False), *_logged(split.held_out, held_out=True)),
         versions=versions(IDENTIFICATION),
@@ -257,66 +255,3 @@ def _files(log: Log) -> dict[str, str]:
     names = [Path(source.file).name for source in log.sources]
     unique = len(set(names)) == len(names)
     return {(Path(s.file).name if unique else s.file): s.sha256 for s in log.sources}
-
-
-@dataclass(frozen=True)
-class Subject:
-    """A vehicle to identify.
-
-    Attributes:
-        reference: as it was asked for.
-        given: the vehicle file, or the code, with bounds and priors if it has any.
-        vehicle: the same as the planner has it.
-        model: reference to the code; a file's path is absolute.
-    """
-
-    reference: str
-    given: VehicleConfig | Vehicle
-    vehicle: Vehicle
-    model: str
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-        return self.vehicle.name
-
-    @property
-    def parameters(self) -> Mapping[str, Parameter]:
-        """Parameters as a vehicle file has them; those of code have no more than a value."""
-        if isinstance(self.given, VehicleConfig):
-            return self.given.parameters
-        return {name: Parameter(value=value, unit="?") for name, value in self.vehicle.parameters.items()}
-
-    @property
-    def footprint(self) -> Footprint:
-        """What must not touch anything."""
-        shape = self.vehicle.footprint
-        return Footprint(length=shape.length, width=shape.width, offset=shape.offset)
-
-    @property
-    def top_speed(self) -> float | str:
-        """Top speed, m/s, or the parameter that is that speed."""
-        return self.given.top_speed if isinstance(self.given, VehicleConfig) else float(self.vehicle.top_speed)
-
-
-def load_subject(reference: str) -> Subject:
-    """Load a bundled vehicle, a vehicle file, or code.
-
-    Raises:
-        InputError: with everything that is wrong with it.
-    """
-    try:
-        resolved = resolve_vehicle(reference, Path.cwd())
-    except VehicleProblem as error:
-        raise InputError.of(reference, error.problem, error.expected) from None
-    if is_attribute(resolved) or split_file(resolved) is not None:
-        vehicle = vehicle_of(resolved, reference)
-        subject = Subject(reference, vehicle, vehicle, resolved)
-    else:
-        config = load_vehicle_config(resolved)
-        model = config.model
-        if split_file(model) is not None:
-            model = resolve_vehicle(model, Path(config.source.file).parent)
-        subject = Subject(reference, config, configured(config), model)
-    check_functions(subject.vehicle, reference)
-    return subject

@@ -11,7 +11,7 @@ from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from kraft_cli.work.sysid import Identified
+    from kraft_cli.work.sysid import SysidResult
 
 Logs = Annotated[list[Path], typer.Argument(metavar="LOGS...", help="Folders and files with logs.")]
 Model = Annotated[
@@ -31,7 +31,7 @@ Freeze = Annotated[list[str] | None, typer.Option("--freeze", metavar="A,B", hel
 Parameters = Annotated[
     list[str] | None, typer.Option("--param", metavar="K=V", help="Another initial value of a parameter.")
 ]
-Extras = Annotated[
+AuxiliarySelection = Annotated[
     str,
     typer.Option(
         metavar="auto|plan|none|A,B", help="Parameters beside the model's: those that the data show, or these."
@@ -57,52 +57,65 @@ def sysid(
     mapping: MappingFile = None,
     freeze: Freeze = None,
     param: Parameters = None,
-    extras: Extras = "auto",
+    extras: AuxiliarySelection = "auto",
     pose_noise: PoseNoise = None,
     graph: Graph = "fast",
     json: Json = False,
 ) -> ExitStatus:
     """Identify a vehicle's parameters from logs; it ends with 1 if the logs do not show them."""
-    from kraft_cli.work.sysid import Options, Request, carry_out
-    from kraft_cli.work.sysid_report import SCHEMA, json_content
+    from kraft_cli.work.sysid import SysidRequest, run_sysid
+    from kraft_cli.work.sysid_report import SCHEMA, sysid_json
 
     terminal: Terminal = context.obj
-    options = Options(tuple(freeze or ()), extras, graph, pose_noise, tuple(param or ()))
-    request = Request(tuple(logs), model, holdout, out, plot, mapping, options)
-    done = carry_out(request, terminal.say, terminal.problem, terminal.detail)
-    _tell(terminal, done)
+    request = SysidRequest(
+        logs=tuple(logs),
+        model=model,
+        holdout=holdout,
+        out=out,
+        plot=plot,
+        mapping=mapping,
+        freeze=tuple(freeze or ()),
+        extras=extras,
+        graph=graph,
+        pose_noise=pose_noise,
+        param=tuple(param or ()),
+    )
+    result = run_sysid(request, terminal.say, terminal.problem, terminal.detail)
+    _report_details(terminal, result)
     if json:
-        terminal.json(SCHEMA, json_content(done))
+        terminal.json(SCHEMA, sysid_json(result))
     else:
-        _show(terminal, done)
-    for warning in done.result.warnings:
+        _print(terminal, result)
+    for warning in result.identification.warnings:
         terminal.problem(f"warning: {warning}")
-    if not done.objections:
+    if not result.objections:
         return ExitStatus.DONE
     unwritten = f"; {out} was not written" if out is not None else ""
-    terminal.error(f"not identified: {'; '.join(done.objections)}{unwritten}")
+    terminal.error(f"not identified: {'; '.join(result.objections)}{unwritten}")
     return ExitStatus.NEGATIVE
 
 
-def _tell(terminal: Terminal, done: Identified) -> None:
+def _report_details(terminal: Terminal, result: SysidResult) -> None:
     """What -v asks for."""
     from kraft.text import counted
 
-    initial = ", ".join(f"{name} {value:g}" for name, value in done.subject.vehicle.parameters.items())
-    terminal.detail(f"model {done.subject.model}, from {initial}")
-    state = "converged" if done.result.converged else "not converged"
-    terminal.detail(f"identified in {done.seconds:.2f} s: {state} after {counted(done.result.iterations, 'iteration')}")
+    initial = ", ".join(f"{name} {value:g}" for name, value in result.base.vehicle.parameters.items())
+    terminal.detail(f"model {result.base.model}, from {initial}")
+    state = "converged" if result.identification.converged else "not converged"
+    terminal.detail(
+        f"identified in {result.seconds:.2f} s: {state} after {counted(result.identification.iterations, 'iteration')}"
+    )
 
 
-def _show(terminal: Terminal, done: Identified) -> None:
-    from kraft_cli.work.sysid_report import parameter_table, prediction_table, remarks
+def _print(terminal: Terminal, result: SysidResult) -> None:
+    from kraft_cli.work.sysid_report import parameter_table, prediction_table, summary_lines
 
-    for heading, rows in (parameter_table(done), prediction_table(done)):
+    for heading, rows in (parameter_table(result), prediction_table(result)):
         terminal.table(heading, rows)
         terminal.data("")
-    for remark in remarks(done):
-        terminal.data(remark)
-    if done.request.out is not None and not done.objections:
-        terminal.data(f"vehicle file {done.request.out}: kraft plan turns --vehicle {done.request.out}")
-    if done.request.plot is not None:
-        terminal.data(f"picture {done.request.plot}")
+    for interval_note in summary_lines(result):
+        terminal.data(interval_note)
+    if result.request.out is not None and not result.objections:
+        terminal.data(f"vehicle file {result.request.out}: kraft plan turns --vehicle {result.request.out}")
+    if result.request.plot is not None:
+        terminal.data(f"picture {result.request.plot}")

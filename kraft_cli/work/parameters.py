@@ -20,10 +20,14 @@ def parse_parameters(items: Iterable[str]) -> dict[str, float]:
         name, equals, text = item.partition("=")
         number = _number(text)
         if not equals or not name.strip() or number is None:
-            problems.append(Diagnostic("--param", f"is {item!r}", "expected name=number"))
+            problems.append(
+                Diagnostic("param", f"is {item!r}", "expected name=number", code=Code.SYNTAX, argument=True)
+            )
         elif name.strip() in values:
             problems.append(
-                Diagnostic("--param", f"{name.strip()} is given twice", "expected it once", code=Code.DUPLICATE)
+                Diagnostic(
+                    "param", f"{name.strip()} is given twice", "expected it once", code=Code.DUPLICATE, argument=True
+                )
             )
         else:
             values[name.strip()] = number

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from kraft.sysid.result import Estimated, PredictionErrors
+from kraft.sysid.prediction import HORIZONS
+from kraft.sysid.result import ParameterEstimate, PredictionErrors
 from kraft.text import counted
-from kraft_cli.work.sysid import Identified
+from kraft_cli.work.sysid import SysidResult
 
 SCHEMA: Final = "kraft.sysid/1"
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
@@ -16,61 +17,63 @@ INTERVALS: Final = {
     "graph": "from the noise of the poses",
     "sandwich": "from how much the logs differ from each other",
 }
-AFTER: Final = (1.0, 2.0, 3.0)
 
 
-def json_content(done: Identified) -> dict[str, Any]:
+def sysid_json(result: SysidResult) -> dict[str, Any]:
     """Content of the ``kraft.sysid/1`` object; what does not exist is null."""
-    result, unseen = done.result, done.predicted.held_out
-    written = done.request.out if not done.objections else None
+    identification, held_out = result.identification, result.evaluation.held_out
+    written = result.request.out if not result.objections else None
     return {
-        "model": done.subject.name,
-        "params": {name: _parameter(estimate, name in result.extras) for name, estimate in result.parameters.items()},
-        "interval": result.interval,
-        "rmse_train_m": done.predicted.fitted.errors.overall_position,
-        "rmse_holdout_m": unseen.errors.overall_position if unseen else None,
-        "rmse_train_initial_m": done.predicted.fitted.errors_before.overall_position,
-        "rmse_holdout_initial_m": unseen.errors_before.overall_position if unseen else None,
+        "model": result.base.name,
+        "params": {
+            name: _parameter(estimate, name in identification.auxiliary)
+            for name, estimate in identification.parameters.items()
+        },
+        "interval": identification.interval,
+        "rmse_train_m": result.evaluation.fitted.errors.overall_position,
+        "rmse_holdout_m": held_out.errors.overall_position if held_out else None,
+        "rmse_train_initial_m": result.evaluation.fitted.initial_errors.overall_position,
+        "rmse_holdout_initial_m": held_out.initial_errors.overall_position if held_out else None,
         "prediction": {
-            "train": _errors(done.predicted.fitted.errors),
-            "train_initial": _errors(done.predicted.fitted.errors_before),
-            "holdout": _errors(unseen.errors) if unseen else None,
-            "holdout_initial": _errors(unseen.errors_before) if unseen else None,
+            "train": _errors(result.evaluation.fitted.errors),
+            "train_initial": _errors(result.evaluation.fitted.initial_errors),
+            "holdout": _errors(held_out.errors) if held_out else None,
+            "holdout_initial": _errors(held_out.initial_errors) if held_out else None,
         },
-        "logs": len(done.logs.logs),
-        "held_out": [log.name for log in done.split.held_out],
-        "left_out": [str(problem) for problem in done.logs.problems],
-        "correlation": {"names": list(result.names), "matrix": result.correlation.tolist()},
+        "logs": len(result.logs.logs),
+        "held_out": [log.name for log in result.split.held_out],
+        "left_out": [str(problem) for problem in result.logs.problems],
+        "correlation": {"names": list(identification.names), "matrix": identification.correlation.tolist()},
         "pose_noise": {
-            "position_m": result.noise.position,
-            "yaw_rad": result.noise.yaw,
-            "measured": result.noise_measured,
+            "position_m": identification.noise.position,
+            "yaw_rad": identification.noise.yaw,
+            "measured": identification.noise_measured,
         },
-        "rear_axle_m": result.rear_axle,
-        "converged": bool(result.converged),
-        "identifiable": not done.objections,
-        "objections": list(done.objections),
-        "iterations": int(result.iterations),
-        "wall_s": done.seconds,
-        "warnings": list(result.warnings),
-        "notes": list(result.notes),
+        "rear_axle_m": identification.rear_axle,
+        "converged": bool(identification.converged),
+        "identifiable": not result.objections,
+        "objections": list(result.objections),
+        "iterations": int(identification.iterations),
+        "wall_s": result.seconds,
+        "warnings": list(identification.warnings),
+        "notes": list(identification.notes),
         "vehicle_file": None if written is None else str(written),
     }
 
 
-def parameter_table(done: Identified) -> Table:
+def parameter_table(result: SysidResult) -> Table:
     """Every parameter with its unit, value, interval and initial value."""
-    heading = ("PARAMETER", "VALUE", f"95 % INTERVAL ({done.result.interval})", "INITIAL", "UNIT", "MEANING")
-    return heading, [_row(name, estimate) for name, estimate in done.result.parameters.items()]
+    heading = ("PARAMETER", "VALUE", f"95 % INTERVAL ({result.identification.interval})", "INITIAL", "UNIT", "MEANING")
+    return heading, [_row(name, estimate) for name, estimate in result.identification.parameters.items()]
 
 
-def prediction_table(done: Identified) -> Table:
+def prediction_table(result: SysidResult) -> Table:
     """Open-loop errors after 1, 2 and 3 s, identified beside initial; on held-out logs if there are any."""
-    unseen = done.predicted.held_out
-    forecast = unseen or done.predicted.fitted
-    whose = "held-out logs" if unseen else "fitted logs"
-    heading = (f"OPEN LOOP, {whose}", *(f"{after:g} s" for after in AFTER), "all")
-    after, before = forecast.errors, forecast.errors_before
+    held_out = result.evaluation.held_out
+    pair = held_out or result.evaluation.fitted
+    whose = "held-out logs" if held_out else "fitted logs"
+    heading = (f"OPEN LOOP, {whose}", *(f"{after:g} s" for after in HORIZONS), "all")
+    after, before = pair.errors, pair.initial_errors
     return heading, [
         ("position, identified", *_metres(after)),
         ("position, initial", *_metres(before)),
@@ -79,23 +82,24 @@ def prediction_table(done: Identified) -> Table:
     ]
 
 
-def remarks(done: Identified) -> list[str]:
-    """What has to be said under the tables."""
-    result = done.result
-    noise, origin = result.noise, "measured from the logs" if result.noise_measured else "as stated"
-    state = "converged" if result.converged else "NOT converged"
-    why = INTERVALS[result.interval]
-    said = [
-        f"{state} after {counted(result.iterations, 'iteration')}, {done.seconds:.2f} s; intervals follow {why}",
+def summary_lines(result: SysidResult) -> list[str]:
+    """Lines below the tables."""
+    identification = result.identification
+    noise, origin = identification.noise, "measured from the logs" if identification.noise_measured else "as stated"
+    state = "converged" if identification.converged else "NOT converged"
+    why = INTERVALS[identification.interval]
+    lines = [
+        f"{state} after {counted(identification.iterations, 'iteration')}, {result.seconds:.2f} s; "
+        f"intervals follow {why}",
         f"noise of the poses {1000 * noise.position:.3g} mm, {math.degrees(noise.yaw):.2g} deg, {origin}",
-        *result.notes,
+        *identification.notes,
     ]
-    if result.rear_axle is not None:
-        said.append(f"the tracked point is {result.rear_axle:.3f} m ahead of the rear axle")
-    return said
+    if identification.rear_axle is not None:
+        lines.append(f"the tracked point is {identification.rear_axle:.3f} m ahead of the rear axle")
+    return lines
 
 
-def _parameter(estimate: Estimated, extra: bool) -> dict[str, Any]:
+def _parameter(estimate: ParameterEstimate, extra: bool) -> dict[str, Any]:
     return {
         "value": estimate.value,
         "std": estimate.std,
@@ -121,29 +125,29 @@ def _errors(errors: PredictionErrors) -> dict[str, Any]:
     }
 
 
-def _row(name: str, estimate: Estimated) -> tuple[str, ...]:
+def _row(name: str, estimate: ParameterEstimate) -> tuple[str, ...]:
     digits = _digits(estimate)
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
-    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.remark}"
+    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.interval_note}"
     value = f"{estimate.value:.{digits}f}"
     return name, value, interval, f"{estimate.initial:.{digits}f}", estimate.unit, estimate.description
 
 
-def _digits(estimate: Estimated) -> int:
+def _digits(estimate: ParameterEstimate) -> int:
     """Decimals that show two digits of the standard deviation."""
     size = estimate.std if estimate.std > 0 else abs(estimate.value) / 1000
     return min(max(1 - math.floor(math.log10(size)), 0), 6) if size > 0 else 4
 
 
 def _metres(errors: PredictionErrors) -> list[str]:
-    values = [errors.position.get(after) for after in AFTER]
-    return [_said(value, 100, " cm") for value in (*values, errors.overall_position)]
+    values = [errors.position.get(after) for after in HORIZONS]
+    return [_cell(value, 100, " cm") for value in (*values, errors.overall_position)]
 
 
 def _degrees(errors: PredictionErrors) -> list[str]:
-    values = [errors.yaw.get(after) for after in AFTER]
-    return [_said(value, 180 / math.pi, " deg") for value in (*values, errors.overall_yaw)]
+    values = [errors.yaw.get(after) for after in HORIZONS]
+    return [_cell(value, 180 / math.pi, " deg") for value in (*values, errors.overall_yaw)]
 
 
-def _said(value: float | None, factor: float, unit: str) -> str:
+def _cell(value: float | None, factor: float, unit: str) -> str:
     return "-" if value is None else f"{factor * value:.2f}{unit}"

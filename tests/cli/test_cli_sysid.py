@@ -13,11 +13,10 @@ import pytest
 from support.paths import ROOT
 
 from kraft.sysid import compilation
-from kraft.sysid.parameters import moves
+from kraft.sysid.auxiliary import affects_motion
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module
-from kraft_cli.work import sysid as pace
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
 REAL = Path(os.environ.get("KRAFT_REAL_LOGS", ROOT.parent / "shared" / "data")) / "f1tenth_koopman_cc0"
@@ -155,11 +154,11 @@ def test_an_identification_that_takes_long_says_how_it_goes(
 ) -> None:
     heard: list[str] = []
     times = iter([0.0, 1.9, 2.0, 3.9, 4.1])
-    tell = pace.Pace(heard.append, lambda: next(times))
+    report = module.ProgressReporter(heard.append, lambda: next(times))
     for made in range(1, 5):
-        tell(made, 1000.0 / made)
+        report(made, 1000.0 / made)
     assert heard == ["iteration 2, cost 500", "iteration 4, cost 250"]
-    monkeypatch.setattr(pace, "EVERY", 0.0)
+    monkeypatch.setattr(module, "PROGRESS_INTERVAL", 0.0)
     arguments = ["sysid", "logs/run_02", "--extras", "none", "--graph", "paper"]
     assert main(arguments) == 0
     assert any(re.fullmatch(r"iteration 1, cost [\d.]+", line) for line in said(capsys))
@@ -219,7 +218,7 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
     content = json.loads(capsys.readouterr().out)
     written = load_vehicle_config("my.yaml")
     assert "friction" in alone
-    assert not [name for name in content["params"] if moves(name)]
+    assert not [name for name in content["params"] if affects_motion(name)]
     assert written.values == {
         name: pytest.approx(content["params"][name]["value"], rel=1e-5) for name in written.values
     }

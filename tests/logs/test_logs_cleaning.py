@@ -10,7 +10,8 @@ from support.logs import Drive, drive, wide_columns, wrapped, write_pair, write_
 
 from kraft.errors import InputError
 from kraft.logs.log import Finding, Log
-from kraft.logs.motion import extent, tracks
+from kraft.logs.motion import extent
+from kraft.logs.outliers import tracks
 from kraft.logs.reader import read_logs
 
 MADE = drive()

@@ -12,7 +12,7 @@ from support.logs import Drive, drive, wide_columns, wrapped, write_pair, write_
 
 from kraft.errors import InputError
 from kraft.logs.csv_table import read_csv
-from kraft.logs.discover import Candidate, each_once
+from kraft.logs.discover import Candidate, without_repeated
 from kraft.logs.log import Log
 from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
 from kraft.logs.reader import read_logs
@@ -388,10 +388,10 @@ def test_a_part_of_a_log_is_not_counted_besides_the_whole_wherever_it_stands(tmp
     for name in ("0.mcap", "1.mcap", "metadata.yaml"):
         (tmp_path / "a" / name).touch()
     for found in ([part, whole, other], [whole, other, part]):
-        kept, (said,) = each_once(found)
+        kept, (said,) = without_repeated(found)
         assert kept == [whole, other]
         assert said.file == str(tmp_path / "a" / "1.mcap")
-    assert each_once([whole, other]) == ([whole, other], [])
+    assert without_repeated([whole, other]) == ([whole, other], [])
 
 
 def test_files_that_are_given_again_make_one_log(tmp_path: Path) -> None:

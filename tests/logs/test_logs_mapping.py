@@ -14,7 +14,7 @@ from kraft.errors import InputError
 from kraft.logs.guess import guess_commands
 from kraft.logs.log import Log
 from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import CONTROLS, heading, read_logs, unfit
+from kraft.logs.reader import CONTROLS, heading, mapping_mismatch, read_logs
 from kraft.logs.table import Table
 from kraft_cli.work.validate import check_file
 
@@ -237,7 +237,7 @@ def test_an_unknown_control_is_said_alike_of_one_log_and_of_all(tmp_path: Path) 
     assert [problem.path for problem in error.value.diagnostics] == [
         f"commands.controls.{n}" for n in ("throtle", "brake")
     ]
-    assert unfit("logs", [heading(table)], CONTROLS, said)[:2] == error.value.diagnostics
+    assert mapping_mismatch("logs", [heading(table)], CONTROLS, said)[:2] == error.value.diagnostics
 
 
 def test_validate_knows_a_mapping_file(tmp_path: Path) -> None:

@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from support.sysid import estimated, fake_identification, fake_log, fake_predicted, fake_windows
+from support.sysid import estimated, fake_evaluation, fake_identification, fake_log, fake_windows
 
 from kraft.errors import InputError
 from kraft.plot.style import look
 from kraft.plot.sysid import compose, plot_identification
 from kraft.plot.sysid_logs import compose_logs, plot_logs, speeds, telling
 from kraft.plot.sysid_panels import growth, typical
-from kraft.sysid.data import Split
+from kraft.sysid.data import LogSplit
 from kraft.sysid.result import Identification
 from kraft.vehicles.load import load_vehicle
 
 MUSHR = load_vehicle("mushr")
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))
-SPLIT = Split(LOGS[:3], LOGS[3:], "")
+SPLIT = LogSplit(LOGS[:3], LOGS[3:], "")
 RESULT = fake_identification(SPLIT.fitted)
 
 
@@ -30,16 +30,16 @@ def texts(figure: Figure) -> str:
     return "\n".join(found + [label.get_text() for axes in figure.axes for label in axes.get_yticklabels()])
 
 
-def page(split: Split, result: Identification, objections: tuple[str, ...] = ()) -> Figure:
+def page(split: LogSplit, result: Identification, objections: tuple[str, ...] = ()) -> Figure:
     with look():
-        return compose(MUSHR, split, result, fake_predicted(split), objections)
+        return compose(MUSHR, split, result, fake_evaluation(split), objections)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_the_same_result_gives_the_same_bytes(suffix: str, tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
     for path in paths:
-        plot_identification(path, MUSHR, SPLIT, RESULT, fake_predicted(SPLIT))
+        plot_identification(path, MUSHR, SPLIT, RESULT, fake_evaluation(SPLIT))
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
@@ -52,7 +52,7 @@ def test_parameters_fit_residuals_prediction_and_correlation_are_on_the_page() -
 
 
 def test_without_held_out_logs_the_fitted_ones_are_predicted() -> None:
-    seen = texts(page(Split(LOGS, (), ""), fake_identification(LOGS)))
+    seen = texts(page(LogSplit(LOGS, (), ""), fake_identification(LOGS)))
     assert "Position, fitted logs" in seen
     assert "held out" not in seen
 
@@ -77,7 +77,12 @@ def test_long_names_and_remarks_leave_the_table_beside_the_matrix() -> None:
     parameters = {name: estimated(-0.0331, 0.00001, unit="rad", min=-0.0331, at_bound=True) for name in names}
     covariance = np.eye(len(names))
     result = replace(
-        RESULT, parameters=parameters, names=names, extras=names[3:], covariance=covariance, graph_covariance=covariance
+        RESULT,
+        parameters=parameters,
+        names=names,
+        auxiliary=names[3:],
+        covariance=covariance,
+        graph_covariance=covariance,
     )
     figure = page(SPLIT, result)
     figure.canvas.draw()
@@ -92,8 +97,8 @@ def test_long_names_and_remarks_leave_the_table_beside_the_matrix() -> None:
 
 def test_everything_frozen_leaves_a_page() -> None:
     frozen = {name: replace(each, frozen=True, std=0.0) for name, each in RESULT.parameters.items()}
-    nothing = np.zeros((0, 0))
-    result = replace(RESULT, parameters=frozen, names=(), covariance=nothing, graph_covariance=nothing)
+    is_zero = np.zeros((0, 0))
+    result = replace(RESULT, parameters=frozen, names=(), covariance=is_zero, graph_covariance=is_zero)
     assert "nothing was estimated" in texts(page(SPLIT, result))
 
 
@@ -116,7 +121,7 @@ def test_a_log_of_a_few_poses_can_be_drawn(poses: int) -> None:
 
 def test_a_picture_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"ends in '\.gif'"):
-        plot_identification(tmp_path / "a.gif", MUSHR, SPLIT, RESULT, fake_predicted(SPLIT))
+        plot_identification(tmp_path / "a.gif", MUSHR, SPLIT, RESULT, fake_evaluation(SPLIT))
 
 
 def test_the_speed_between_poses_is_that_of_the_drive() -> None:

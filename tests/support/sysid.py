@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from kraft.logs.log import Log, Part, Source
-from kraft.sysid.data import Split
-from kraft.sysid.prediction import Forecast, Predicted, Window
-from kraft.sysid.result import Estimated, Identification, LogFit, PartFit
+from kraft.sysid.acceptance import PredictionEvaluation, PredictionPair
+from kraft.sysid.data import LogSplit
+from kraft.sysid.prediction import Window
+from kraft.sysid.result import Identification, LogFit, ParameterEstimate, PartFit
 from kraft.sysid.settings import Noise
 
 NAMES = ("L", "phi_diff", "v_delta")
@@ -28,12 +29,12 @@ def hash_of(name: str) -> int:
     return int.from_bytes(name.encode(), "big")
 
 
-def estimated(value: float, std: float, **other: object) -> Estimated:
+def estimated(value: float, std: float, **other: object) -> ParameterEstimate:
     known = {
         "ci95": (value - 2 * std, value + 2 * std), "unit": "m", "description": "what it is", "initial": 0.36,
         "min": -1.0, "max": 2.0, "frozen": False, "at_bound": False, **other,
     }  # fmt: skip
-    return Estimated(value=value, std=std, **known)  # type: ignore[arg-type]
+    return ParameterEstimate(value=value, std=std, **known)  # type: ignore[arg-type]
 
 
 def fake_identification(logs: tuple[Log, ...], **other: object) -> Identification:
@@ -46,7 +47,7 @@ def fake_identification(logs: tuple[Log, ...], **other: object) -> Identificatio
             "v_delta": estimated(0.6, 0.02, unit="m/s"),
             "delay": estimated(0.1, 0.01, unit="s", initial=0.0, description="time until a command takes effect"),
         },
-        "extras": ("delay",), "names": NAMES, "covariance": covariance, "interval": "graph",
+        "auxiliary": ("delay",), "names": NAMES, "covariance": covariance, "interval": "graph",
         "graph_covariance": covariance, "unidentified": (), "converged": True, "iterations": 7, "cost": 12.0,
         "noise": Noise(0.01, 0.02), "noise_measured": True, "process": {}, "warnings": (), "notes": ("a note",),
         "logs": tuple(fake_fit(log) for log in logs), "rear_axle": 0.16,
@@ -76,8 +77,8 @@ def fake_windows(logs: tuple[Log, ...], drift: float) -> tuple[Window, ...]:
     return tuple(found)
 
 
-def fake_predicted(split: Split) -> Predicted:
-    def forecast(logs: tuple[Log, ...]) -> Forecast:
-        return Forecast(fake_windows(logs, 0.01), fake_windows(logs, 0.1))
+def fake_evaluation(split: LogSplit) -> PredictionEvaluation:
+    def pair(logs: tuple[Log, ...]) -> PredictionPair:
+        return PredictionPair(fake_windows(logs, 0.01), fake_windows(logs, 0.1))
 
-    return Predicted(forecast(split.fitted), forecast(split.held_out) if split.held_out else None)
+    return PredictionEvaluation(pair(split.fitted), pair(split.held_out) if split.held_out else None)

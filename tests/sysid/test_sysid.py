@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from benchmarks.synthetic_logs import Commands, synthetic_logs
+from benchmarks.synthetic_logs import CommandSeries, synthetic_logs
 from benchmarks.sysid import NOISE, PLAIN, REAL, STATED, TRUTH, real_logs, ten_times_smaller
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
-from kraft.sysid import Identification, Noise, Settings, identify, prediction_errors, windows
-from kraft.sysid.uncertainty import Uncertainty, uncertainty
+from kraft.sysid import Identification, Noise, Settings, identify, predict_windows, prediction_errors
+from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 
 SKID_STEER = str(ROOT / "examples" / "05_vehicle.py") + ":VEHICLE"
-EXTRAS = {"delay": 0.12, "lever": 0.15, "yaw_offset": 0.05, "dead_band_steering": 0.03}
+AUXILIARY = {"delay": 0.12, "lever": 0.15, "yaw_offset": 0.05, "dead_band_steering": 0.03}
 
 
 @cache
@@ -40,14 +40,14 @@ def fitted() -> Identification:
     return identify(lag(), logs())
 
 
-def commanded(steering: Sequence[float], throttle: Sequence[float] = (0.5, 0.9), seconds: float = 8.0) -> Commands:
-    """Commands of equal length, one after the other."""
+def commanded(steering: Sequence[float], throttle: Sequence[float] = (0.5, 0.9), seconds: float = 8.0) -> CommandSeries:
+    """CommandSeries of equal length, one after the other."""
     count = max(len(steering), len(throttle))
     rows = [[throttle[i % len(throttle)], steering[i % len(steering)]] for i in range(count)]
     return seconds * np.arange(count) / count, np.array(rows)
 
 
-def driven(*commands: Commands, **options: object) -> list[Log]:
+def driven(*commands: CommandSeries, **options: object) -> list[Log]:
     return synthetic_logs(lag(), TRUTH, range(len(commands)), seconds=8.0, commands=commands, **options)  # type: ignore[arg-type]
 
 
@@ -84,18 +84,18 @@ def test_initial_parameters_at_either_end_of_the_bounds_lead_to_the_same_result(
 
 
 def test_extras_are_found_where_there_are_some_and_only_there() -> None:
-    truth = {**TRUTH, **EXTRAS}
+    truth = {**TRUTH, **AUXILIARY}
     result = identify(lag(), synthetic_logs(lag(), truth, range(8), seconds=15.0))
-    assert set(result.extras) == set(EXTRAS)
+    assert set(result.auxiliary) == set(AUXILIARY)
     close(result, truth, 6.0)
     assert result.rear_axle == pytest.approx(0.15 + TRUTH["L"] / 2, abs=0.01)
-    assert fitted().extras == ()
+    assert fitted().auxiliary == ()
     assert "left out: delay" in fitted().notes[0]
 
 
 def test_an_extra_that_is_asked_for_stays() -> None:
-    result = identify(lag(), logs(), Settings(extras=("lever", "side")))
-    assert result.extras == ("lever", "side")
+    result = identify(lag(), logs(), Settings(auxiliary=("lever", "side")))
+    assert result.auxiliary == ("lever", "side")
     assert abs(result.values["lever"]) < 5 * result.parameters["lever"].std
 
 
@@ -121,10 +121,10 @@ def test_the_same_logs_give_the_same_bits() -> None:
     assert (again.covariance == fitted().covariance).all()
 
 
-@pytest.mark.parametrize("extras", [{"delay": 0.1, "lever": 0.1}, {"lag_steering": 0.15, "friction": 0.1}])
-def test_both_graphs_agree(extras: dict[str, float]) -> None:
-    data = synthetic_logs(lag(), {**TRUTH, **extras}, range(5), seconds=5.0, outliers=0.03)
-    settings = Settings(extras=tuple(extras))
+@pytest.mark.parametrize("auxiliary", [{"delay": 0.1, "lever": 0.1}, {"lag_steering": 0.15, "friction": 0.1}])
+def test_both_graphs_agree(auxiliary: dict[str, float]) -> None:
+    data = synthetic_logs(lag(), {**TRUTH, **auxiliary}, range(5), seconds=5.0, outliers=0.03)
+    settings = Settings(auxiliary=tuple(auxiliary))
     fast = identify(lag(), data, settings)
     paper = identify(lag(), data, replace(settings, graph="paper"))
     assert paper.converged
@@ -195,7 +195,7 @@ def test_iterations_are_counted_alike_wherever_they_are_said() -> None:
 
 def test_whoever_watches_hears_every_iteration_once() -> None:
     heard: list[tuple[int, float]] = []
-    result = identify(lag(), logs(), watch=lambda made, cost: heard.append((made, cost)))
+    result = identify(lag(), logs(), on_iteration=lambda made, cost: heard.append((made, cost)))
     assert [made for made, _ in heard] == list(range(1, result.iterations + 1))
     assert heard[-1][1] == result.cost
 
@@ -233,12 +233,12 @@ def test_what_is_hardly_told_apart_follows_from_the_correlation_that_is_reported
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def alike(*given: Any) -> Uncertainty:
-        found = uncertainty(*given)
+        found = estimate_uncertainty(*given)
         covariance = found.covariance.copy()
         covariance[0, 3] = covariance[3, 0] = -0.96 * np.sqrt(covariance[0, 0] * covariance[3, 3])
         return replace(found, covariance=covariance)
 
-    monkeypatch.setattr(import_module("kraft.sysid.identify"), "uncertainty", alike)
+    monkeypatch.setattr(import_module("kraft.sysid.identify"), "estimate_uncertainty", alike)
     result = identify(lag(), logs(), PLAIN)
     assert result.correlation[0, 3] == pytest.approx(-0.96)
     assert abs(result.graph_covariance[0, 3]) < 0.9 * np.prod(np.sqrt(np.diag(result.graph_covariance)[[0, 3]]))
@@ -286,9 +286,9 @@ def test_an_interval_is_cut_at_a_bound_and_that_the_data_do_not_bound_it_is_said
     assert not found.at_bound
     assert found.ci95[0] == pytest.approx(tau.ci95[0], abs=0.2 * tau.std)
     assert found.ci95[1] == most == found.max
-    assert found.cut
+    assert found.truncated
     assert said(result, "the data do not bound tau", f"beyond its bounds {lag().parameters['tau'].min:g} to {most:g} s")
-    assert not any(each.cut for each in free.parameters.values())
+    assert not any(each.truncated for each in free.parameters.values())
     assert not said(free, "do not bound")
 
 
@@ -307,7 +307,7 @@ def test_logs_that_disagree_are_named() -> None:
 @pytest.mark.parametrize("count", [2, 5])
 def test_a_frozen_model_without_an_extra_that_the_data_show_ends_with_nothing_estimated(count: int) -> None:
     result = identify(lag(), logs()[:count], Settings(values=TRUTH, frozen=tuple(TRUTH)))
-    assert (result.names, result.extras, result.unidentified) == ((), (), ())
+    assert (result.names, result.auxiliary, result.unidentified) == ((), (), ())
     assert result.values == TRUTH
     assert result.converged
     assert result.notes[0].startswith("the data show no extra parameter; not shown, and left out: delay")
@@ -322,11 +322,19 @@ def broken(**arrays: object) -> list[Log]:
     [
         ([], Settings(), "there are none"),
         (list(logs()[:1]), Settings(frozen=("Tau",)), "did you mean 'tau'?"),
-        (list(logs()[:1]), Settings(extras=("leverage",)), "did you mean 'lever'?"),
+        (list(logs()[:1]), Settings(auxiliary=("leverage",)), "did you mean 'lever'?"),
         (list(logs()[:1]), Settings(process={"theta": -1.0}), "theta is -1; expected a number greater than 0"),
         (list(logs()[:1]), Settings(values={"L": 7.0}), "from 0.15 to 0.6 m"),
-        (list(logs()[:1]), Settings(values={"delay": 0.1}, extras="none"), "expected --extras delay or --extras auto"),
-        (list(logs()[:1]), Settings(frozen=("side",), extras=("lever",)), "expected --extras lever,side or --extras"),
+        (
+            list(logs()[:1]),
+            Settings(values={"delay": 0.1}, auxiliary="none"),
+            "expected --extras delay or --extras auto",
+        ),
+        (
+            list(logs()[:1]),
+            Settings(frozen=("side",), auxiliary=("lever",)),
+            "expected --extras lever,side or --extras",
+        ),
         (
             list(logs()[:1]),
             replace(PLAIN, frozen=tuple(TRUTH)),
@@ -351,7 +359,7 @@ def test_predictions_know_nothing_of_the_future() -> None:
     poses = part.poses.copy()
     later = part.pose_times > part.pose_times[0] + 3.2  # after the second window's beginning
     poses[later] += [0.7, -0.4, 0.3]
-    before, after = windows(lag(), [log], TRUTH), windows(lag(), [changed(log, poses=poses)], TRUTH)
+    before, after = predict_windows(lag(), [log], TRUTH), predict_windows(lag(), [changed(log, poses=poses)], TRUTH)
     assert (before[0].predicted == after[0].predicted).all()
     assert before[1].predicted == pytest.approx(after[1].predicted, abs=1e-3)  # how noisy poses are is of all of them
     assert not np.allclose(before[2].predicted, after[2].predicted, atol=0.1)
@@ -394,7 +402,7 @@ def test_what_was_commanded_before_a_drive_was_cut_acts_on_with_a_delay() -> Non
         (part,) = log.parts
         held = np.where(part.command_times < 3.0, 3.0, part.command_times)
         cut.append(changed(log, command_times=held, pose_times=part.pose_times[90:], poses=part.poses[90:]))
-    found = identify(lag(), cut, Settings(extras=("delay",)))
+    found = identify(lag(), cut, Settings(auxiliary=("delay",)))
     assert found.values["delay"] == pytest.approx(0.4, abs=0.005)
     assert found.values["tau"] == pytest.approx(TRUTH["tau"], abs=0.01)
 
@@ -430,8 +438,8 @@ def test_a_bound_that_holds_a_parameter_does_not_widen_the_intervals_of_the_othe
     )  # fmt: skip
     result = identify(lag(), data, STATED)
     assert result.parameters["phi_diff"].at_bound
-    moves = [identify(lag(), [*data[:k], *data[k + 1 :]], STATED).values["L"] for k in range(8)]
-    jackknife = np.sqrt(7 / 8 * np.sum((np.array(moves) - np.mean(moves)) ** 2))
+    shifts = [identify(lag(), [*data[:k], *data[k + 1 :]], STATED).values["L"] for k in range(8)]
+    jackknife = np.sqrt(7 / 8 * np.sum((np.array(shifts) - np.mean(shifts)) ** 2))
     assert result.parameters["L"].std == pytest.approx(jackknife, rel=0.2)
     assert result.parameters["phi_diff"].std > 0.0
 

@@ -12,9 +12,10 @@ from benchmarks.synthetic_logs import synthetic_logs
 from benchmarks.sysid import NOISE, TRUTH
 from kraft.errors import Defect
 from kraft.logs.log import Log, Part
-from kraft.sysid.chains import between, whole
-from kraft.sysid.dynamics import Motion
+from kraft.sysid.chains import segment_between, whole_segment
+from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import InitialSearch, smooth_chains
 from kraft.sysid.observation import noise_model, threshold
 from kraft.sysid.optimiser import RhoFactors, bounded_step, held_at_bounds
 from kraft.sysid.paper_graph import PaperGraph
@@ -22,8 +23,7 @@ from kraft.sysid.parameters import parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem, assemble, starting_point
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, smoothed
-from kraft.sysid.start import Search, smooth
-from kraft.sysid.uncertainty import uncertainty
+from kraft.sysid.uncertainty import estimate_uncertainty
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR_DRIVE
@@ -31,7 +31,7 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
-EXTRAS = ("delay", "delay_steering", "lag_throttle", "lag_steering", "friction", "dead_band_throttle",
+AUXILIARY = ("delay", "delay_steering", "lag_throttle", "lag_steering", "friction", "dead_band_throttle",
           "dead_band_steering", "lever", "side", "yaw_offset")  # fmt: skip
 VALUES = {**TRUTH, "delay": 0.07, "delay_steering": 0.03, "lag_throttle": 0.04, "lag_steering": 0.12, "friction": 0.08,
           "dead_band_throttle": 0.1, "dead_band_steering": 0.02, "lever": 0.1, "side": -0.05, "yaw_offset": 0.03}  # fmt: skip
@@ -42,10 +42,10 @@ def small_problem(robust: float | None = None, frozen: tuple[str, ...] = ()) -> 
     vehicle = load_vehicle_config("mushr-lag")
     logs = synthetic_logs(vehicle, VALUES, range(2), seconds=1.5, outliers=0.05)
     settings = Settings(values=VALUES, robust=robust, frozen=frozen)
-    parameters = parameters_of(vehicle, settings, EXTRAS)
-    stretches = [whole(log.parts[0], i, settings.step) for i, log in enumerate(logs)]
-    problem = assemble(stretches, 2, parameters, noise_model(parameters.vehicle, settings, NOISE))
-    point = starting_point(problem, smooth(problem.chains), parameters.nominal)
+    parameters = parameters_of(vehicle, settings, AUXILIARY)
+    segments = [whole_segment(log.parts[0], i, settings.step) for i, log in enumerate(logs)]
+    problem = assemble(segments, 2, parameters, noise_model(parameters.vehicle, settings, NOISE))
+    point = starting_point(problem, smooth_chains(problem.chains), parameters.nominal)
     rng = np.random.default_rng(0)
     controls = point.controls + 0.01 * rng.normal(size=point.controls.shape)
     return problem, replace(point, controls=controls)
@@ -71,7 +71,7 @@ POINT = Vehicle(
 
 def point_logs(count: int, seconds: float = 10.0, fine: float = 0.005) -> list[Log]:
     """Drives of `POINT` with a gain of 0.9 and a lag of 0.3, seen with a noise of 5 mm."""
-    motion, logs = Motion(POINT), []
+    motion, logs = DiscreteModel(POINT), []
     for seed in range(count):
         rng = np.random.default_rng(seed)
         times = np.arange(0.0, seconds, 0.7)
@@ -136,7 +136,7 @@ def test_one_step_of_the_fast_graph_is_that_of_the_dense_problem() -> None:
     assert change == pytest.approx(dense.rho, rel=1e-3, abs=1e-6)
     moved = graph.moved(change)
     assert moved.states - point.states == pytest.approx(dense.states, rel=1e-3, abs=1e-5)
-    mean = problem.commands.mean
+    mean = problem.actuators.mean
     bend = mean(moved.rho)[0] - mean(point.rho)[0] - mean(point.rho)[1] @ change
     assert moved.controls - point.controls - bend == pytest.approx(dense.controls, rel=1e-3, abs=1e-5)
     information = np.linalg.inv(np.linalg.inv(jacobian.T @ jacobian)[-len(change) :, -len(change) :])
@@ -167,17 +167,17 @@ def test_reweighted_gradients_are_those_of_the_robust_cost() -> None:
 @pytest.mark.parametrize("name", ["mushr-lag", "examples/05_vehicle.py:VEHICLE", "unicycle2"])
 def test_derivatives_of_steps_are_those_of_any_vehicle(name: str) -> None:
     vehicle = load_vehicle(name)
-    motion, rng = Motion(vehicle), np.random.default_rng(1)
+    motion, rng = DiscreteModel(vehicle), np.random.default_rng(1)
     count, sizes = 40, (motion.nx, motion.nu, motion.np)
     x = rng.uniform(0.1, 0.4, (count, motion.nx))
     u = rng.uniform(0.2, 0.8, (count, motion.nu)) * vehicle.control_bounds[:, 1]
     p, h = vehicle.parameter_array, np.full(count, 0.05)
     after, jacobian = motion.linearise(x, u, p, h)
-    assert after == pytest.approx(motion.after(x, u, p, h), abs=1e-14)
+    assert after == pytest.approx(motion.step(x, u, p, h), abs=1e-14)
 
     def step(values: Floats) -> Floats:
         a, b, c = np.split(values, np.cumsum(sizes)[:-1])
-        return motion.after(a[None].copy(), b[None].copy(), c.copy(), h[:1])[0]
+        return motion.step(a[None].copy(), b[None].copy(), c.copy(), h[:1])[0]
 
     for i in range(0, count, 7):
         expected = differences(step, np.concatenate([x[i], u[i], p]))
@@ -186,44 +186,44 @@ def test_derivatives_of_steps_are_those_of_any_vehicle(name: str) -> None:
 
 def test_steps_are_the_planners() -> None:
     vehicle = MUSHR_DRIVE
-    motion, x, u = Motion(vehicle), np.array([0.1, 0.2, 0.3, 0.4]), np.array([0.7, 0.1])
+    motion, x, u = DiscreteModel(vehicle), np.array([0.1, 0.2, 0.3, 0.4]), np.array([0.7, 0.1])
     planned = np.empty(4)
     kernels(vehicle).advance(x, u, vehicle.parameter_array, 0.05, planned)
-    assert motion.after(x[None], u[None], vehicle.parameter_array, np.array([0.05]))[0] == pytest.approx(planned)
+    assert motion.step(x[None], u[None], vehicle.parameter_array, np.array([0.05]))[0] == pytest.approx(planned)
 
 
 def test_a_simulation_is_one_step_after_the_other() -> None:
     vehicle = vehicle_of(load_vehicle_config("mushr-lag"))
-    motion, rng, lanes = Motion(vehicle), np.random.default_rng(2), 70  # more than are integrated at once
+    motion, rng, lanes = DiscreteModel(vehicle), np.random.default_rng(2), 70  # more than are integrated at once
     u, h = rng.uniform(0, 0.3, (5, lanes, 2)), rng.uniform(0.01, 0.05, lanes)
     p = vehicle.parameter_array * rng.uniform(0.8, 1.2, (lanes, 4))
     states = motion.simulate(rng.normal(size=(lanes, 4)), u, p, h)
     for k in range(5):
         for lane in (0, 33, 69):
-            one = motion.after(
+            one = motion.step(
                 states[k, lane : lane + 1].copy(), u[k, lane : lane + 1].copy(), p[lane], h[lane : lane + 1]
             )
             assert states[k + 1, lane] == pytest.approx(one[0], abs=1e-14)
 
 
-@pytest.mark.parametrize("extras", [(), EXTRAS])
-def test_commands_act_for_as_long_as_they_are_held(extras: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("auxiliary", [(), AUXILIARY])
+def test_commands_act_for_as_long_as_they_are_held(auxiliary: tuple[str, ...]) -> None:
     """The mean over all steps is that of the shifted signal, whatever the steps are."""
     problem, _ = small_problem()
     vehicle = load_vehicle_config("mushr-lag")
     parameters = parameters_of(
-        vehicle, Settings(values={n: v for n, v in VALUES.items() if n in (*TRUTH, *extras)}), extras
+        vehicle, Settings(values={n: v for n, v in VALUES.items() if n in (*TRUTH, *auxiliary)}), auxiliary
     )
-    stretch = problem.chains.stretches[0]
-    commands = type(problem.commands)([stretch], parameters)
+    segment = problem.chains.segments[0]
+    commands = type(problem.commands)([segment], parameters)
     rho = parameters.nominal.copy()
-    for name in extras:
+    for name in auxiliary:
         if name.startswith("dead_band"):
             rho[parameters.index(name)] = 0.0
     means, slopes = commands.mean(rho)
-    delays = (0.07, 0.10) if extras else (0.0, 0.0)
-    part = stretch.part
-    fine = np.linspace(stretch.times[3], stretch.times[-3], 200_001)
+    delays = (0.07, 0.10) if auxiliary else (0.0, 0.0)
+    part = segment.part
+    fine = np.linspace(segment.times[3], segment.times[-3], 200_001)
     for k in range(2):
         values = np.concatenate([[0.0], part.commands[:, k]])
         signal = values[np.searchsorted(part.command_times, fine - delays[k], side="right")]
@@ -249,7 +249,7 @@ def test_the_sandwich_is_the_jackknife_of_the_mean() -> None:
     rng = np.random.default_rng(0)
     said = rng.normal(size=20)
     factors = RhoFactors(np.ones((20, 1, 1)), (said.mean() - said)[:, None], np.zeros(1), np.zeros(1))
-    found = uncertainty(factors, np.array([True]), np.array([False]))
+    found = estimate_uncertainty(factors, np.array([True]), np.array([False]))
     assert found.kind == "sandwich"
     assert found.covariance[0, 0] == pytest.approx(np.var(said, ddof=1) / 20)
     assert found.graph[0, 0] == pytest.approx(1 / 20)
@@ -268,12 +268,12 @@ def test_a_log_left_out_does_not_move_the_others_through_a_parameter_that_its_bo
     low, free = np.array([0.0, -10.0]), np.array([True, True])
     held = held_at_bounds(factors, low, np.full(2, 10.0))
     assert held.tolist() == [True, False]
-    found = uncertainty(factors, free, held)
+    found = estimate_uncertainty(factors, free, held)
     left = np.delete(np.arange(12), 5)
     without = RhoFactors(information[left], gradient[left], np.zeros(2), np.zeros(2))
     move = bounded_step(without, 0.0, low, np.full(2, 10.0), free)
     assert move[0] == 0.0
-    assert found.moves[5, 1] == pytest.approx(move[1])
+    assert found.shifts[5, 1] == pytest.approx(move[1])
     assert found.std[0] > 0.0
     other = (information[:, 1, 1].sum() - information[:, 1, 1]) ** -1.0 * gradient[:, 1]
     assert found.std[1] == pytest.approx(np.sqrt(11 / 12 * np.sum((other - other.mean()) ** 2)))
@@ -297,12 +297,14 @@ def test_a_step_to_a_bound_ends_on_it_to_the_last_bit(graph: type[FastGraph | Pa
 @pytest.mark.parametrize("yaw", [0.0, 1.5, 3.0])
 def test_the_search_does_not_look_at_the_yaw_of_a_vehicle_that_has_none(yaw: float) -> None:
     logs = [changed_yaw(log, yaw) for log in point_logs(4)]
-    settings = Settings(extras="none")
+    settings = Settings(auxiliary="none")
     parameters = parameters_of(POINT, settings, ())
-    stretches = [whole(log.parts[0], i, settings.step) for i, log in enumerate(logs)]
-    problem = assemble(stretches, len(logs), parameters, noise_model(POINT, settings, NOISE))
-    mean = problem.commands.mean(parameters.nominal)[0]
-    found = Search(parameters, problem.dynamics.motion, problem.chains, smooth(problem.chains), mean).best()
+    segments = [whole_segment(log.parts[0], i, settings.step) for i, log in enumerate(logs)]
+    problem = assemble(segments, len(logs), parameters, noise_model(POINT, settings, NOISE))
+    mean = problem.actuators.mean(parameters.nominal)[0]
+    found = InitialSearch(
+        parameters, problem.dynamics.discrete_model, problem.chains, smooth_chains(problem.chains), mean
+    ).best()
     assert found == pytest.approx([0.9, 0.3], rel=0.1)
 
 
@@ -374,12 +376,12 @@ def test_poses_that_cannot_tell_rest_are_not_taken_for_it() -> None:
 def test_poses_lie_in_the_steps_that_they_were_seen_in() -> None:
     part = synthetic_logs(load_vehicle_config("mushr-lag"), TRUTH, [0], seconds=3.0)[0].parts[0]
     problem, _ = small_problem()
-    stretch = between(part, 0, 0.05, 10, 60, False)
-    chains = assemble([stretch], 1, problem.parameters, problem.noise).chains
-    seen = stretch.times[chains.step] + chains.share * stretch.h
+    segment = segment_between(part, 0, 0.05, 10, 60, False)
+    chains = assemble([segment], 1, problem.parameters, problem.noise).chains
+    seen = segment.times[chains.step] + chains.share * segment.h
     assert seen == pytest.approx(part.pose_times[10:60])
     assert (chains.seen[1:] - chains.seen[:-1]).sum() == 50
-    assert stretch.h <= 0.05
+    assert segment.h <= 0.05
 
 
 def test_a_factor_that_is_not_finite_stops_the_paper_graph() -> None:

@@ -8,19 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.sysid import estimated, fake_identification, fake_log, fake_predicted, fake_windows
+from support.sysid import estimated, fake_evaluation, fake_identification, fake_log, fake_windows
 
 from kraft.config import bundled
 from kraft.errors import InputError
-from kraft.sysid.data import Split, split
-from kraft.sysid.prediction import Forecast, no_better, objections
-from kraft.sysid.result import Estimated
+from kraft.sysid.acceptance import PredictionPair, objections, prediction_warnings
+from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
+from kraft.sysid.data import LogSplit, split_logs
+from kraft.sysid.result import ParameterEstimate
 from kraft.sysid.vehicle_file import (
-    Subject,
-    check_target,
-    identified,
-    load_subject,
-    record_of,
+    check_vehicle_target,
+    identification_record,
+    updated_parameter,
     vehicle_text,
     write_vehicle,
 )
@@ -29,10 +28,10 @@ from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))
-SPLIT = Split(LOGS[:3], LOGS[3:], "")
+SPLIT = LogSplit(LOGS[:3], LOGS[3:], "")
 RESULT = fake_identification(LOGS[:3], warnings=("a: b, c # d",), interval="sandwich")
-PREDICTED = fake_predicted(SPLIT)
-RECORD = record_of("mushr", RESULT, SPLIT, PREDICTED)
+EVALUATION = fake_evaluation(SPLIT)
+RECORD = identification_record("mushr", RESULT, SPLIT, EVALUATION)
 CODE = """from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 
@@ -46,8 +45,10 @@ ROBOT = Vehicle(name="robot", derivative=motion, state=("x", "y", "theta"), cont
 """
 
 
-def written(path: Path, reference: str = "mushr", parameters: dict[str, Estimated] | None = None) -> VehicleConfig:
-    write_vehicle(path, load_subject(reference), parameters or dict(RESULT.parameters), RECORD)
+def written(
+    path: Path, reference: str = "mushr", parameters: dict[str, ParameterEstimate] | None = None
+) -> VehicleConfig:
+    write_vehicle(path, load_base_vehicle(reference), parameters or dict(RESULT.parameters), RECORD)
     return load_vehicle_config(path)
 
 
@@ -66,7 +67,7 @@ def test_the_file_is_the_vehicle_with_other_numbers(tmp_path: Path) -> None:
 def test_the_file_says_where_its_numbers_come_from(tmp_path: Path) -> None:
     found = written(tmp_path / "mine.yaml").identification
     assert found is not None
-    write_vehicle(tmp_path / "again.yaml", load_subject("mushr"), RESULT.parameters, found)
+    write_vehicle(tmp_path / "again.yaml", load_base_vehicle("mushr"), RESULT.parameters, found)
     assert load_vehicle_config(tmp_path / "again.yaml").identification == found  # nine digits are kept
     assert (found.started_from, found.interval) == ("mushr", "sandwich")
     assert np.allclose(found.covariance.matrix, RESULT.covariance)
@@ -113,23 +114,23 @@ PARAMETER = Parameter(value=0.36, unit="m", min=0.15, max=0.6, std=0.03)
 def test_bounds_hold_the_value_and_the_prior_becomes_tighter(
     value: float, std: float, expected: tuple[float, float, float]
 ) -> None:
-    found = identified(PARAMETER, estimated(value, std))
+    found = updated_parameter(PARAMETER, estimated(value, std))
     assert (found.min, found.max, found.std) == expected
     assert found.value == value
 
 
 def test_a_frozen_parameter_and_one_without_prior_stay_as_they_are() -> None:
-    assert identified(PARAMETER, estimated(0.36, 0.0, frozen=True)).std == 0.03
-    bare = identified(Parameter(value=1.0, unit="m"), estimated(0.9, 0.01))
+    assert updated_parameter(PARAMETER, estimated(0.36, 0.0, frozen=True)).std == 0.03
+    bare = updated_parameter(Parameter(value=1.0, unit="m"), estimated(0.9, 0.01))
     assert (bare.min, bare.max, bare.std) == (None, None, None)
-    assert identified(PARAMETER, estimated(0.33, 0.004), tighten=False).std == 0.03
+    assert updated_parameter(PARAMETER, estimated(0.33, 0.004), tighten=False).std == 0.03
 
 
 def test_a_bundled_file_written_anew_keeps_its_head_and_its_priors() -> None:
     before = load_vehicle_config("mushr")
-    subject = load_subject("mushr")
+    base = load_base_vehicle("mushr")
     lines = vehicle_text(
-        bundled.folder("vehicle"), before.name, before.description, ["# head"], subject, RESULT.parameters, RECORD,
+        bundled.folder("vehicle"), before.name, before.description, ["# head"], base, RESULT.parameters, RECORD,
         tighten=False,
     ).splitlines()  # fmt: skip
     old = (bundled.folder("vehicle") / "mushr.yaml").read_text().splitlines()
@@ -149,7 +150,7 @@ def test_code_becomes_a_file_that_finds_it_from_where_it_is(tmp_path: Path, monk
     assert config.model == "../code/robot.py:ROBOT"
     assert (config.footprint.offset, config.top_speed, config.parameters["gain"].unit) == (0.1, 2.5, "1")
     assert load_vehicle("out/r.yaml").parameters == {"gain": 1.5}
-    again: Subject = load_subject("out/r.yaml")
+    again: BaseVehicle = load_base_vehicle("out/r.yaml")
     write_vehicle(tmp_path / "s.yaml", again, {"gain": estimated(1.4, 0.1)}, RECORD)
     assert load_vehicle_config(tmp_path / "s.yaml").model == "code/robot.py:ROBOT"
 
@@ -166,16 +167,16 @@ def test_a_file_of_somebody_else_is_not_replaced(name: str, content: str | None,
     if content is not None:
         path.write_text(content)
     with pytest.raises(InputError) as caught:
-        check_target(path)
+        check_vehicle_target(path)
     assert expected in str(caught.value)
 
 
 def test_an_identified_file_may_be_replaced(tmp_path: Path) -> None:
     written(tmp_path / "mine.yaml")
-    check_target(tmp_path / "mine.yaml")
+    check_vehicle_target(tmp_path / "mine.yaml")
     unicycle = bundled.folder("vehicle") / "unicycle2.yaml"
     with pytest.raises(InputError, match="did not write it"):
-        check_target(unicycle)
+        check_vehicle_target(unicycle)
 
 
 @pytest.mark.parametrize(
@@ -204,39 +205,41 @@ def test_a_damaged_record_is_explained(old: str, new: str, expected: str, tmp_pa
 )  # fmt: skip
 def test_a_quarter_is_held_out_of_four_logs_or_more(count: int, fraction: float | None, held: int) -> None:
     logs = tuple(fake_log(f"run_{k:02d}", 0.1, 1.0) for k in range(count))
-    parted = split(logs, fraction)
-    assert len(parted.held_out) == held
-    assert sorted((*parted.fitted, *parted.held_out), key=lambda log: log.name) == list(logs)
-    assert split(logs, fraction).held_out == parted.held_out
-    assert all(log.name in parted.note for log in parted.held_out)
+    log_split = split_logs(logs, fraction)
+    assert len(log_split.held_out) == held
+    assert sorted((*log_split.fitted, *log_split.held_out), key=lambda log: log.name) == list(logs)
+    assert split_logs(logs, fraction).held_out == log_split.held_out
+    assert all(log.name in log_split.note for log in log_split.held_out)
 
 
 @pytest.mark.parametrize(("count", "fraction"), [(4, 1.0), (4, -0.1), (4, float("nan")), (1, 0.5)])
 def test_an_impossible_holdout_is_refused(count: int, fraction: float) -> None:
     with pytest.raises(InputError, match="--holdout"):
-        split(LOGS[:count], fraction)
+        split_logs(LOGS[:count], fraction)
 
 
 def test_what_the_logs_do_not_show_is_an_objection() -> None:
-    assert objections(RESULT, PREDICTED) == ()
-    assert objections(replace(RESULT, converged=False), PREDICTED) == ("the fit did not converge",)
-    assert objections(replace(RESULT, unidentified=("L", "v_delta")), PREDICTED) == ("the logs do not show L, v_delta",)
-    assert objections(replace(RESULT, unidentified=("delay",)), PREDICTED) == ()  # an extra that planning does not use
+    assert objections(RESULT, EVALUATION) == ()
+    assert objections(replace(RESULT, converged=False), EVALUATION) == ("the fit did not converge",)
+    assert objections(replace(RESULT, unidentified=("L", "v_delta")), EVALUATION) == (
+        "the logs do not show L, v_delta",
+    )
+    assert objections(replace(RESULT, unidentified=("delay",)), EVALUATION) == ()  # an extra that planning does not use
     frozen = replace(RESULT, names=(), covariance=np.zeros((0, 0)), graph_covariance=np.zeros((0, 0)))
-    assert objections(frozen, PREDICTED) == ("every parameter that is left is frozen, and the data show no other",)
+    assert objections(frozen, EVALUATION) == ("every parameter that is left is frozen, and the data show no other",)
     one = RESULT.graph_covariance.copy()
     one[0, 1] = one[1, 0] = -0.995 * np.sqrt(one[0, 0] * one[1, 1])
-    assert objections(replace(RESULT, graph_covariance=one), PREDICTED) == ("L and phi_diff cannot be told apart",)
+    assert objections(replace(RESULT, graph_covariance=one), EVALUATION) == ("L and phi_diff cannot be told apart",)
 
 
 @pytest.mark.parametrize(("identified_drift", "warned", "refused"), [(0.1005, 0, 0), (0.11, 1, 0), (0.2, 1, 1)])
 def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far_worse_ones_refused(
     identified_drift: float, warned: int, refused: int
 ) -> None:
-    unseen = Forecast(fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1))
-    assert len(no_better(unseen)) == warned
-    found = objections(RESULT, replace(PREDICTED, held_out=unseen))
+    unseen = PredictionPair(fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1))
+    assert len(prediction_warnings(unseen)) == warned
+    found = objections(RESULT, replace(EVALUATION, held_out=unseen))
     assert len(found) == refused
-    for said in (*no_better(unseen), *found):
+    for said in (*prediction_warnings(unseen), *found):
         assert re.search(r"\d\d\.\d\d cm identified, \d\d\.\d\d cm initial", said)
-    assert objections(RESULT, replace(PREDICTED, held_out=None)) == ()
+    assert objections(RESULT, replace(EVALUATION, held_out=None)) == ()

@@ -8,10 +8,11 @@ from typing import Final
 import numpy as np
 
 from kraft.logs.choice import Choice
+from kraft.logs.held_commands import HeldCommands, timeout
 from kraft.logs.log import Array, Findings
 from kraft.logs.mapping import Limits
-from kraft.logs.motion import OUTLIER
-from kraft.logs.samples import Commands, Samples, timeout
+from kraft.logs.outliers import OUTLIER
+from kraft.logs.samples import Samples
 from kraft.logs.table import Flags, Rows
 from kraft.text import counted
 
@@ -19,7 +20,7 @@ DROPOUT_STEPS: Final = 1.6
 """Poses are missing where the next one comes later than this many usual steps."""
 
 
-def broken_lines(choice: Choice, findings: Findings) -> None:
+def add_broken_lines(choice: Choice, findings: Findings) -> None:
     """Lines that are no rows."""
     for table in {id(stream.table): stream.table for _, stream in choice.streams()}.values():
         if table.broken:
@@ -27,7 +28,7 @@ def broken_lines(choice: Choice, findings: Findings) -> None:
             findings.add("broken", len(table.broken), f"{text}, first line {table.broken[0]}; left out")
 
 
-def left_out(kind: str, poses: Samples, flags: Flags, what: str, findings: Findings) -> None:
+def add_left_out(kind: str, poses: Samples, flags: Flags, what: str, findings: Findings) -> None:
     """Poses that are left out for some reason."""
     if flags.any():
         bad = int(flags.sum())
@@ -35,7 +36,7 @@ def left_out(kind: str, poses: Samples, flags: Flags, what: str, findings: Findi
         findings.add(kind, bad, text)
 
 
-def dropouts(poses: Samples, gap: float, findings: Findings) -> None:
+def add_dropouts(poses: Samples, gap: float, findings: Findings) -> None:
     """Missing poses that end no part."""
     steps = np.diff(poses.times)
     usual = float(np.median(steps))
@@ -46,30 +47,30 @@ def dropouts(poses: Samples, gap: float, findings: Findings) -> None:
         findings.add("dropout", lost, text)
 
 
-def pose_gaps(poses: Samples, gap: float, findings: Findings) -> None:
+def add_pose_gaps(poses: Samples, gap: float, findings: Findings) -> None:
     """Gaps in the poses, which end a part."""
     steps = np.diff(poses.times)
-    _gaps("gap", "poses", poses, steps > gap, steps, findings)
+    _add_gaps("gap", "poses", poses, steps > gap, steps, findings)
 
 
-def command_gaps(streams: Sequence[Samples], limits: Limits, findings: Findings) -> None:
+def add_command_gaps(streams: Sequence[Samples], limits: Limits, findings: Findings) -> None:
     """Gaps in the commands, which end a part."""
     for samples in streams:
         steps = np.diff(samples.times)
-        _gaps("command gap", "commands", samples, steps > timeout(samples.times, limits), steps, findings)
+        _add_gaps("command gap", "commands", samples, steps > timeout(samples.times, limits), steps, findings)
 
 
-def _gaps(kind: str, what: str, samples: Samples, long: Flags, steps: Array, findings: Findings) -> None:
+def _add_gaps(kind: str, what: str, samples: Samples, long: Flags, steps: Array, findings: Findings) -> None:
     if long.any():
         number, first = int(long.sum()), samples.where(int(np.argmax(long)))
         fact = f"{counted(number, 'gap')} without {what} of up to {steps.max():.3g} s, first after {first}"
         findings.add(kind, number, f"{fact}; the log is cut there")
 
 
-def teleports(poses: Samples, labels: Rows, speed: float, findings: Findings) -> None:
+def add_teleports(poses: Samples, labels: Rows, speed: float, findings: Findings) -> None:
     """Poses that the vehicle cannot have reached, and where it goes on elsewhere."""
     what = f"are where the vehicle cannot be (more than {speed:.3g} m/s)"
-    left_out("outlier", poses, labels == OUTLIER, what, findings)
+    add_left_out("outlier", poses, labels == OUTLIER, what, findings)
     settled = np.flatnonzero(labels != OUTLIER)
     jumps = np.flatnonzero(np.diff(labels[settled]) > 0)
     if len(jumps):
@@ -78,15 +79,15 @@ def teleports(poses: Samples, labels: Rows, speed: float, findings: Findings) ->
         findings.add("teleport", len(jumps), text)
 
 
-def uncommanded(poses: Samples, commands: Commands, findings: Findings) -> None:
+def add_uncommanded(poses: Samples, commands: HeldCommands, findings: Findings) -> None:
     """Poses for which no command is known."""
     early = poses.times < commands.times[0]
     late = (commands.in_force(poses.times) < 0) & ~early
-    left_out("uncommanded", poses, early, "before the first command", findings)
-    left_out("uncommanded", poses, late, "too long after the last command", findings)
+    add_left_out("uncommanded", poses, early, "before the first command", findings)
+    add_left_out("uncommanded", poses, late, "too long after the last command", findings)
 
 
-def wraps(poses: Samples, yaw: Array, findings: Findings) -> None:
+def add_wraps(poses: Samples, yaw: Array, findings: Findings) -> None:
     """Jumps of the yaw by a full turn; ``yaw`` has shape (n,)."""
     jumps = np.abs(np.diff(yaw)) > np.pi
     if jumps.any():

@@ -14,27 +14,30 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_banded
 
-from kraft.sysid.chains import Stretch
+from kraft.sysid.chains import Segment
 from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Ints, Matrix
 
+LAG_MIN = 1e-6
+"""A shorter lag is none, s."""
 
-class Commands:
+
+class ActuatorModel:
     """Commands of some stretches, and which extras shift or shrink them."""
 
-    def __init__(self, stretches: Sequence[Stretch], parameters: Parameters) -> None:
+    def __init__(self, segments: Sequence[Segment], parameters: Parameters) -> None:
         """Look up which extras there are."""
-        self._stretches, self._size = stretches, len(parameters.names)
+        self._stretches, self._size = segments, len(parameters.names)
         self._controls = list(parameters.vehicle.controls)
         bounds = parameters.vehicle.control_bounds
         self._rest = np.clip(0.0, bounds[:, 0], bounds[:, 1])
         self._delays = [
-            [k for name in ("delay", f"delay_{control}") if (k := parameters.extra(name)) >= 0]
+            [k for name in ("delay", f"delay_{control}") if (k := parameters.auxiliary_index(name)) >= 0]
             for control in self._controls
         ]
         self._last: tuple[bytes, Matrix, Floats] | None = None
-        self._lags = [parameters.extra(f"lag_{control}") for control in self._controls]
-        self._dead_bands = [parameters.extra(f"dead_band_{control}") for control in self._controls]
+        self._lags = [parameters.auxiliary_index(f"lag_{control}") for control in self._controls]
+        self._dead_bands = [parameters.auxiliary_index(f"dead_band_{control}") for control in self._controls]
 
     def mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho.
@@ -50,39 +53,35 @@ class Commands:
         total = sum(s.steps for s in self._stretches)
         means, slopes = np.empty((total, len(self._controls))), np.zeros((total, len(self._controls), self._size))
         at = 0
-        for stretch in self._stretches:
-            rows = slice(at, at + stretch.steps)
+        for segment in self._stretches:
+            rows = slice(at, at + segment.steps)
             for k in range(len(self._controls)):
-                means[rows, k] = self._one(stretch, k, rho, slopes[rows, k])
-            at += stretch.steps
+                means[rows, k] = self._one(segment, k, rho, slopes[rows, k])
+            at += segment.steps
         return means, slopes
 
-    def _one(self, stretch: Stretch, k: int, rho: Floats, slopes: Floats) -> Floats:
+    def _one(self, segment: Segment, k: int, rho: Floats, slopes: Floats) -> Floats:
         """Means of one control of one stretch; its derivatives are written to `slopes` (steps, np)."""
-        times, values = stretch.part.command_times, stretch.part.commands[:, k]
-        before = self._rest[k] if stretch.resting else values[0]
+        times, values = segment.part.command_times, segment.part.commands[:, k]
+        before = self._rest[k] if segment.resting else values[0]
         values = np.concatenate([[before], values])
         if (j := self._dead_bands[k]) >= 0:
             signs = np.where(np.abs(values) > rho[j], np.sign(values), 0.0)
-            slopes[:, j] = -self._means(stretch, times, signs, k, rho).values
+            slopes[:, j] = -self._means(segment, times, signs, k, rho).values
             values = signs * (np.abs(values) - rho[j])
-        means = self._means(stretch, times, values, k, rho)
+        means = self._means(segment, times, values, k, rho)
         slopes[:, self._delays[k]] = -means.by_time[:, None]
         if (j := self._lags[k]) >= 0:
             slopes[:, j] = means.by_lag
         return means.values
 
-    def _means(self, stretch: Stretch, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
+    def _means(self, segment: Segment, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
         """Means over a stretch's steps of what control k makes of held values."""
         delays, lag = self._delays[k], self._lags[k]
-        at = stretch.times - sum(float(rho[j]) for j in delays)
+        at = segment.times - sum(float(rho[j]) for j in delays)
         if not delays and lag < 0:
-            return box_means(times, values, at, stretch.h)
-        return hat_means(times, values, at, stretch.h, float(rho[lag]) if lag >= 0 else 0.0)
-
-
-MOMENT = 1e-6
-"""A shorter lag is none, s."""
+            return box_means(times, values, at, segment.h)
+        return hat_means(times, values, at, segment.h, float(rho[lag]) if lag >= 0 else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +126,7 @@ def _integrals(times: Floats, values: Floats, at: Floats, lag: float) -> _Integr
     i = np.searchsorted(knots, at, side="right") - 1
     d, now = at - knots[i], values[i]
     once, twice = once[i] + d * now, twice[i] + d * (once[i] + 0.5 * d * now)
-    behind = _behind(spans, values, i, d, lag)
+    behind = _lag_deviation(spans, values, i, d, lag)
     now, gone = now + behind[:, 0], now + behind[:, 0] - values[0]
     once_by_lag = -gone - lag * behind[:, 1]
     once -= lag * gone
@@ -135,9 +134,9 @@ def _integrals(times: Floats, values: Floats, at: Floats, lag: float) -> _Integr
     return _Integrals(now, once, twice - lag * rest, once_by_lag, -rest - lag * once_by_lag)
 
 
-def _behind(spans: Floats, values: Floats, i: Ints, d: Floats, lag: float) -> Matrix:
+def _lag_deviation(spans: Floats, values: Floats, i: Ints, d: Floats, lag: float) -> Matrix:
     """(n, 2) how far the lagged signal is from the held one `d` s after knot `i`, and its change with the lag."""
-    if lag < MOMENT:
+    if lag < LAG_MIN:
         return np.zeros((len(d), 2))
     left = np.exp(-spans / lag)
     # after each jump the lagged signal is as far behind as it still was, less the jump: a chain, solved at once

@@ -13,26 +13,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from kraft.sysid.auxiliary import YAW_RATES, speed_index
 from kraft.sysid.chains import Chains
-from kraft.sysid.dynamics import Motion
-from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
+from kraft.sysid.dynamics import DiscreteModel
+from kraft.sysid.parameters import Parameters
 from kraft.sysid.smoothing import smoothed
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
-WINDOW = 1.0
+WINDOW_LENGTH = 1.0
 """Of motion that is compared, s."""
 CANDIDATES = 128
 REFINED = 6
-ROUNDS = 12
-MOST_CHAINS, MOST_STEPS = 12, 400
+REFINEMENT_ITERATIONS = 12
+CHAINS_MAX, STEPS_MAX = 12, 400
 """Data that the search looks at: enough to come close."""
-WIDE_RANGE = 5.0
+LOGARITHMIC_RATIO = 5.0
 """Bounds further apart than this factor are searched in logarithms."""
 
 
 @dataclass(frozen=True, eq=False)
-class Smooth:
+class SmoothedPoses:
     """Smoothed poses and their rates at the states' times."""
 
     poses: Matrix
@@ -41,13 +42,13 @@ class Smooth:
     """(S, 3)"""
 
 
-def smooth(chains: Chains) -> Smooth:
+def smooth_chains(chains: Chains) -> SmoothedPoses:
     """Smooth the poses of all chains."""
-    found = [smoothed(s.part.pose_times[s.poses], s.part.poses[s.poses], s.times) for s in chains.stretches]
-    return Smooth(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]))
+    found = [smoothed(s.part.pose_times[s.poses], s.part.poses[s.poses], s.times) for s in chains.segments]
+    return SmoothedPoses(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]))
 
 
-def first_states(vehicle: Vehicle, chains: Chains, data: Smooth) -> Matrix:
+def initial_states(vehicle: Vehicle, chains: Chains, data: SmoothedPoses) -> Matrix:
     """(chains, nx) state at each chain's beginning, as far as poses tell it."""
     at = chains.first[:-1]
     states = np.zeros((len(at), len(vehicle.state)))
@@ -65,24 +66,26 @@ def first_states(vehicle: Vehicle, chains: Chains, data: Smooth) -> Matrix:
     return states
 
 
-class Search:
+class InitialSearch:
     """Finds parameters with which simulated windows cover what the observed ones do."""
 
-    def __init__(self, parameters: Parameters, motion: Motion, chains: Chains, data: Smooth, mean: Matrix) -> None:
+    def __init__(
+        self, parameters: Parameters, discrete_model: DiscreteModel, chains: Chains, data: SmoothedPoses, mean: Matrix
+    ) -> None:
         """`mean` (N, nu) are the controls that act in the steps."""
-        self._parameters, self._motion = parameters, motion
+        self._parameters, self._discrete_model = parameters, discrete_model
         steps = np.diff(chains.first) - 1
-        chosen = np.unique(np.linspace(0, len(steps) - 1, min(MOST_CHAINS, len(steps))).round().astype(int))
-        longest = int(min(MOST_STEPS, steps[chosen].max()))
-        self._start = first_states(parameters.vehicle, chains, data)[chosen]
-        self._h = np.array([chains.stretches[c].h for c in chosen])
-        self._u = np.zeros((longest, len(chosen), motion.nu))
+        chosen = np.unique(np.linspace(0, len(steps) - 1, min(CHAINS_MAX, len(steps))).round().astype(int))
+        longest = int(min(STEPS_MAX, steps[chosen].max()))
+        self._start = initial_states(parameters.vehicle, chains, data)[chosen]
+        self._h = np.array([chains.segments[c].h for c in chosen])
+        self._u = np.zeros((longest, len(chosen), discrete_model.nu))
         index, lane = [], []
         for place, c in enumerate(chosen):
             count = min(longest, int(steps[c]))
             begin = int(chains.first[c]) - c  # of its steps
             self._u[:count, place] = mean[begin : begin + count]
-            width = max(1, min(round(WINDOW / self._h[place]), count))
+            width = max(1, min(round(WINDOW_LENGTH / self._h[place]), count))
             windows = np.arange(0, count - width + 1, max(1, width // 2))
             index.append(np.column_stack([windows, windows + width]))
             lane.append(np.full(len(windows), place))
@@ -98,7 +101,7 @@ class Search:
     def best(self) -> Floats:
         """The parameters rho (np,) that explain the windows best; frozen ones and extras keep their values."""
         free = self._parameters.free.copy()
-        free[self._parameters.own :] = False
+        free[self._parameters.model_size :] = False
         if not free.any():
             return self._parameters.nominal.copy()
         candidates = self._candidates(free)
@@ -108,7 +111,7 @@ class Search:
     def _candidates(self, free: np.typing.NDArray[np.bool_]) -> Matrix:
         p = self._parameters
         low, high = p.low[free], p.high[free]
-        logarithmic = (low > 0.0) & (high > WIDE_RANGE * low)
+        logarithmic = (low > 0.0) & (high > LOGARITHMIC_RATIO * low)
         unit = qmc.Halton(len(low), scramble=False).random(CANDIDATES)[1:]
         lower = np.where(logarithmic, np.log(np.where(logarithmic, low, 1.0)), low)
         upper = np.where(logarithmic, np.log(np.where(logarithmic, high, 1.0)), high)
@@ -124,7 +127,7 @@ class Search:
         damping = np.full(count, 1e-2)
         residual = self._residuals(rho)
         loss = _loss(residual)
-        for _ in range(ROUNDS):
+        for _ in range(REFINEMENT_ITERATIONS):
             moved = np.repeat(rho, len(columns), axis=0)
             for j, column in enumerate(columns):
                 moved[j :: len(columns), column] += change[column]
@@ -156,7 +159,7 @@ class Search:
         """(candidates, residuals) of parameter vectors (candidates, np)."""
         count, lanes = len(rho), len(self._start)
         own = np.array([self._parameters.model_values(r) for r in rho])
-        states = self._motion.simulate(
+        states = self._discrete_model.simulate(
             np.tile(self._start, (count, 1)),
             np.ascontiguousarray(np.tile(self._u, (1, count, 1))),
             np.repeat(own, lanes, axis=0),

@@ -8,15 +8,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.synthetic_logs import Commands, random_commands, synthetic_logs
+from benchmarks.synthetic_logs import CommandSeries, random_commands, synthetic_logs
 from benchmarks.sysid import TRUTH
 from kraft.errors import InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
-from kraft.sysid.commands import hat_means
-from kraft.sysid.dynamics import Dynamics, Motion
+from kraft.sysid.actuators import hat_means
+from kraft.sysid.auxiliary import auxiliary_parameters
+from kraft.sysid.dynamics import DiscreteModel, Dynamics
 from kraft.sysid.observation import Observation
-from kraft.sysid.parameters import extras_of, parameters_of, vehicle_of
-from kraft.sysid.selection import check_free, choice
+from kraft.sysid.parameters import parameters_of, vehicle_of
+from kraft.sysid.selection import selection_note
+from kraft.sysid.settings_validation import check_free_parameters
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
@@ -63,8 +65,10 @@ def test_a_lag_of_nothing_starts_like_a_delay() -> None:
 def test_a_coasting_vehicle_with_friction_comes_to_rest_and_stays_there(model: str, friction: float) -> None:
     vehicle = load_vehicle_config(model)
     speeds = []
-    for extras in ((), ("friction",)):
-        parameters = parameters_of(vehicle, Settings(values=dict.fromkeys(extras, friction), extras=extras), extras)
+    for auxiliary in ((), ("friction",)):
+        parameters = parameters_of(
+            vehicle, Settings(values=dict.fromkeys(auxiliary, friction), auxiliary=auxiliary), auxiliary
+        )
         start = np.array([[0.0, 0.0, 0.0, 0.4], [0.0, 0.0, 0.0, 0.0]])
         controls = np.zeros((80, 2, 2))
         states = Dynamics(parameters).simulate(start, controls, parameters.nominal, np.full(2, 0.05))
@@ -79,8 +83,8 @@ def test_a_coasting_vehicle_with_friction_comes_to_rest_and_stays_there(model: s
 
 @pytest.mark.parametrize("model", ["mushr", "mushr-drive"])
 def test_derivatives_with_friction_are_those_of_the_steps_also_about_standstill(model: str) -> None:
-    vehicle, extras = load_vehicle_config(model), ("delay", "friction")
-    parameters = parameters_of(vehicle, Settings(values={"friction": 0.3}, extras=extras), extras)
+    vehicle, auxiliary = load_vehicle_config(model), ("delay", "friction")
+    parameters = parameters_of(vehicle, Settings(values={"friction": 0.3}, auxiliary=auxiliary), auxiliary)
     dynamics, rng, h = Dynamics(parameters), np.random.default_rng(0), np.full(30, 0.05)
     x = np.column_stack([*rng.uniform(-1.0, 1.0, (3, 30)), rng.uniform(-0.1, 0.3, 30)])
     u, rho = np.column_stack([rng.uniform(-0.5, 1.0, 30), rng.uniform(-0.3, 0.3, 30)]), parameters.nominal
@@ -88,7 +92,7 @@ def test_derivatives_with_friction_are_those_of_the_steps_also_about_standstill(
     for k in range(found.shape[2]):
         change = 1e-5 * np.eye(found.shape[2])[k]
         dx, du, drho = change[:4], change[4:6], change[6:]
-        ahead, behind = (dynamics.after(x + s * dx, u + s * du, rho + s * drho, h) for s in (1, -1))
+        ahead, behind = (dynamics.step(x + s * dx, u + s * du, rho + s * drho, h) for s in (1, -1))
         assert found[:, :, k] == pytest.approx((ahead - behind) / 2e-5, abs=2e-4), k
 
 
@@ -96,7 +100,7 @@ def test_friction_takes_no_more_from_reverse_than_from_forward() -> None:
     cart = replace(vehicle_of(lag()), controls={"throttle": (-1.0, 0.3), "steering": (-0.4, 0.4)})
     speeds = []
     for values in ({}, {"friction": 0.15}):
-        parameters = parameters_of(cart, Settings(values=values, extras=tuple(values)), tuple(values))
+        parameters = parameters_of(cart, Settings(values=values, auxiliary=tuple(values)), tuple(values))
         back = np.tile([-1.0, 0.0], (400, 1, 1))
         states = Dynamics(parameters).simulate(np.zeros((1, 4)), back, parameters.nominal, np.array([0.05]))
         speeds.append(states[-1, 0, 3])
@@ -105,7 +109,7 @@ def test_friction_takes_no_more_from_reverse_than_from_forward() -> None:
 
 def test_friction_leaves_the_speed_at_full_throttle_as_it_is() -> None:
     vehicle = load_vehicle_config("mushr-lag")
-    parameters = parameters_of(vehicle, Settings(values={"friction": 0.2}, extras=("friction",)), ("friction",))
+    parameters = parameters_of(vehicle, Settings(values={"friction": 0.2}, auxiliary=("friction",)), ("friction",))
     full = np.tile([1.0, 0.0], (400, 1, 1))
     states = Dynamics(parameters).simulate(np.zeros((1, 4)), full, parameters.nominal, np.array([0.05]))
     assert states[-1, 0, 3] == pytest.approx(vehicle.parameters["v_delta"].value, rel=0.01)
@@ -133,13 +137,13 @@ def test_a_parameter_of_the_model_is_no_extra_whatever_it_is_called() -> None:
         footprint=Footprint(0.3, 0.3),
         top_speed=1.0,
     )
-    assert not {"friction", "lever"} & set(extras_of(cart))
-    parameters = parameters_of(cart, Settings(extras=("delay",)), ("delay",))
-    assert [parameters.extra(name) for name in ("friction", "lever", "delay")] == [-1, -1, 2]
+    assert not {"friction", "lever"} & set(auxiliary_parameters(cart))
+    parameters = parameters_of(cart, Settings(auxiliary=("delay",)), ("delay",))
+    assert [parameters.auxiliary_index(name) for name in ("friction", "lever", "delay")] == [-1, -1, 2]
     x, u = np.array([[0.0, 0.0, 0.1, 0.5]]), np.array([[0.7, 0.1]])
     assert Observation(parameters).predict(x, parameters.nominal) == pytest.approx(x[:, :3])
-    plain = Motion(cart).after(x, u, cart.parameter_array, np.array([0.05]))
-    assert Dynamics(parameters).after(x, u, parameters.nominal, np.array([0.05])) == pytest.approx(plain)
+    plain = DiscreteModel(cart).step(x, u, cart.parameter_array, np.array([0.05]))
+    assert Dynamics(parameters).step(x, u, parameters.nominal, np.array([0.05])) == pytest.approx(plain)
 
 
 def test_a_model_without_parameters_has_nothing_but_extras() -> None:
@@ -153,12 +157,12 @@ def test_a_model_without_parameters_has_nothing_but_extras() -> None:
         top_speed=1.0,
     )
     with pytest.raises(InputError, match="extras: there is nothing to identify of prompt, which has no parameters"):
-        check_free(prompt, Settings(extras="none"))
-    check_free(prompt, Settings())
+        check_free_parameters(prompt, Settings(auxiliary="none"))
+    check_free_parameters(prompt, Settings())
 
 
-def coasting(count: int, seconds: float = 15.0) -> list[Commands]:
-    """Commands that jump about every second, every third without throttle."""
+def coasting(count: int, seconds: float = 15.0) -> list[CommandSeries]:
+    """CommandSeries that jump about every second, every third without throttle."""
     given = [random_commands(vehicle_of(lag()), seconds, np.random.default_rng(1000 + k)) for k in range(count)]
     return [(times, np.where(np.arange(len(times))[:, None] % 3 == 2, [0.0, 1.0], 1.0) * u) for times, u in given]
 
@@ -172,19 +176,19 @@ def shown_by(name: str, truth: dict[str, float], model: str = "mushr-lag") -> Id
 
 
 @pytest.mark.parametrize(
-    "extras",
+    "auxiliary",
     [
         {},
         {"delay": 0.06, "lag_steering": 0.1},
         {"lag_throttle": 0.2, "lag_steering": 0.2},
         {"dead_band_throttle": 0.12},
     ],
-    ids=lambda extras: "+".join(extras) or "none",
+    ids=lambda auxiliary: "+".join(auxiliary) or "none",
 )
-def test_a_lag_is_told_from_a_delay_and_a_dead_band_from_friction(extras: dict[str, float]) -> None:
-    result = shown_by("mushr-lag", {**TRUTH, **extras})
-    assert set(result.extras) == set(extras)
-    for name, value in {**TRUTH, **extras}.items():
+def test_a_lag_is_told_from_a_delay_and_a_dead_band_from_friction(auxiliary: dict[str, float]) -> None:
+    result = shown_by("mushr-lag", {**TRUTH, **auxiliary})
+    assert set(result.auxiliary) == set(auxiliary)
+    for name, value in {**TRUTH, **auxiliary}.items():
         assert result.values[name] == pytest.approx(value, rel=0.02, abs=0.004)
 
 
@@ -192,14 +196,14 @@ def test_friction_brakes_a_coasting_car_which_a_dead_band_does_not() -> None:
     """The friction that made the logs is sharper about standstill, hence the tolerance."""
     truth = {**TRUTH, "friction": 0.12}
     result = shown_by("mushr-lag", truth)
-    assert result.extras == ("friction",)
+    assert result.auxiliary == ("friction",)
     for name, value in truth.items():
         assert result.values[name] == pytest.approx(value, rel=0.05, abs=0.016)
     unseen = synthetic_logs(lag(), truth, range(50, 54), seconds=15.0, commands=coasting(4))
     dead = identify(
         lag(),
         synthetic_logs(lag(), truth, range(8), seconds=15.0, commands=coasting(8)),
-        Settings(extras=("dead_band_throttle",)),
+        Settings(auxiliary=("dead_band_throttle",)),
     )
     after, without = (prediction_errors(lag(), unseen, found.values).position[3.0] for found in (result, dead))
     assert after < 0.7 * without
@@ -208,8 +212,8 @@ def test_friction_brakes_a_coasting_car_which_a_dead_band_does_not() -> None:
 def test_friction_that_is_asked_for_and_not_there_is_not_shown_by_the_data() -> None:
     made = synthetic_logs(lag(), TRUTH, range(4), seconds=10.0, commands=coasting(4, 10.0))
     result = identify(lag(), made, Settings(values={"friction": 0.4}))
-    assert result.extras == ("friction",)
-    assert result.parameters["friction"].nothing
+    assert result.auxiliary == ("friction",)
+    assert result.parameters["friction"].is_zero
     assert "friction is 0, the least it can be: the data show none" in result.warnings
     (note,) = result.notes
     assert note.startswith("asked for, and kept: friction; the data show no other extra parameter; not shown, and left")
@@ -231,16 +235,16 @@ def test_friction_that_is_asked_for_and_not_there_is_not_shown_by_the_data() -> 
 def test_what_became_of_the_extras_is_told_apart_from_what_was_asked_for(
     tried: tuple[str, ...], kept: tuple[str, ...], asked: tuple[str, ...], said: str
 ) -> None:
-    assert choice(tried, kept, frozenset(asked)) == said
+    assert selection_note(tried, kept, frozenset(asked)) == said
 
 
 def test_friction_is_left_out_where_the_model_has_it() -> None:
     result = shown_by("mushr-drive", {**TRUTH, "u_0": 0.12}, "mushr-drive")
-    assert result.extras == ()
+    assert result.auxiliary == ()
     assert result.values["u_0"] == pytest.approx(0.12, abs=0.005)
 
 
 def test_a_lag_of_the_throttle_is_what_a_prompt_model_lacks() -> None:
     result = shown_by("mushr", TRUTH)
-    assert "lag_throttle" in result.extras
+    assert "lag_throttle" in result.auxiliary
     assert result.values["lag_throttle"] == pytest.approx(TRUTH["tau"] - 0.1, abs=0.05)

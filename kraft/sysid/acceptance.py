@@ -1,0 +1,153 @@
+"""Acceptance of an identification: open-loop prediction before and after it, and objections to its parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kraft.sysid.prediction import Window, predict_windows, window_errors
+from kraft.sysid.result import CORRELATION_INDISTINGUISHABLE
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Log
+
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from kraft.errors import InputError
+from kraft.sysid.data import LogSplit
+from kraft.sysid.result import Identification, PredictionErrors, correlations
+from kraft.sysid.settings import Settings
+from kraft.vehicles.config import VehicleConfig
+from ompl_ext.vehicle import Vehicle
+
+SIMILAR_ERROR_RATIO: Final = 1.01
+"""Position errors within a hundredth of each other are alike, as when the initial values come from the same logs."""
+EXCESSIVE_ERROR_RATIO: Final = 1.5
+"""Factor from which the initial values are better beyond doubt.  What five logs of the bundled car say, where the
+initial values come from forty, is up to 1.2 times worse by chance; a test of the scatter between windows would object
+to a difference that does not matter if it is steady, and would need more windows than a few held-out logs have."""
+
+
+@dataclass(frozen=True)
+class PredictionPair:
+    """Windows of the same logs, predicted with the identified parameters and with those before."""
+
+    identified: tuple[Window, ...]
+    initial: tuple[Window, ...]
+
+    @cached_property
+    def errors(self) -> PredictionErrors:
+        """Of the identified parameters."""
+        return window_errors(self.identified)
+
+    @cached_property
+    def initial_errors(self) -> PredictionErrors:
+        """Of those before."""
+        return window_errors(self.initial)
+
+
+@dataclass(frozen=True)
+class PredictionEvaluation:
+    """Forecasts of the logs that were fitted, and of those held out if there are any that can be predicted.
+
+    Attributes:
+        fitted: of the logs that were fitted.
+        held_out: of those held out, None if there are none or none can be predicted.
+        warnings: that the initial values predict better, which held-out logs cannot be predicted, and why.
+    """
+
+    fitted: PredictionPair
+    held_out: PredictionPair | None
+    warnings: tuple[str, ...] = ()
+
+
+def evaluate_predictions(
+    vehicle: VehicleConfig | Vehicle, log_split: LogSplit, result: Identification, settings: Settings
+) -> PredictionEvaluation:
+    """Predict every log.
+
+    Held-out logs that cannot be predicted leave the fit as it is: that it could not be tested is a warning.
+
+    Raises:
+        InputError: if the fitted logs are too short to predict anything.
+    """
+
+    def pair(logs: tuple[Log, ...]) -> PredictionPair:
+        return PredictionPair(
+            predict_windows(vehicle, logs, result.values, settings), predict_windows(vehicle, logs, {}, settings)
+        )
+
+    fitted = pair(log_split.fitted)
+    if not log_split.held_out:
+        return PredictionEvaluation(fitted, None)
+    try:
+        unseen = pair(log_split.held_out)
+    except InputError as error:
+        why = "; ".join(f"{problem.file} {problem.problem}" for problem in error.diagnostics)
+        said = f"the fit is not tested: the {len(log_split.held_out)} held out cannot be predicted ({why})"
+        return PredictionEvaluation(fitted, None, (said,))
+    return PredictionEvaluation(
+        fitted, unseen, (*prediction_warnings(unseen), *_unpredicted(log_split.held_out, unseen))
+    )
+
+
+def _unpredicted(logs: tuple[Log, ...], pair: PredictionPair) -> tuple[str, ...]:
+    """That some logs are too short for a window, if there are such."""
+    predicted = {window.log for window in pair.identified}
+    missed = [log.name for log in logs if log.name not in predicted]
+    return (f"held out, but too short to be predicted: {', '.join(missed)}",) if missed else ()
+
+
+def prediction_warnings(pair: PredictionPair) -> tuple[str, ...]:
+    """The warning that the initial values predict better, if they do."""
+    if _ratio(pair) <= SIMILAR_ERROR_RATIO:
+        return ()
+    return (
+        f"the identified values predict held-out logs no better than the initial values do ({_errors(pair)}): "
+        "look for logs of another floor, slope, load or car and leave them out, record more logs, or choose "
+        "a model that has what these lack; the page shows the prediction",
+    )
+
+
+def prediction_objections(pair: PredictionPair) -> tuple[str, ...]:
+    """The objection that the initial values predict far better, as part of a sentence, if they do."""
+    if _ratio(pair) < EXCESSIVE_ERROR_RATIO:
+        return ()
+    return (f"held-out logs are predicted far better with the initial values ({_errors(pair)})",)
+
+
+def _ratio(pair: PredictionPair) -> float:
+    """Position error of the identified values in that of the initial ones."""
+    after, before = pair.errors.overall_position, pair.initial_errors.overall_position
+    return after / max(before, 1e-12)
+
+
+def _errors(pair: PredictionPair) -> str:
+    after, before = pair.errors.overall_position, pair.initial_errors.overall_position
+    return f"position {100 * after:.2f} cm identified, {100 * before:.2f} cm initial"
+
+
+def objections(identification: Identification, evaluation: PredictionEvaluation) -> tuple[str, ...]:
+    """Why the parameters are not identified, as parts of a sentence; nothing if they are."""
+    found = [] if identification.converged else ["the fit did not converge"]
+    if not identification.names:
+        found.append("every parameter that is left is frozen, and the data show no other")
+    hidden = [name for name in identification.unidentified if name not in identification.auxiliary]
+    if hidden:
+        found.append(f"the logs do not show {', '.join(hidden)}")
+    found += [f"{a} and {b} cannot be told apart" for a, b in _pairs(identification)]
+    return (*found, *(() if evaluation.held_out is None else prediction_objections(evaluation.held_out)))
+
+
+def _pairs(identification: Identification) -> list[tuple[str, str]]:
+    """Pairs of parameters that are one by the stated noise; how far the logs differ says nothing about that."""
+    names, alike = (
+        identification.names,
+        np.abs(correlations(identification.graph_covariance)) > CORRELATION_INDISTINGUISHABLE,
+    )
+    rows, columns = np.nonzero(np.triu(alike, 1))
+    return [(names[i], names[j]) for i, j in zip(rows, columns, strict=True)]

@@ -1,0 +1,85 @@
+"""The vehicle whose parameters are identified: a bundled vehicle, a vehicle file or code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from kraft.errors import InputError
+from kraft.vehicles.check import check_functions
+from kraft.vehicles.code import vehicle_of
+from kraft.vehicles.config import (
+    Footprint,
+    Parameter,
+    VehicleConfig,
+    load_vehicle_config,
+)
+from kraft.vehicles.load import configured
+from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from ompl_ext.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class BaseVehicle:
+    """A vehicle to identify.
+
+    Attributes:
+        reference: as it was asked for.
+        given: the vehicle file, or the code, with bounds and priors if it has any.
+        vehicle: the same as the planner has it.
+        model: reference to the code; a file's path is absolute.
+    """
+
+    reference: str
+    definition: VehicleConfig | Vehicle
+    vehicle: Vehicle
+    model: str
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.vehicle.name
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Parameters as a vehicle file has them; those of code have no more than a value."""
+        if isinstance(self.definition, VehicleConfig):
+            return self.definition.parameters
+        return {name: Parameter(value=value, unit="?") for name, value in self.vehicle.parameters.items()}
+
+    @property
+    def footprint(self) -> Footprint:
+        """What must not touch anything."""
+        shape = self.vehicle.footprint
+        return Footprint(length=shape.length, width=shape.width, offset=shape.offset)
+
+    @property
+    def top_speed(self) -> float | str:
+        """Top speed, m/s, or the parameter that is that speed."""
+        return (
+            self.definition.top_speed if isinstance(self.definition, VehicleConfig) else float(self.vehicle.top_speed)
+        )
+
+
+def load_base_vehicle(reference: str) -> BaseVehicle:
+    """Load a bundled vehicle, a vehicle file, or code.
+
+    Raises:
+        InputError: with everything that is wrong with it.
+    """
+    try:
+        resolved = resolve_vehicle(reference, Path.cwd())
+    except VehicleProblem as error:
+        raise InputError.of(reference, error.problem, error.expected) from None
+    if is_attribute(resolved) or split_file(resolved) is not None:
+        vehicle = vehicle_of(resolved, reference)
+        base = BaseVehicle(reference, vehicle, vehicle, resolved)
+    else:
+        config = load_vehicle_config(resolved)
+        model = config.model
+        if split_file(model) is not None:
+            model = resolve_vehicle(model, Path(config.source.file).parent)
+        base = BaseVehicle(reference, config, configured(config), model)
+    check_functions(base.vehicle, reference)
+    return base

@@ -1,0 +1,96 @@
+"""The logs of `kraft sysid`: read them, and report which column was taken for what and what was found."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from kraft.errors import InputError, NegativeResult
+from kraft.logs.discover import discover
+from kraft.logs.log import Log, LogSet
+from kraft.logs.mapping import Mapping, load_mapping
+from kraft.logs.reader import MismatchError, read_logs
+from kraft.sysid.data import screen_logs
+
+MessageSink = Callable[[str], None]
+"""Receives one message."""
+
+HARMLESS: Final = {
+    "wrap": "yaw wraps; made continuous, nothing is left out",
+    "dropout": "poses are missing here and there; nothing is left out",
+}
+"""Kinds of findings that leave nothing out, with the message for several logs that have one."""
+
+
+def read_sysid_logs(
+    paths: Sequence[Path],
+    mapping_file: Path | None,
+    controls: Sequence[str],
+    info: MessageSink,
+    warn: MessageSink,
+    detail: MessageSink,
+) -> LogSet:
+    """Read every log; report which column was taken for what and what was found in each log.
+
+    Args:
+        paths: files and folders with logs.
+        mapping_file: mapping file; None to guess every column.
+        controls: names of the vehicle's controls.
+        info: receives the column assignments and the findings.
+        warn: receives problems of logs that are left out.
+        detail: receives the place of each finding that `info` receives as a sum.
+
+    Raises:
+        InputError: if there are no logs, or mapping file or controls fit none of them.
+        NegativeResult: if there are logs, and none of them can be used.
+    """
+    mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
+    try:
+        found = read_logs(paths, controls, mapping)
+    except MismatchError:
+        raise
+    except InputError as error:
+        candidates, _ = discover(paths, controls, mapping)
+        if not candidates:
+            raise
+        report_problems(error, warn)
+        raise _none_usable(len(candidates)) from None
+    long = screen_logs(found.logs)
+    _report_logs(long.logs, info, detail)
+    for shortened in long.shortened:
+        info(shortened)
+    for problem in (*found.problems, *long.problems):
+        warn(f"left out: {problem}")
+    if not long.logs:
+        raise _none_usable(len(discover(paths, controls, mapping)[0]))
+    return LogSet(long.logs, (*found.problems, *long.problems))
+
+
+def _none_usable(count: int) -> NegativeResult:
+    return NegativeResult("the only log cannot be used" if count == 1 else f"none of the {count} logs can be used")
+
+
+def report_problems(error: InputError, warn: MessageSink) -> None:
+    """Report every problem of an error."""
+    for diagnostic in error.diagnostics:
+        warn(str(diagnostic))
+
+
+def _report_logs(logs: Sequence[Log], info: MessageSink, detail: MessageSink) -> None:
+    """Report the column assignments, once for logs that share them, and the findings; harmless ones as a sum."""
+    kinds: dict[str, list[str]] = {}
+    for log in logs:
+        kinds.setdefault(log.guess, []).append(log.name)
+    for guess, names in kinds.items():
+        whose = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        info(f"{whose}: {guess}")
+    found = [(log.name, finding) for log in logs for finding in log.findings]
+    often = Counter(finding.kind for _, finding in found)
+    for kind, what in HARMLESS.items():
+        if often[kind] > 1:
+            info(f"{often[kind]} logs: {what} (-v tells where)")
+    for name, finding in found:
+        sink = detail if finding.kind in HARMLESS and often[finding.kind] > 1 else info
+        sink(f"{name}: {finding}")
