@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from kraft.driving.messages import Kind
+from kraft.driving.messages import ReferenceKind
 from kraft.plot.frame import Frame
 from kraft.plot.labels import Label, draw_labels
 from kraft.plot.motion import draw_start
@@ -149,7 +149,7 @@ def _not_to_hide(drive: Drive) -> np.ndarray[tuple[int, int], np.dtype[np.float6
 
 def _key_entries(drive: Drive, line: LineCollection, hidden: Sequence[Hidden]) -> list[Entry]:
     entries = [Entry("planned in each cycle; planned speed", "line", CYCLE, 1.2)]
-    if any(cycle.kind == Kind.CONTINGENCY for cycle in drive.result.cycles):
+    if any(cycle.kind == ReferenceKind.CONTINGENCY for cycle in drive.result.cycles):
         entries.append(Entry("contingency", "dashes", WARNING, 1.6))
     entries += [
         Entry("estimated speed", "line", ESTIMATED, 1.2),

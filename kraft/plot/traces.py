@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from kraft.driving.messages import Cycle, Kind
+from kraft.driving.messages import Cycle, ReferenceKind
 from kraft.planning.workspace import workspace_of
 from kraft.plot.frame import Frame, Motion, arrowheads, outlines
 from kraft.plot.style import CYCLE, DASHED, GREY, INK, RULE, SMALL, WARNING, WARNING_PALE, Look, plain_number
@@ -109,7 +109,7 @@ def draw_trace(axes: Axes, trace: Trace, drive: Drive, *, last: bool) -> None:
 def _draw_cycles(axes: Axes, result: TrialResult) -> None:
     ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
     for cycle, end in zip(result.cycles, ends, strict=True):
-        if cycle.kind == Kind.CONTINGENCY:
+        if cycle.kind == ReferenceKind.CONTINGENCY:
             axes.axvspan(cycle.time, end, color=WARNING_PALE, linewidth=0, zorder=0)
         axes.axvline(cycle.time, color=RULE, linewidth=0.5, zorder=0.5)
 
@@ -161,7 +161,7 @@ def draw_intentions(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialRes
         reference = cycle.reference
         motion = Motion.of(reference.times, reference.states, vehicle)
         begin = max(cycle.time, reference.start)
-        planned = cycle.kind == Kind.PLAN
+        planned = cycle.kind == ReferenceKind.PLAN
         colour = CYCLE if planned else WARNING
         if min(end, reference.end) > begin:
             path = frame.points(motion.between(begin, min(end, reference.end))[:, :2])

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.messages import Cycle, Kind, Reference
+from kraft.driving.messages import Cycle, Reference, ReferenceKind
 from kraft.plot.frame import outlines
 from kraft.video import palette
 from kraft.video.moment import Moment, poses_of
@@ -26,7 +26,7 @@ def draw_cycle(pen: Pen, cycle: Cycle, vehicle: Vehicle) -> None:
     """Everything that stays the same during a cycle."""
     if cycle.tree is not None:
         _draw_tree(pen, cycle.tree, vehicle)
-    planned = cycle.kind == Kind.PLAN
+    planned = cycle.kind == ReferenceKind.PLAN
     predicted = poses_of(cycle.predicted.states, vehicle)[:, :2]
     pale = palette.PREDICTED if planned else palette.CONTINGENCY_PALE
     pen.stroke(predicted, vehicle.footprint.width, SWATH, colour(pale))

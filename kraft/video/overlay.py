@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
-from kraft.driving.messages import Kind
+from kraft.driving.messages import ReferenceKind
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.video import palette
 from kraft.video.moment import Moment
@@ -78,7 +78,7 @@ class Overlay:
         """Plan or contingency, and why."""
         if moment.cycle is None:
             return
-        planned = moment.cycle.kind == Kind.PLAN
+        planned = moment.cycle.kind == ReferenceKind.PLAN
         x, foot = MARGIN + 4 * COLUMN + 12, self._height - BAND
         text = "PLAN" if planned else "CONTINGENCY"
         fill = palette.PLAN if planned else palette.CONTINGENCY

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from kraft.driving.messages import Cycle, Kind, Motion, Reference
+from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.scenario import Box, Scenario, Start, load_scenario
 from kraft.simulation.hidden import hidden_things
@@ -94,22 +94,22 @@ def test_dashes_leave_gaps() -> None:
     assert 0.5 < length < 0.75
 
 
-def cycle(kind: Kind, nodes: int, time: float = 0.0) -> Cycle:
+def cycle(kind: ReferenceKind, nodes: int, time: float = 0.0) -> Cycle:
     times = np.linspace(time, time + 2, 21)
     states = np.zeros((21, len(MUSHR.state)))
     states[:, 1] = np.linspace(0, 1, 21)
     reference = Reference(kind, times, states, np.zeros((20, 2)), np.zeros(2))
-    safe = Reference(Kind.CONTINGENCY, times[:5], states[:5], np.zeros((4, 2)), np.zeros(2))
+    safe = Reference(ReferenceKind.CONTINGENCY, times[:5], states[:5], np.zeros((4, 2)), np.zeros(2))
     view = TreeView(
         np.zeros((nodes, len(MUSHR.state))), np.arange(nodes) - 1, np.zeros((nodes, 2)), *np.zeros((3, nodes))
     )
-    predicted = Motion(times[:11], states[:11], 0.1)
+    predicted = PredictedMotion(times[:11], states[:11], 0.1)
     return Cycle(1, time, 0.0, kind, "", 2.0, 0.1, 9, nodes, 0, 1.0, False, reference, safe, predicted, view)
 
 
 def test_a_plan_is_drawn_with_its_tree_and_a_contingency_without_a_plan() -> None:
     _, scene, pen = canvas("turns")
-    draw_cycle(pen, cycle(Kind.PLAN, 9000), MUSHR)
+    draw_cycle(pen, cycle(ReferenceKind.PLAN, 9000), MUSHR)
     lines = [geom for geom in drawn(scene) if geom.type == LINE]
     assert len(lines) == EDGES_MAX
     blue = [geom for geom in drawn(scene) if geom.rgba[2] > 0.6 and geom.rgba[0] < 0.1]
@@ -117,7 +117,7 @@ def test_a_plan_is_drawn_with_its_tree_and_a_contingency_without_a_plan() -> Non
     assert blue
     assert orange
     scene.ngeom = 0
-    draw_cycle(pen, cycle(Kind.CONTINGENCY, 5), MUSHR)
+    draw_cycle(pen, cycle(ReferenceKind.CONTINGENCY, 5), MUSHR)
     assert not [geom for geom in drawn(scene) if geom.rgba[2] > 0.6 and geom.rgba[0] < 0.1]
 
 
@@ -125,7 +125,7 @@ def test_a_cycle_is_shown_from_when_it_begins() -> None:
     scenario = load_scenario("turns")
     world = World(scenario)
     chronicle = Chronicle(TrialSpec(scenario, load_method("kraft"), MUSHR, 0))
-    chronicle.on_cycle(cycle(Kind.PLAN, 3, time=0.05))
+    chronicle.on_cycle(cycle(ReferenceKind.PLAN, 3, time=0.05))
     step = Step(0.0, (1.0, -0.5, 1.57), 0.0, np.zeros(len(MUSHR.state)), np.zeros(2), 0)
     assert chronicle.on_step(world, step).cycle is None
     world.step(25)
