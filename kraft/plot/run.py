@@ -36,7 +36,7 @@ from kraft.plot.traces import (
     traces_of,
 )
 from kraft.scenario import Task
-from kraft.simulation.hidden import Hidden
+from kraft.simulation.hidden import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult
 from ompl_ext.vehicle import Vehicle
 
@@ -49,7 +49,7 @@ def plot_run(
     *,
     title: str | None = None,
     unknown: Sequence[str] = (),
-    hidden: Sequence[Hidden] = (),
+    hidden: Sequence[HiddenFeature] = (),
 ) -> None:
     """Draw a drive as PNG, SVG or PDF by the suffix of `path`.
 
@@ -81,7 +81,7 @@ def key_numbers(result: TrialResult, unknown: Sequence[str] = ()) -> Mapping[str
 
 
 def _compose(
-    drive: Drive, task: Task, vehicle: Vehicle, title: str, notes: Mapping[str, str], hidden: Sequence[Hidden]
+    drive: Drive, task: Task, vehicle: Vehicle, title: str, notes: Mapping[str, str], hidden: Sequence[HiddenFeature]
 ) -> Figure:
     frame = Frame.around(task.bounds)
     line = driven_line(frame, drive, max(vehicle.top_speed, 1e-3))
@@ -114,7 +114,7 @@ def _draw_map(
     task: Task,
     vehicle: Vehicle,
     line: LineCollection,
-    hidden: Sequence[Hidden],
+    hidden: Sequence[HiddenFeature],
     scale: float,
 ) -> None:
     draw_workspace(axes, frame, task.bounds, scale)
@@ -147,7 +147,7 @@ def _not_to_hide(drive: Drive) -> np.ndarray[tuple[int, int], np.dtype[np.float6
     return np.column_stack([drive.motion.poses[:, :2], np.ones(len(drive.motion.poses))])
 
 
-def _key_entries(drive: Drive, line: LineCollection, hidden: Sequence[Hidden]) -> list[Entry]:
+def _key_entries(drive: Drive, line: LineCollection, hidden: Sequence[HiddenFeature]) -> list[Entry]:
     entries = [Entry("planned in each cycle; planned speed", "line", CYCLE, 1.2)]
     if any(cycle.kind == ReferenceKind.CONTINGENCY for cycle in drive.result.cycles):
         entries.append(Entry("contingency", "dashes", WARNING, 1.6))

@@ -19,7 +19,7 @@ from kraft.planning.workspace import workspace_of
 from kraft.plot.frame import Frame, Motion, arrowheads, outlines
 from kraft.plot.style import CYCLE, DASHED, GREY, INK, RULE, SMALL, WARNING, WARNING_PALE, Look, plain_number
 from kraft.scenario import Task
-from kraft.simulation.hidden import Hidden
+from kraft.simulation.hidden import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
@@ -138,7 +138,7 @@ class Drive:
         return cls(result, Motion(times, poses), np.array([step.speed for step in result.steps]))
 
 
-def draw_hidden(axes: Axes, frame: Frame, things: Sequence[Hidden]) -> None:
+def draw_hidden(axes: Axes, frame: Frame, things: Sequence[HiddenFeature]) -> None:
     """Patches and bumps on the floor, boxes on them."""
     for thing in things:
         face, edge = HIDDEN[thing.kind]

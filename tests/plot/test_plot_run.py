@@ -17,7 +17,7 @@ from kraft.plot.run import _compose, _key_entries, key_numbers, plot_run
 from kraft.plot.style import look
 from kraft.plot.traces import SEEN, Drive, driven_line, footprint_times, traces_of
 from kraft.scenario import load_scenario
-from kraft.simulation.hidden import hidden_things
+from kraft.simulation.hidden import hidden_features
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
@@ -49,7 +49,7 @@ def test_the_same_drive_gives_the_same_bytes(suffix: str, driven: TrialResult, t
         driven, cycles=tuple(dataclasses.replace(cycle, planning_ms=99.0) for cycle in driven.cycles)
     )
     for path, result in zip(paths, (driven, slower), strict=True):
-        plot_run(path, MOVABLE.task(), MUSHR, result, hidden=hidden_things(MOVABLE))
+        plot_run(path, MOVABLE.task(), MUSHR, result, hidden=hidden_features(MOVABLE))
     assert paths[0].read_bytes() == paths[1].read_bytes()
     if suffix == ".png":
         assert width(paths[0]) == 1600

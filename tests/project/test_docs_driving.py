@@ -80,5 +80,5 @@ def test_the_table_of_noise_is_the_one_in_the_code() -> None:
     noise = PRESETS["single-tag"]
     row = next(line for line in TEXT.splitlines() if line.startswith("| `single-tag`"))
     expected = [1000 * law.at(d) for law in (noise.along, noise.across) for d in (3.0, 5.0)]
-    expected += [math.degrees(noise.heading.at(d)) for d in (3.0, 5.0)] + [100 * noise.misses]
+    expected += [math.degrees(noise.heading.at(d)) for d in (3.0, 5.0)] + [100 * noise.dropout]
     assert [float(number) for number in re.findall(r"([\d.]+) (?:mm|deg|%)", row)] == pytest.approx(expected)

@@ -13,7 +13,7 @@ import pytest
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.scenario import Box, Scenario, Start, load_scenario
-from kraft.simulation.hidden import hidden_things
+from kraft.simulation.hidden import hidden_features
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialSpec
@@ -190,11 +190,11 @@ def test_curves_keep_their_ends() -> None:
 
 def test_what_was_hidden_is_shown_where_it_ended() -> None:
     scenario = load_scenario("movable")
-    before = hidden_things(scenario)
+    before = hidden_features(scenario)
     moved = World(scenario).movable_poses + np.array([0.5, 0.0, 0.0])
-    after = hidden_things(scenario, moved)
+    after = hidden_features(scenario, moved)
     assert {thing.kind for thing in before} == {"box"}
     for one, other in zip(before, after, strict=True):
         assert other.corners.mean(axis=0) - one.corners.mean(axis=0) == pytest.approx([0.5, 0.0], abs=1e-6)
-    assert {thing.kind for thing in hidden_things(load_scenario("slip"))} == {"patch"}
-    assert {thing.kind for thing in hidden_things(load_scenario("bump"))} == {"bump"}
+    assert {thing.kind for thing in hidden_features(load_scenario("slip"))} == {"patch"}
+    assert {thing.kind for thing in hidden_features(load_scenario("bump"))} == {"bump"}
