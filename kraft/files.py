@@ -6,8 +6,10 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 
 EXPECTED = "expected a place that can be written, with room for it"
 
@@ -19,16 +21,16 @@ def check_writable(path: Path) -> None:
         InputError: if a folder stands there, a file stands where a folder has to be, or nothing can be made there.
     """
     if path.is_dir():
-        raise InputError.of(str(path), "is a folder", "expected the name of a file")
+        raise InputError.of(str(path), "is a folder", "expected the name of a file", Code.UNWRITABLE)
     folder = next(p for p in path.absolute().parents if os.path.lexists(p))
     if not folder.is_dir():
-        raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED)
+        raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED, Code.UNWRITABLE)
     try:  # permissions do not tell: think of /proc, and of what is mounted read-only
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".kraft-"):
             pass
     except OSError as error:
         problem = f"cannot be written: nothing can be made in {folder} ({error.strerror})"
-        raise InputError.of(str(path), problem, EXPECTED) from None
+        raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from None
 
 
 def check_all(*checks: Callable[[], object]) -> None:
@@ -55,21 +57,64 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         InputError: if it cannot be written; what was there before is still there then.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    with Replacement(path) as new:
         try:
-            with os.fdopen(handle, "wb") as file:
+            with new.temporary.open("wb") as file:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            os.chmod(temporary, file_mode())
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-    except OSError as error:
-        raise InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED) from error
+        except OSError as error:
+            raise unwritable(path, error) from error
+        new.commit()
+
+
+class Replacement:
+    """A temporary file beside `path` that `commit` puts in its place; a context manager that removes it otherwise.
+
+    For content that a library writes by itself; `write_whole` is for content at hand.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the temporary file, and the folders on the way.
+
+        Raises:
+            InputError: if they cannot be made.
+        """
+        self._path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+            os.close(handle)
+        except OSError as error:
+            raise unwritable(path, error) from error
+        self.temporary = Path(name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.discard()
+
+    def commit(self) -> None:
+        """Put the file in its place, in one step.
+
+        Raises:
+            InputError: if that is not possible.
+        """
+        try:
+            os.chmod(self.temporary, file_mode())
+            os.replace(self.temporary, self._path)
+        except OSError as error:
+            raise unwritable(self._path, error) from error
+
+    def discard(self) -> None:
+        """Remove the temporary file; does nothing after `commit`."""
+        self.temporary.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, error: OSError) -> InputError:
+    """The error for a file that cannot be written."""
+    return InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED, Code.UNWRITABLE)
 
 
 def file_mode() -> int:

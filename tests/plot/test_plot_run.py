@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kraft.vehicles.hidden_weight import load_vehicle
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -21,6 +20,7 @@ from kraft.scenario import load_scenario
 from kraft.simulation.hidden import hidden_features
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
 MUSHR = load_vehicle("mushr")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kraft.vehicles.hidden_weight import load_vehicle
 from matplotlib.figure import Figure
 from support.sysid import estimated, fake_identification, fake_log, fake_predicted, fake_windows
 
@@ -18,6 +17,7 @@ from kraft.plot.sysid_logs import compose_logs, most_excited_log, plot_logs, spe
 from kraft.plot.sysid_panels import error_over_time, median_error_log
 from kraft.sysid.data import Split
 from kraft.sysid.result import Identification
+from kraft.vehicles.load import load_vehicle
 
 MUSHR = load_vehicle("mushr")
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))

@@ -19,9 +19,9 @@ from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialSpec
 from kraft.vehicles.load import load_vehicle
 from kraft.video.drawing import EDGES_MAX, draw_cycle
-from kraft.video.moment import Chronicle
 from kraft.video.pen import LINE, Pen, resampled
-from kraft.video.stage import ROOF, SOLID, ChaseCamera, map_aim
+from kraft.video.renderer import ROOF, SOLID, ChaseCamera, map_aim
+from kraft.video.snapshot import SnapshotRecorder
 from ompl_ext.plan import TreeView
 
 BLUE = (0.0, 0.0, 1.0, 1.0)
@@ -83,7 +83,7 @@ def test_strokes_climb_bumps() -> None:
 def test_a_full_scene_takes_no_more_and_complains_not() -> None:
     _, scene, pen = canvas("turns", room=10)
     pen.stroke(ARC, 0.03, 0.009, BLUE)
-    pen.hairlines(np.zeros((5, 2, 2)), 0.01, BLUE, 1.0)
+    pen.lines(np.zeros((5, 2, 2)), 0.01, BLUE, 1.0)
     assert scene.ngeom == 10
 
 
@@ -124,14 +124,14 @@ def test_a_plan_is_drawn_with_its_tree_and_a_contingency_without_a_plan() -> Non
 def test_a_cycle_is_shown_from_when_it_begins() -> None:
     scenario = load_scenario("turns")
     world = World(scenario)
-    chronicle = Chronicle(TrialSpec(scenario, load_method("kraft"), MUSHR, 0))
-    chronicle.on_cycle(cycle(ReferenceKind.PLAN, 3, time=0.05))
+    snapshots = SnapshotRecorder(TrialSpec(scenario, load_method("kraft"), MUSHR, 0))
+    snapshots.on_cycle(cycle(ReferenceKind.PLAN, 3, time=0.05))
     step = Step(0.0, (1.0, -0.5, 1.57), 0.0, np.zeros(len(MUSHR.state)), np.zeros(2), 0)
-    assert chronicle.on_step(world, step).cycle is None
+    assert snapshots.on_step(world, step).cycle is None
     world.step(25)
-    moment = chronicle.on_step(world, step)
-    assert moment.cycle is not None
-    assert moment.clearance == pytest.approx(0.3, abs=0.2)
+    snapshot = snapshots.on_step(world, step)
+    assert snapshot.cycle is not None
+    assert snapshot.clearance == pytest.approx(0.3, abs=0.2)
 
 
 def hidden_behind(height: float) -> Scenario:
