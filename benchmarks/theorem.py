@@ -19,11 +19,11 @@ from benchmarks.effort import Effort
 from benchmarks.exact import Body
 from benchmarks.random_scenes import RandomScene, random_scene, random_start, vehicle_named
 from benchmarks.report import Report, Target, row
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
-from kraft.driving.messages import Cycle, Estimate, Kind, Reference
-from kraft.driving.method import Kinodynamic, OpenLoop, Planner
-from kraft.driving.proposer import Planners
+from kraft.driving.messages import Cycle, Estimate, Reference, ReferenceKind
+from kraft.driving.method import Kinodynamic, OpenLoop, PlannerSettings
+from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
@@ -82,10 +82,10 @@ def episode(number: int) -> Episode:
     vehicle = vehicle_named(VEHICLES[number // 2 % len(VEHICLES)])
     safety = Safety(cycle=1.0, delta=DELTA)
     dirt = DirtSolver(vehicle, scene.workspace, scene.goal, safety, Settings(), CAPACITY)
-    model = Model(vehicle)
+    model = CarModel(vehicle)
     kind = OpenLoop(kind="open_loop") if number // 4 % 2 else Kinodynamic(kind="kinodynamic")
-    settings = Planner(mode="replanning", lead=0.0, iterations=ITERATIONS)
-    replanner = Replanner(Planners(dirt, dirt), settings, make_controller(kind, model), number, period=PERIOD)
+    settings = PlannerSettings(mode="replanning", lead=0.0, iterations=ITERATIONS)
+    replanner = Replanner(Solvers(dirt, dirt), settings, make_controller(kind, model), number, period=PERIOD)
     body = Body(scene.solids, vehicle.footprint)
     start = random_start(rng, vehicle, scene.workspace.bounds, body, replace(safety, delta=2 * DELTA))
     start[3] = 0.0
@@ -116,7 +116,7 @@ class _Drive:
             estimate = believed.copy()
             estimate[:3] = truth - self._lie(truth)
             cycle = replanner.step(Estimate(float(number), estimate, 0.0), current)
-            stops += cycle.kind == Kind.CONTINGENCY
+            stops += cycle.kind == ReferenceKind.CONTINGENCY
             predicted = self._predicted(cycle, current)
             current = cycle.reference
             self._offset = truth - predicted.state_at(float(number))[:3]
@@ -127,7 +127,7 @@ class _Drive:
 
     def _predicted(self, cycle: Cycle, current: Reference) -> Reference:
         """What SAFETY was asked about: the closed loop's prediction for a plan, the manoeuvre for a contingency."""
-        if cycle.kind == Kind.CONTINGENCY:
+        if cycle.kind == ReferenceKind.CONTINGENCY:
             return cycle.reference
         return replace(cycle.reference, times=cycle.predicted.times, states=cycle.predicted.states)
 

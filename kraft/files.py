@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from kraft.errors import Code, Diagnostic, InputError
 
@@ -49,53 +50,71 @@ def check_all(*checks: Callable[[], object]) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write `content` to `path` in one step; missing folders are made.
+    """Put `content` at `path` in one step; folders on the way are made.
 
-    A reader finds the earlier content or all of the new content, even if the machine stops in between.
-
-    Raises:
-        InputError: if it cannot be written; the earlier content is still there then.
-    """
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Temporary file in the folder of `path` that replaces `path` when the block ends; missing folders are made.
-
-    For files that a library writes itself.  The name of the temporary file ends in ``.part`` whatever the format, so
-    a library that takes the format from the name needs it as an argument.  The file is there, and empty, when the
-    block begins.  If the block raises, the temporary file is removed and `path` stays as it was.
+    A reader sees what was there before or all of the new content, even if the machine stops in between.
 
     Raises:
-        InputError: instead of an OSError of the block or of the replacement.
+        InputError: if it cannot be written; what was there before is still there then.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+    with Replacement(path) as new:
         try:
-            yield temporary
-            _flush(temporary)
-            os.chmod(temporary, file_mode())
-            os.replace(temporary, path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        problem = f"cannot be written: {error.strerror or error}"
-        raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from error
+            with new.temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise unwritable(path, error) from error
+        new.commit()
 
 
-def _flush(path: Path) -> None:
-    """Have the content of a file on the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+class Replacement:
+    """A temporary file beside `path` that `commit` puts in its place; a context manager that removes it otherwise.
+
+    For content that a library writes by itself; `write_whole` is for content at hand.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the temporary file, and the folders on the way.
+
+        Raises:
+            InputError: if they cannot be made.
+        """
+        self._path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+            os.close(handle)
+        except OSError as error:
+            raise unwritable(path, error) from error
+        self.temporary = Path(name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.discard()
+
+    def commit(self) -> None:
+        """Put the file in its place, in one step.
+
+        Raises:
+            InputError: if that is not possible.
+        """
+        try:
+            os.chmod(self.temporary, file_mode())
+            os.replace(self.temporary, self._path)
+        except OSError as error:
+            raise unwritable(self._path, error) from error
+
+    def discard(self) -> None:
+        """Remove the temporary file; does nothing after `commit`."""
+        self.temporary.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, error: OSError) -> InputError:
+    """The error for a file that cannot be written."""
+    return InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED, Code.UNWRITABLE)
 
 
 def file_mode() -> int:

@@ -18,17 +18,17 @@ from ompl_ext.arrays import Floats
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Vehicle
 
-STEP: Final = 0.05
+MAX_STEP: Final = 0.05
 """Longest integration step, s."""
-SETTLING: Final = 20.0
+SETTLING_TIME: Final = 20.0
 """Time after which the response to a constant control counts as steady, s."""
 CONTROLS: Final = ("throttle", "steering")
-ROWS: Final = 65  # of a table of steady responses
+TABLE_SIZE: Final = 65  # of a table of steady responses
 Tables = tuple[list[float], list[float], list[float], list[float], list[float]]
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
 
 
-class Model:
+class CarModel:
     """Dynamics of a car whose controls are throttle and steering, and its steady responses to them.
 
     `x`, `y`, `theta`, `v` are places in a state (nx,), `throttle` and `steering` places in a control (nu,); `low` and
@@ -55,7 +55,7 @@ class Model:
         self.rest = self.clamped(np.zeros(len(names)))
         self._tabulate()
 
-    def __deepcopy__(self, memo: object) -> Model:
+    def __deepcopy__(self, memo: object) -> CarModel:
         """Nothing here is ever written to: a copy is the same."""
         return self
 
@@ -64,7 +64,7 @@ class Model:
         result = np.array(state, dtype=np.float64)
         if duration <= 0.0:
             return result
-        steps = math.ceil(duration / STEP - 1e-9)
+        steps = math.ceil(duration / MAX_STEP - 1e-9)
         held = np.ascontiguousarray(control, dtype=np.float64)
         for _ in range(steps):
             self._step(result, held, self._parameters, duration / steps, result)
@@ -82,10 +82,6 @@ class Model:
             low, high = self._bounds[k]
             control[k] = min(max(value, low), high)
         return control
-
-    def steady_speed(self, throttle: float) -> float:
-        """Speed that a throttle leads to, m/s."""
-        return float(np.interp(throttle, self._throttles, self._speeds))
 
     def throttle_for(self, speed: float) -> float:
         """Throttle that leads to a speed (m/s), the nearest there is."""
@@ -119,27 +115,27 @@ class Model:
         self._throttles, self._speeds, self._steerings, self._curvatures, self._slips = _TABLES[key]
 
     def _steady_speeds(self) -> tuple[list[float], list[float]]:
-        throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], ROWS)
-        speeds = [float(self._settled(self.command(u, 0.0))[self.v]) for u in throttles]
+        throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], TABLE_SIZE)
+        speeds = [float(self._steady_state(self.command(u, 0.0))[self.v]) for u in throttles]
         if not speeds[-1] > 0.0:
             raise InputError.of(self.vehicle.name, "does not move at full throttle", "expected a speed above 0")
         return list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
 
     def _steady_turns(self) -> tuple[list[float], list[float], list[float]]:
-        steerings = np.linspace(self.low[self.steering], self.high[self.steering], ROWS)
+        steerings = np.linspace(self.low[self.steering], self.high[self.steering], TABLE_SIZE)
         throttle = self.throttle_for(0.5 * self._speeds[-1])
         curvatures, slips = [], []
         for steering in steerings:
             control = self.command(throttle, float(steering))
-            before = self._settled(control)
-            dx, dy, turn = (float(d) for d in self.advance(before, control, STEP)[self._pose])  # from the origin
-            curvatures.append(turn / (STEP * float(before[self.v])))
+            before = self._steady_state(control)
+            dx, dy, turn = (float(d) for d in self.advance(before, control, MAX_STEP)[self._pose])  # from the origin
+            curvatures.append(turn / (MAX_STEP * float(before[self.v])))
             slips.append(math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau))
         return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures))), slips
 
-    def _settled(self, control: Floats) -> Floats:
+    def _steady_state(self, control: Floats) -> Floats:
         """State that holding a control from standstill leads to, at the origin."""
-        state = self.advance(np.zeros(len(self.vehicle.state)), control, SETTLING)
+        state = self.advance(np.zeros(len(self.vehicle.state)), control, SETTLING_TIME)
         state[self._pose] = 0.0
         return state
 

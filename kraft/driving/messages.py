@@ -36,7 +36,7 @@ class Estimate:
     age: float
 
 
-class Kind(StrEnum):
+class ReferenceKind(StrEnum):
     """What a reference is: part of a plan, or a contingency manoeuvre."""
 
     PLAN = "plan"
@@ -50,7 +50,7 @@ class Reference:
     `controls` (m - 1, nu) are held from each time to the next, and `rest` (nu,) after the last one.
     """
 
-    kind: Kind
+    kind: ReferenceKind
     times: Floats
     states: Matrix
     controls: Matrix
@@ -68,7 +68,7 @@ class Reference:
 
     def state_at(self, time: float) -> Floats:
         """State (nx,) at `time` by linear interpolation; the first before it begins and the last after it ends."""
-        k, share = self._place(time)
+        k, share = self._interval(time)
         after = min(k + 1, len(self.states) - 1)
         state: Floats = (1.0 - share) * self.states[k] + share * self.states[after]
         return state
@@ -77,10 +77,10 @@ class Reference:
         """Control (nu,) held at `time`."""
         if time >= self.times[-1] or len(self.controls) == 0:
             return self.rest.copy()
-        held: Floats = self.controls[self._place(time)[0]]
+        held: Floats = self.controls[self._interval(time)[0]]
         return held.copy()
 
-    def _place(self, time: float) -> tuple[int, float]:
+    def _interval(self, time: float) -> tuple[int, float]:
         """Index of the sample before `time` and the share of the interval that has passed."""
         if time <= self.times[0] or len(self.times) == 1:
             return 0, 0.0
@@ -91,7 +91,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PredictedMotion:
     """Predicted states (n + 1, nx) at `times` (n + 1,) s.
 
     `slack` is a lower bound of the clearance beyond what is asked for (m), negative if the motion may collide.
@@ -102,7 +102,7 @@ class Motion:
     slack: float
 
     @property
-    def end(self) -> Floats:
+    def final_state(self) -> Floats:
         """The last state."""
         last: Floats = self.states[-1]
         return last
@@ -133,5 +133,5 @@ class Cycle:
     missed: bool
     reference: Reference
     contingency: Reference | None
-    predicted: Motion
+    predicted: PredictedMotion
     tree: TreeView | None = None

@@ -36,7 +36,7 @@ RESERVE = 0.2
 """Share of a cycle that planning by the clock leaves unused, as the original system does."""
 
 
-class Planner(StrictModel):
+class PlannerSettings(StrictModel):
     """When and how long to plan."""
 
     mode: Literal["one-shot", "replanning"]
@@ -167,7 +167,7 @@ class Method(StrictModel):
     """name in a results table"""
     description: str = ""
     """one sentence for `kraft list methods`"""
-    planner: Planner
+    planner: PlannerSettings
     """when and how long to plan"""
     estimator: Estimator = Latest(kind="latest")
     """where the vehicle is believed to be"""

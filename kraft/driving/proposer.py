@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kraft.driving.method import Planner
+from kraft.driving.method import PlannerSettings
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
@@ -24,8 +24,8 @@ from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import verify
 
-LEEWAY = 0.005  # of a vehicle that leaves with the clearance it has (m)
-SMALLEST_GOAL = 0.01  # radius of the region that the planner aims for (m)
+RECOVERY_MARGIN = 0.005  # of a vehicle that leaves with the clearance it has (m)
+MIN_GOAL_RADIUS = 0.01  # radius of the region that the planner aims for (m)
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class Planners:
+class Solvers:
     """`planning` keeps the method's margin and its foresight; `checking` asks for what is safe and no more.
 
     A plan is made with the margin and checked again without it, so that small errors do not turn it down.
@@ -53,22 +53,22 @@ class Planners:
     checking: DirtSolver
 
     @classmethod
-    def of(cls, task: Task, vehicle: Vehicle, settings: Planner) -> Planners:
-        """The planners of a task with a method's settings; without a clearance they are not asked for SAFETY."""
+    def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings) -> Solvers:
+        """The solvers of a task with a method's settings; without a clearance they are not asked for SAFETY."""
         goal = goal_of(task)
-        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, SMALLEST_GOAL))
-        workspace, safety, shape = workspace_of(task, vehicle), safety_of(settings), vehicle.footprint
+        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
+        workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
         checking = DirtSolver(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
         foresight = settings.safety.foresight if settings.safety else 0.0
         if settings.margin == 0.0 and foresight <= settings.cycle:
             return cls(checking, checking)
         safety = replace(safety, cycle=max(foresight, settings.cycle))
         larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
-        wide = replace(vehicle, footprint=larger)
-        return cls(DirtSolver(wide, workspace, goal, safety, settings_of(task), settings.capacity), checking)
+        larger_vehicle = replace(vehicle, footprint=larger)
+        return cls(DirtSolver(larger_vehicle, workspace, goal, safety, settings_of(task), settings.capacity), checking)
 
 
-def safety_of(settings: Planner) -> Safety:
+def method_safety(settings: PlannerSettings) -> Safety:
     """SAFETY as a method asks for it."""
     margin = settings.safety
     if margin is None:
@@ -80,11 +80,17 @@ class Proposer:
     """Plans for the coming cycle; `dirt` checks what is asked for and no more."""
 
     def __init__(
-        self, planners: Planners, settings: Planner, seed: int, *, realtime: bool = False, keep_trees: bool = False
+        self,
+        solvers: Solvers,
+        settings: PlannerSettings,
+        seed: int,
+        *,
+        realtime: bool = False,
+        keep_trees: bool = False,
     ) -> None:
         self._settings, self._seed, self._realtime, self._keep_trees = settings, seed, realtime, keep_trees
-        self._planners, self.dirt = planners, planners.checking
-        self._at_rest = np.zeros(len(self.dirt.vehicle.controls))
+        self._solvers, self.dirt = solvers, solvers.checking
+        self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         assert self.dirt.goal is not None, "a task has a goal"
         self._goal = self.dirt.goal
         self._delta = self.dirt.safety.delta
@@ -101,7 +107,7 @@ class Proposer:
         began, settings = clock.perf_counter(), self._settings
         proposal = Proposal(None)
         radius = self._goal_radius(root)
-        for dirt, share in self._attempts(root):
+        for dirt, share in self._solvers_in_turn(root):
             dirt.set_goal_radius(radius)
             proposal = self._search(number, dirt, root, previous, began, share)
             if proposal.plan is not None:
@@ -120,26 +126,26 @@ class Proposer:
         """
         goal, vehicle = self._goal, self.dirt.vehicle
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
-        return max(SMALLEST_GOAL, min(goal.radius, 0.5 * away))
+        return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
 
-    def _attempts(self, root: Floats) -> Iterator[tuple[DirtSolver, float]]:
-        """Planners to ask in turn, with the share of the time that is left; the first that finds a plan decides."""
-        wide, exact, delta = self._planners.planning, self._planners.checking, self._delta
-        exact.set_delta(delta)
+    def _solvers_in_turn(self, root: Floats) -> Iterator[tuple[DirtSolver, float]]:
+        """Solvers to ask in turn, with the share of the time that is left; the first that finds a plan decides."""
+        planning, checking, delta = self._solvers.planning, self._solvers.checking, self._delta
+        checking.set_delta(delta)
         was_recovering, self._recovering = self._recovering, False
-        if wide is not exact and self._spare(wide, root) >= 0.0:
-            yield wide, 0.5
-        yield exact, 1.0  # it takes no time where it lacks clearance, so that recovering has it all
-        spare = self._spare(exact, root)
-        resting = all(abs(root[k]) <= exact.safety.rest_speed for k in exact.vehicle.rest_indices)
-        self._recovering = self._settings.recover and (resting or was_recovering) and -delta < spare < 0.0
+        if planning is not checking and self._slack(planning, root) >= 0.0:
+            yield planning, 0.5
+        yield checking, 1.0  # it takes no time where it lacks clearance, so that recovering has it all
+        slack = self._slack(checking, root)
+        resting = all(abs(root[k]) <= checking.safety.rest_speed for k in checking.vehicle.rest_indices)
+        self._recovering = self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
         if self._recovering:
-            exact.set_delta(max(0.0, delta + spare - LEEWAY))
-            yield exact, 1.0
+            checking.set_delta(max(0.0, delta + slack - RECOVERY_MARGIN))
+            yield checking, 1.0
 
-    def _spare(self, dirt: DirtSolver, root: Floats) -> float:
+    def _slack(self, dirt: DirtSolver, root: Floats) -> float:
         """Clearance of a state beyond what is asked for, m."""
-        return dirt.edge(root, self._at_rest, 0.0, 0.0)[1]
+        return dirt.edge(root, self._zero_control, 0.0, 0.0)[1]
 
     def _search(
         self, number: int, dirt: DirtSolver, root: Floats, previous: Plan | None, began: float, share: float
@@ -147,7 +153,7 @@ class Proposer:
         """Alg. 1 from the predicted root, beginning with what is left of the plan that is being executed."""
         if dirt.start(root, self._seed * 100_003 + number) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision")
-        if self._spare(dirt, root) < 0.0:
+        if self._slack(dirt, root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
         if previous is not None and previous.cost > self._settings.cycle:
             dirt.retain(previous, self._settings.cycle)  # ll. 1-8
@@ -155,7 +161,7 @@ class Proposer:
         plan = dirt.plan()
         if plan is not None:
             self._verify(number, dirt, plan)
-        reason = "" if plan is not None else _shortfall(progress)
+        reason = "" if plan is not None else _failure_reason(progress)
         tree = dirt.tree() if self._keep_trees else None
         return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, tree=tree)
 
@@ -190,6 +196,6 @@ class Proposer:
             raise Defect(f"the plan of cycle {number} fails verification: {'; '.join(map(str, problems))}")
 
 
-def _shortfall(progress: Progress) -> str:
+def _failure_reason(progress: Progress) -> str:
     unsafe = ", many for want of a safe contingency" if progress.unsafe else ""
     return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"

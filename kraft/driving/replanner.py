@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kraft.driving.control import Controller
-from kraft.driving.messages import Cycle, Estimate, Kind, Motion, Reference
-from kraft.driving.method import Planner
-from kraft.driving.proposer import Planners, Proposal, Proposer
-from kraft.driving.stopping import Roller, emergency, plan_reference, stop_reference
+from kraft.driving.messages import Cycle, Estimate, PredictedMotion, Reference, ReferenceKind
+from kraft.driving.method import PlannerSettings
+from kraft.driving.proposer import Proposal, Proposer, Solvers
+from kraft.driving.stopping import ClosedLoopPredictor, contingency_reference, emergency_reference, plan_reference
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
@@ -27,11 +27,11 @@ from ompl_ext.plan import Plan
 class Decision:
     """What is committed for a cycle: always a reference; `plan` is None if it is a contingency.
 
-    `motion` is the predicted execution over the cycle and `contingency` what stops the vehicle after it.
+    `predicted` is the execution over the cycle and `contingency` what stops the vehicle after it.
     """
 
     reference: Reference
-    motion: Motion
+    predicted: PredictedMotion
     reason: str
     plan: Plan | None = None
     contingency: Reference | None = None
@@ -41,7 +41,7 @@ class Replanner:
     """Decides once per cycle what the controller tracks.  See `step`.
 
     Args:
-        planners: of the task, see `Planners.of`.
+        solvers: of the task, see `Solvers.of`.
         settings: the method's.
         controller: the kind that tracks; it is copied for predictions and left as it is.
         seed: of all plans.
@@ -53,8 +53,8 @@ class Replanner:
 
     def __init__(
         self,
-        planners: Planners,
-        settings: Planner,
+        solvers: Solvers,
+        settings: PlannerSettings,
         controller: Controller,
         seed: int,
         *,
@@ -63,28 +63,32 @@ class Replanner:
         realtime: bool = False,
         keep_trees: bool = False,
     ) -> None:
-        self._settings, self.dirt = settings, planners.checking
-        self._proposer = Proposer(planners, settings, seed, realtime=realtime, keep_trees=keep_trees)
-        self._roll = Roller(self.dirt, controller, period)
-        self._once = settings.mode == "one-shot"
-        self._late = max(0.0, delay - settings.lead)
-        self._at_rest = np.zeros(len(self.dirt.vehicle.controls))
+        self._settings, self.dirt = settings, solvers.checking
+        self._proposer = Proposer(solvers, settings, seed, realtime=realtime, keep_trees=keep_trees)
+        self._predict = ClosedLoopPredictor(self.dirt, controller, period)
+        self._one_shot = settings.mode == "one-shot"
+        self._cycle_offset = max(0.0, delay - settings.lead)
+        self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         self._number = 0
         self._proposal = Proposal(None, "there has been no time to plan")
         self._contingency: Reference | None = None
-        self._under_way: list[tuple[float, Reference]] = []
+        self._in_transit: list[tuple[float, Reference]] = []
 
     def begin(self, state: Floats) -> Reference:
         """Plan the first cycle from the start (nx,) before the trial's clock runs; until then the vehicle stands."""
         self._proposal = self._proposer.propose(0, state, None)
         return Reference(
-            Kind.CONTINGENCY, np.zeros(1), state[None, :], np.zeros((0, len(self._at_rest))), self._at_rest
+            ReferenceKind.CONTINGENCY,
+            np.zeros(1),
+            state[None, :],
+            np.zeros((0, len(self._zero_control))),
+            self._zero_control,
         )
 
     @property
     def next_step(self) -> float:
         """When `step` is due, s of the trial: `lead` before the next cycle begins; never again after one shot."""
-        if self._once and self._number > 0:
+        if self._one_shot and self._number > 0:
             return math.inf
         return max(0.0, self._number * self._settings.cycle - self._settings.lead)
 
@@ -94,62 +98,64 @@ class Replanner:
         `current` is what the controller tracks now.  The result's reference is to be tracked from the cycle's time on:
         a cycle begins when what is committed for it has arrived.
         """
-        begins = self._number * self._settings.cycle + self._late
-        root, current = self._root(estimate, begins, current)
-        decision = self._decide(root, begins, estimate, current)
+        cycle_start = self._number * self._settings.cycle + self._cycle_offset
+        root, current = self._root(estimate, cycle_start, current)
+        decision = self._decide(root, cycle_start, estimate, current)
         self._contingency = decision.contingency
-        self._under_way.append((begins, decision.reference))
-        cycle = self._record(decision, begins, estimate)
+        self._in_transit.append((cycle_start, decision.reference))
+        cycle = self._record(decision, cycle_start, estimate)
         self._number += 1
-        if not self._once:
-            self._proposal = self._proposer.propose(self._number, decision.motion.end, decision.plan)
+        if not self._one_shot:
+            self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
         return cycle
 
-    def _root(self, estimate: Estimate, begins: float, current: Reference) -> tuple[Floats, Reference]:
+    def _root(self, estimate: Estimate, cycle_start: float, current: Reference) -> tuple[Floats, Reference]:
         """Where the cycle will begin (nx,), and what is tracked until then: `current`, or what is still on its way."""
-        state, time = self._freed(estimate.state), estimate.time
-        self._under_way = [sent for sent in self._under_way if sent[0] > time + 1e-9]
-        for arrives, following in self._under_way:
-            state, time, current = self._roll(state, time, arrives, current).end, arrives, following
-        return self._roll(state, time, begins, current).end, current
+        state, time = self._nearest_free(estimate.state), estimate.time
+        self._in_transit = [sent for sent in self._in_transit if sent[0] > time + 1e-9]
+        for arrives, following in self._in_transit:
+            state, time, current = self._predict(state, time, arrives, current).final_state, arrives, following
+        return self._predict(state, time, cycle_start, current).final_state, current
 
-    def _decide(self, root: Floats, begins: float, estimate: Estimate, current: Reference) -> Decision:
+    def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Reference) -> Decision:
         """The safety check right before a cycle, from the latest estimate."""
         plan = self._proposal.plan
         if plan is None:
-            return self._stop(root, begins, current, self._proposal.reason)
+            return self._choose_contingency(root, cycle_start, current, self._proposal.reason)
         if self._number > 0 and estimate.age > self._settings.patience:
-            return self._stop(root, begins, current, f"the newest observation is {estimate.age:.2f} s old")
-        ends = begins + self._settings.cycle
-        reference = plan_reference(plan, begins, self._at_rest)
-        motion = self._roll(root, begins, ends, reference)
-        if self._once:
-            return Decision(reference, motion, "", plan)
-        if motion.slack < 0.0:
-            reason = f"from the latest estimate the plan lacks {-motion.slack:.3f} m of clearance"
-            return self._stop(root, begins, current, reason)
-        if not self.dirt.safety.enabled:
-            return Decision(reference, motion, "", plan)
-        stop = self.dirt.contingency(motion.end, ends)  # Alg. 2 where the next cycle will begin
-        if stop is None:
-            return self._stop(
-                root, begins, current, "from the latest estimate no manoeuvre stops safely after the plan"
+            return self._choose_contingency(
+                root, cycle_start, current, f"the newest observation is {estimate.age:.2f} s old"
             )
-        return Decision(reference, motion, "", plan, stop_reference(self.dirt.vehicle, stop))
+        cycle_end = cycle_start + self._settings.cycle
+        reference = plan_reference(plan, cycle_start, self._zero_control)
+        predicted = self._predict(root, cycle_start, cycle_end, reference)
+        if self._one_shot:
+            return Decision(reference, predicted, "", plan)
+        if predicted.slack < 0.0:
+            reason = f"from the latest estimate the plan lacks {-predicted.slack:.3f} m of clearance"
+            return self._choose_contingency(root, cycle_start, current, reason)
+        if not self.dirt.safety.enabled:
+            return Decision(reference, predicted, "", plan)
+        stop = self.dirt.contingency(predicted.final_state, cycle_end)  # Alg. 2 where the next cycle will begin
+        if stop is None:
+            return self._choose_contingency(
+                root, cycle_start, current, "from the latest estimate no manoeuvre stops safely after the plan"
+            )
+        return Decision(reference, predicted, "", plan, contingency_reference(self.dirt.vehicle, stop))
 
-    def _stop(self, root: Floats, begins: float, current: Reference, reason: str) -> Decision:
+    def _choose_contingency(self, root: Floats, cycle_start: float, current: Reference, reason: str) -> Decision:
         """A contingency: one that is safe from here, else the one in hand, else whatever keeps the most distance."""
-        ends = begins + self._settings.cycle
-        safe = self.dirt.contingency(root, begins)
-        in_hand = current if current.kind is Kind.CONTINGENCY else self._contingency
+        cycle_end = cycle_start + self._settings.cycle
+        safe = self.dirt.contingency(root, cycle_start)
+        stored = current if current.kind is ReferenceKind.CONTINGENCY else self._contingency
         if safe is not None:
-            reference = stop_reference(self.dirt.vehicle, safe)
-        elif in_hand is not None and self._is_near(root, in_hand.state_at(begins)):
-            reference = in_hand
+            reference = contingency_reference(self.dirt.vehicle, safe)
+        elif stored is not None and self._is_near(root, stored.state_at(cycle_start)):
+            reference = stored
         else:
-            reference = emergency(self.dirt, root, begins)
-        motion = self._roll(root, begins, ends, reference)
-        return Decision(reference, motion, reason, contingency=reference)
+            reference = emergency_reference(self.dirt, root, cycle_start)
+        predicted = self._predict(root, cycle_start, cycle_end, reference)
+        return Decision(reference, predicted, reason, contingency=reference)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
         """Whether the estimate allows that the vehicle is within delta(v) of where a manoeuvre was verified.
@@ -162,31 +168,31 @@ class Replanner:
         delta = safety.delta + safety.delta_per_speed * abs(float(expected[vehicle.rest_indices[0]]))
         return off <= 2.0 * delta
 
-    def _freed(self, state: Floats) -> Floats:
+    def _nearest_free(self, state: Floats) -> Floats:
         """The nearest state out of collision: a vehicle that still drives is not where an estimate says it collides."""
         vehicle = self.dirt.vehicle
         x, y, theta = pose_of(state, vehicle)
-        if self._free(x, y, theta):
+        if self._is_free(x, y, theta):
             return state
         for ring in range(1, 16):
             for k in range(24):
                 dx, dy = 0.02 * ring * math.cos(k * math.pi / 12), 0.02 * ring * math.sin(k * math.pi / 12)
-                if self._free(x + dx, y + dy, theta):
+                if self._is_free(x + dx, y + dy, theta):
                     moved = state.copy()
                     moved[[vehicle.index("x"), vehicle.index("y")]] = x + dx, y + dy
                     return moved
         return state
 
-    def _free(self, x: float, y: float, theta: float) -> bool:
+    def _is_free(self, x: float, y: float, theta: float) -> bool:
         (x0, x1), (y0, y1) = self.dirt.workspace.bounds
         return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= 0.0
 
-    def _record(self, decision: Decision, begins: float, estimate: Estimate) -> Cycle:
+    def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
         vehicle, plan, proposal = self.dirt.vehicle, decision.plan, self._proposal
-        poses = np.array([pose_of(state, vehicle) for state in decision.motion.states])
+        poses = np.array([pose_of(state, vehicle) for state in decision.predicted.states])
         return Cycle(
             number=self._number,
-            time=begins,
+            time=cycle_start,
             speed=float(estimate.state[vehicle.rest_indices[0]]),
             kind=decision.reference.kind,
             reason=decision.reason,
@@ -199,6 +205,6 @@ class Replanner:
             missed=proposal.missed,
             reference=decision.reference,
             contingency=decision.contingency,
-            predicted=decision.motion,
+            predicted=decision.predicted,
             tree=proposal.tree,
         )

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from kraft.plot.picture import Subject, compose
-from kraft.plot.style import FORMATS, look, picture_format, write_picture
+from kraft.plot.picture import PlanPicture, compose
+from kraft.plot.style import FORMATS, picture_format, plot_style, write_picture
 from kraft.scenario import Task
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.vehicle import Vehicle
@@ -35,8 +35,8 @@ def plot_plan(
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)  # before the work, not after it
-    with look():
-        subject = Subject.of(task, vehicle, plan, tree, cycle)
+    with plot_style():
+        subject = PlanPicture.of(task, vehicle, plan, tree, cycle)
         write_picture(path, compose(subject, title or _title(task), notes))
 
 

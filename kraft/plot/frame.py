@@ -58,14 +58,14 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PoseTrajectory:
     """Poses (m, 3), x, y in m and theta in rad, at increasing `times` (m,) in s."""
 
     times: Floats
     poses: Matrix
 
     @classmethod
-    def of(cls, times: Floats, states: Matrix, vehicle: Vehicle) -> Motion:
+    def of(cls, times: Floats, states: Matrix, vehicle: Vehicle) -> PoseTrajectory:
         """The poses of states (m, nx); a vehicle without theta never turns."""
         poses = np.zeros((len(states), 3))
         poses[:, 0], poses[:, 1] = states[:, vehicle.index("x")], states[:, vehicle.index("y")]

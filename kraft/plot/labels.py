@@ -46,12 +46,12 @@ class _Area:
         """How far it sticks out of the page, pt."""
         return max(0.0, -self.x, -self.y, self.x + self.width - page.width, self.y + self.height - page.height)
 
-    def meets(self, other: _Area) -> bool:
+    def overlaps(self, other: _Area) -> bool:
         return (abs(2 * (self.x - other.x) + self.width - other.width) < self.width + other.width) and (
             abs(2 * (self.y - other.y) + self.height - other.height) < self.height + other.height
         )
 
-    def load(self, points: Floats) -> float:
+    def hidden_weight(self, points: Floats) -> float:
         """Sum of the weights of the points (n, 3), x, y, weight, that it hides."""
         inside = (np.abs(points[:, 0] - self.x - self.width / 2) < self.width / 2 + PAD) & (
             np.abs(points[:, 1] - self.y - self.height / 2) < self.height / 2 + PAD
@@ -66,13 +66,13 @@ def draw_labels(axes: Axes, frame: Frame, labels: Sequence[Label], avoid: Floats
     """
     corner, to_points = np.array([frame.limits[0][0], frame.limits[1][0]]), 72 * scale
     page = _Area(0.0, 0.0, frame.size[0] * to_points, frame.size[1] * to_points)
-    busy = np.column_stack([(frame.points(avoid[:, :2]) - corner) * to_points, avoid[:, 2]])
+    occupied = np.column_stack([(frame.points(avoid[:, :2]) - corner) * to_points, avoid[:, 2]])
     placed: list[_Area] = []
     for label in labels:
         anchor = (frame.points(np.array(label.place)) - corner) * to_points
-        area, leader = _best(label, anchor, label.radius * to_points, page, busy, placed)
+        area, leader = _best_placement(label, anchor, label.radius * to_points, page, occupied, placed)
         placed.append(area)
-        busy = np.vstack([busy, leader])
+        occupied = np.vstack([occupied, leader])
         _draw(axes, label, leader[0, :2] / to_points + corner, area.middle / to_points + corner)
 
 
@@ -92,8 +92,8 @@ def _draw(axes: Axes, label: Label, tip: Floats, middle: Floats) -> None:
     )
 
 
-def _best(
-    label: Label, anchor: Floats, radius: float, page: _Area, busy: Floats, placed: Sequence[_Area]
+def _best_placement(
+    label: Label, anchor: Floats, radius: float, page: _Area, occupied: Floats, placed: Sequence[_Area]
 ) -> tuple[_Area, Floats]:
     """The label's area and weighted points (n, 3) along its leader, beginning at what it points at, all in pt."""
     lines = label.text.split("\n")
@@ -109,8 +109,8 @@ def _best(
             area = _Area(float(x), float(y), width, height)
             line = anchor + outward * np.linspace(radius, radius + distance, 8)[:, None]
             leader = np.column_stack([line, np.full(len(line), 50.0)])
-            penalty = area.load(busy) + 0.3 * distance + 100 * area.outside(page)
-            penalty += sum(1000 * area.meets(other) + other.load(leader) for other in placed)
+            penalty = area.hidden_weight(occupied) + 0.3 * distance + 100 * area.outside(page)
+            penalty += sum(1000 * area.overlaps(other) + other.hidden_weight(leader) for other in placed)
             if found is None or penalty < found[0]:
                 found = penalty, area, leader
     assert found is not None, "there are distances and directions to choose from"

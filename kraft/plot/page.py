@@ -24,7 +24,7 @@ from kraft.plot.style import (
     TITLE,
     VALUE,
     WARNING,
-    Look,
+    Style,
     plain_number,
     shortened,
     text_width,
@@ -32,13 +32,13 @@ from kraft.plot.style import (
 
 WIDTH = 9.0
 LEFT, RIGHT = 0.55, 0.2
-HEAD, NOTES, KEY = 0.48, 0.42, 0.3  # title; a row of notes; a row of the key
+HEADING, NOTES, LEGEND = 0.48, 0.42, 0.3  # title; a row of notes; a row of the key
 UNDER_MAP, UNDER_PANELS = 0.45, 0.42
 PANEL, PANEL_GAP = 0.55, 0.2
 MAP_HEIGHT_MAX = 5.6
-FLAT = 0.6  # a map flatter than this has the panels below it, any other beside it
+FLAT_ASPECT = 0.6  # a map flatter than this has the panels below it, any other beside it
 SIDE = 2.9  # panels beside the map and the space between
-NARROWEST = 5.0
+MIN_WIDTH = 5.0
 NOTE_GAP = 20.0  # between notes, pt
 
 
@@ -64,7 +64,7 @@ class Page:
     width: float
     height: float
     map: Rectangle
-    key: Rectangle
+    legend: Rectangle
     panels: tuple[Rectangle, ...]
     note_rows: tuple[tuple[tuple[str, str], ...], ...]
 
@@ -83,7 +83,7 @@ class Page:
         if alarm:
             self.text(figure, self.width - RIGHT, 0.32, alarm, TITLE, WARNING, weight="bold", ha="right")
         for row, notes in enumerate(self.note_rows):
-            left, top = LEFT, HEAD + row * NOTES
+            left, top = LEFT, HEADING + row * NOTES
             for name, value in notes:
                 self.text(figure, left, top + 0.15, value, VALUE, INK, weight="bold")
                 self.text(figure, left, top + 0.30, name, LABEL, GREY)
@@ -95,32 +95,32 @@ class Page:
         figure.text(*place, text, fontsize=size, color=colour, va="baseline", parse_math=False, **more)
 
 
-def lay_out(frame: Frame, notes: Mapping[str, str], panels: int, key_widths: Sequence[float]) -> Page:
+def lay_out(frame: Frame, notes: Mapping[str, str], panels: int, legend_widths: Sequence[float]) -> Page:
     """Compose the page: the map as large as it can be, panels below a flat map and beside any other.
 
-    `key_widths` are those of the key's entries, in.
+    `legend_widths` are those of the key's entries, in.
     """
-    flat = frame.size[1] < FLAT * frame.size[0]
+    flat = frame.size[1] < FLAT_ASPECT * frame.size[0]
     aspect = frame.size[1] / frame.size[0]
     beside = SIDE if panels and not flat else 0.0
     map_width = min(WIDTH - LEFT - RIGHT - beside, MAP_HEIGHT_MAX / aspect)
-    width = max(NARROWEST, LEFT + map_width + beside + RIGHT)
+    width = max(MIN_WIDTH, LEFT + map_width + beside + RIGHT)
     room = width - LEFT - RIGHT
     note_rows = note_rows_of(notes, room)
-    top = HEAD + len(note_rows) * NOTES + 0.08
+    top = HEADING + len(note_rows) * NOTES + 0.08
     place = Rectangle(LEFT, top, map_width, map_width * aspect)
-    key = Rectangle(LEFT, place.bottom + UNDER_MAP, room, KEY * len(flow(key_widths, room)))
-    height, under = key.bottom + 0.1, None
+    legend = Rectangle(LEFT, place.bottom + UNDER_MAP, room, LEGEND * len(flow_rows(legend_widths, room)))
+    height, under = legend.bottom + 0.1, None
     if panels and flat:
-        under = Rectangle(LEFT, key.bottom + 0.22, room, panels * (PANEL + PANEL_GAP) - PANEL_GAP)
+        under = Rectangle(LEFT, legend.bottom + 0.22, room, panels * (PANEL + PANEL_GAP) - PANEL_GAP)
         height = under.bottom + UNDER_PANELS
     elif panels:
         left = place.left + place.width + 0.5
         under = Rectangle(left, top + 0.12, width - RIGHT - left, place.height - 0.12)
-    return Page(width, height, place, key, _stacked(under, panels) if under else (), note_rows)
+    return Page(width, height, place, legend, _stacked(under, panels) if under else (), note_rows)
 
 
-def flow(widths: Sequence[float], room: float) -> list[list[int]]:
+def flow_rows(widths: Sequence[float], room: float) -> list[list[int]]:
     """Indices of items of these widths, set in rows of at most `room`."""
     rows: list[list[int]] = []
     used = room
@@ -143,7 +143,7 @@ def note_rows_of(notes: Mapping[str, str], room: float) -> tuple[tuple[tuple[str
     """Notes set in rows of at most `room` in, shortened where one alone is wider."""
     most = 72 * room
     pairs = [(shortened(k, LABEL, most), shortened(v, VALUE, most, bold=True)) for k, v in notes.items()]
-    rows = flow([_note_width(*pair) for pair in pairs], room + NOTE_GAP / 72)
+    rows = flow_rows([_note_width(*pair) for pair in pairs], room + NOTE_GAP / 72)
     return tuple(tuple(pairs[i] for i in row) for row in rows)
 
 
@@ -156,7 +156,7 @@ BAR, BAR_HEIGHT = 1.2, 0.09
 
 
 @dataclass(frozen=True)
-class Entry:
+class LegendEntry:
     """One explanation; a `scale` is drawn as the colours from 0 to its largest value.
 
     `thickness` is that of a line or the size of dots, pt.
@@ -175,40 +175,40 @@ class Entry:
         return sample + 0.08 + text_width(self.text, LABEL) / 72
 
 
-def draw_key(figure: Figure, page: Page, entries: Sequence[Entry]) -> None:
+def draw_legend(figure: Figure, page: Page, entries: Sequence[LegendEntry]) -> None:
     """Set the entries in rows; the scale of colours stands at the right end of its row."""
-    for row, members in enumerate(flow([entry.width for entry in entries], page.key.width)):
-        left, middle = page.key.left, page.key.top + KEY * row + 0.08
+    for row, members in enumerate(flow_rows([entry.width for entry in entries], page.legend.width)):
+        left, middle = page.legend.left, page.legend.top + LEGEND * row + 0.08
         for entry in (entries[i] for i in members):
             if entry.scale is not None:
-                left = max(left, page.key.left + page.key.width - entry.width)
+                left = max(left, page.legend.left + page.legend.width - entry.width)
             _draw_entry(figure, page, entry, left, middle)
             left += entry.width
 
 
-def _draw_entry(figure: Figure, page: Page, entry: Entry, left: float, middle: float) -> None:
+def _draw_entry(figure: Figure, page: Page, entry: LegendEntry, left: float, middle: float) -> None:
     inches, height = figure.dpi_scale_trans, page.height - middle
     if entry.kind == "scale" and entry.scale is not None:
         text_left, bar_left = left, left + text_width(entry.text, LABEL) / 72 + 0.12
-        _draw_scale(figure, page, entry.scale, Rectangle(bar_left, middle - BAR_HEIGHT / 2, BAR, BAR_HEIGHT))
+        _draw_colour_bar(figure, page, entry.scale, Rectangle(bar_left, middle - BAR_HEIGHT / 2, BAR, BAR_HEIGHT))
     else:
         text_left = left + (OUTLINE if entry.kind == "outline" else SAMPLE) + 0.08
         if entry.kind == "dots":
             places = left + SAMPLE * np.array([0.15, 0.5, 0.85])
-            dots: Look = {"color": entry.colour, "markersize": entry.thickness, "markeredgewidth": 0}
+            dots: Style = {"color": entry.colour, "markersize": entry.thickness, "markeredgewidth": 0}
             figure.add_artist(Line2D(places, [height] * 3, linestyle="", marker=".", transform=inches, **dots))
         elif entry.kind != "outline":
             ends = [left, left + SAMPLE], [height, height]
-            look: Look = {"color": entry.colour, "linewidth": entry.thickness, "transform": inches}
-            figure.add_artist(Line2D(*ends, linestyle=DASHED if entry.kind == "dashes" else "solid", **look))
+            line_style: Style = {"color": entry.colour, "linewidth": entry.thickness, "transform": inches}
+            figure.add_artist(Line2D(*ends, linestyle=DASHED if entry.kind == "dashes" else "solid", **line_style))
         else:
-            shape: Look = {"fill": False, "edgecolor": entry.colour, "linewidth": 0.8, "transform": inches}
+            shape: Style = {"fill": False, "edgecolor": entry.colour, "linewidth": 0.8, "transform": inches}
             figure.add_artist(Box((left, height - 0.07), OUTLINE, 0.14, **shape))
-    style: Look = {"fontsize": LABEL, "color": INK, "va": "center_baseline", "transform": inches}
+    style: Style = {"fontsize": LABEL, "color": INK, "va": "center_baseline", "transform": inches}
     figure.text(text_left, height, entry.text, **style)
 
 
-def _draw_scale(figure: Figure, page: Page, scale: ScalarMappable, part: Rectangle) -> None:
+def _draw_colour_bar(figure: Figure, page: Page, scale: ScalarMappable, part: Rectangle) -> None:
     axes = page.axes(figure, part)
     bar = figure.colorbar(scale, cax=axes, orientation="horizontal")
     bar.outline.set_visible(False)

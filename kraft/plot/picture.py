@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from kraft.plot.frame import Frame, Motion, outlines
+from kraft.plot.frame import Frame, PoseTrajectory, outlines
 from kraft.plot.labels import Label, draw_labels
-from kraft.plot.motion import draw_contingency, draw_plan, draw_start, footprint_interval
-from kraft.plot.page import Entry, draw_key, lay_out
-from kraft.plot.panels import draw_panel, panels_of
+from kraft.plot.page import LegendEntry, draw_legend, lay_out
+from kraft.plot.plan_panels import draw_plan_panel, panels_of_plan
+from kraft.plot.plan_path import draw_contingency, draw_plan, draw_start, footprint_interval
 from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace, tree_lines, widest_place
 from kraft.plot.style import CYCLE, GOAL, INK, WARNING
 from kraft.scenario import OccupancyMap, Task
@@ -25,7 +25,7 @@ from ompl_ext.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Subject:
+class PlanPicture:
     """What the picture is about.  `start` is the pose (3,) of the tree's root; `cycle` is in s."""
 
     task: Task
@@ -34,21 +34,21 @@ class Subject:
     tree: TreeView
     cycle: float
     start: Floats
-    motion: Motion | None
-    braking: Motion | None
+    motion: PoseTrajectory | None
+    contingency: PoseTrajectory | None
 
     @classmethod
-    def of(cls, task: Task, vehicle: Vehicle, plan: Plan | None, tree: TreeView, cycle: float) -> Subject:
+    def of(cls, task: Task, vehicle: Vehicle, plan: Plan | None, tree: TreeView, cycle: float) -> PlanPicture:
         """Derive the motions; a tree without nodes starts where the task says."""
         start = np.array([task.start.x, task.start.y, task.start.heading])
         if len(tree.states):
-            start = Motion.of(np.zeros(1), tree.states[:1], vehicle).poses[0]
-        motion = braking = None
+            start = PoseTrajectory.of(np.zeros(1), tree.states[:1], vehicle).poses[0]
+        motion = contingency = None
         if plan is not None:
-            motion = Motion.of(plan.times, plan.trajectory, vehicle)
+            motion = PoseTrajectory.of(plan.times, plan.trajectory, vehicle)
         if plan is not None and (safe := plan.contingency) is not None:
-            braking = Motion.of(safe.times, safe.states, vehicle)
-        return cls(task, vehicle, plan, tree, cycle, start, motion, braking)
+            contingency = PoseTrajectory.of(safe.times, safe.states, vehicle)
+        return cls(task, vehicle, plan, tree, cycle, start, motion, contingency)
 
     @property
     def warning(self) -> str | None:
@@ -61,24 +61,24 @@ class Subject:
         return None
 
 
-def compose(subject: Subject, title: str, notes: Mapping[str, str]) -> Figure:
+def compose(subject: PlanPicture, title: str, notes: Mapping[str, str]) -> Figure:
     """The whole picture."""
     frame = Frame.around(subject.task.bounds)
     lines = tree_lines(frame, subject.tree, subject.vehicle)
-    entries = _key_entries(subject, lines)
-    panels = [] if subject.plan is None else panels_of(subject.plan, subject.vehicle)
+    entries = _legend_entries(subject, lines)
+    panels = [] if subject.plan is None else panels_of_plan(subject.plan, subject.vehicle, subject.cycle)
     page = lay_out(frame, notes, len(panels), [entry.width for entry in entries])
     figure = Figure(figsize=(page.width, page.height))
     page.heading(figure, title, subject.warning)
     _draw_map(page.axes(figure, page.map), subject, frame, lines, page.map.width / frame.size[0])
-    draw_key(figure, page, entries)
+    draw_legend(figure, page, entries)
     for panel, part in zip(panels, page.panels, strict=True):
-        end = max(motion.end for motion in (subject.motion, subject.braking) if motion is not None)
-        draw_panel(page.axes(figure, part), panel, subject.cycle, end, last=panel is panels[-1])
+        end = max(motion.end for motion in (subject.motion, subject.contingency) if motion is not None)
+        draw_plan_panel(page.axes(figure, part), panel, subject.cycle, end, last=panel is panels[-1])
     return figure
 
 
-def _draw_map(axes: Axes, subject: Subject, frame: Frame, lines: LineCollection | None, scale: float) -> None:
+def _draw_map(axes: Axes, subject: PlanPicture, frame: Frame, lines: LineCollection | None, scale: float) -> None:
     draw_workspace(axes, frame, subject.task.bounds, scale)
     for obstacle in subject.task.obstacles:
         draw_obstacle(axes, frame, obstacle, scale)
@@ -87,33 +87,33 @@ def _draw_map(axes: Axes, subject: Subject, frame: Frame, lines: LineCollection 
     draw_goal(axes, frame, subject.task.goal)
     if subject.motion is not None:
         draw_plan(axes, frame, subject.vehicle, subject.motion, subject.cycle, scale)
-    if subject.braking is not None:
-        draw_contingency(axes, frame, subject.vehicle, subject.braking, scale)
+    if subject.contingency is not None:
+        draw_contingency(axes, frame, subject.vehicle, subject.contingency, scale)
     draw_start(axes, frame, subject.vehicle, subject.start)
-    draw_labels(axes, frame, _labels(subject), _not_to_hide(subject), scale)
+    draw_labels(axes, frame, _labels(subject), _avoided_points(subject), scale)
 
 
-def _labels(subject: Subject) -> list[Label]:
+def _labels(subject: PlanPicture) -> list[Label]:
     goal = subject.task.goal
     half = subject.vehicle.footprint.width / 2
     labels = [
         Label("start", (float(subject.start[0]), float(subject.start[1])), INK, half),
         Label("goal", goal.center, GOAL, goal.radius),
     ]
-    if subject.braking is not None and subject.plan is not None and subject.plan.contingency is not None:
-        safe, last = subject.plan.contingency, subject.braking.poses[-1]
-        text = f"contingency “{safe.manoeuvre}”\nstands at {subject.braking.end:.1f} s"
+    if subject.contingency is not None and subject.plan is not None and subject.plan.contingency is not None:
+        safe, last = subject.plan.contingency, subject.contingency.poses[-1]
+        text = f"contingency “{safe.manoeuvre}”\nstands at {subject.contingency.end:.1f} s"
         labels.append(Label(text, (float(last[0]), float(last[1])), WARNING, half))
     return labels
 
 
-def _not_to_hide(subject: Subject) -> Floats:
+def _avoided_points(subject: PlanPicture) -> Floats:
     """Points (n, 3): x, y in m along everything that is drawn, and how bad it is to hide them."""
     footprint, goal, tree = subject.vehicle.footprint, subject.task.goal, subject.tree
     turn = np.linspace(0.0, 2 * np.pi, 16)
     rim = np.array(goal.center) + goal.radius * np.column_stack([np.cos(turn), np.sin(turn)])
     bold = [rim, np.array([goal.center]), outlines(footprint, subject.start[None, :]).reshape(-1, 2)]
-    for motion in (subject.motion, subject.braking):
+    for motion in (subject.motion, subject.contingency):
         if motion is not None:
             poses = motion.at(np.linspace(float(motion.times[0]), motion.end, 200))
             bold += [poses[:, :2], outlines(footprint, poses[::10]).reshape(-1, 2)]
@@ -124,19 +124,19 @@ def _not_to_hide(subject: Subject) -> Floats:
     return np.vstack([np.column_stack([points, np.full(len(points), weight)]) for points, weight in weighted])
 
 
-def _key_entries(subject: Subject, lines: LineCollection | None) -> list[Entry]:
+def _legend_entries(subject: PlanPicture, lines: LineCollection | None) -> list[LegendEntry]:
     entries = []
     if subject.motion is not None:
         interval = footprint_interval(subject.motion, subject.vehicle)
         entries += [
-            Entry(f"first cycle, {subject.cycle:g} s", "line", CYCLE, 3.6),
-            Entry("rest of the plan", "line", INK, 1.8),
-            Entry(f"vehicle every {interval:g} s", "outline", INK),
+            LegendEntry(f"first cycle, {subject.cycle:g} s", "line", CYCLE, 3.6),
+            LegendEntry("rest of the plan", "line", INK, 1.8),
+            LegendEntry(f"vehicle every {interval:g} s", "outline", INK),
         ]
-    if subject.braking is not None:
-        entries.append(Entry("contingency", "dashes", WARNING, 2.5))
+    if subject.contingency is not None:
+        entries.append(LegendEntry("contingency", "dashes", WARNING, 2.5))
     if lines is not None:
         drawn, edges = len(lines.get_segments()), int((subject.tree.parents >= 0).sum())
         part = "" if drawn == edges else f" ({drawn / edges:.0%})"
-        entries.append(Entry(f"tree{part}: cost-to-come, s", "scale", scale=lines))
+        entries.append(LegendEntry(f"tree{part}: cost-to-come, s", "scale", scale=lines))
     return entries

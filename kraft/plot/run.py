@@ -12,31 +12,31 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from kraft.driving.messages import Kind
+from kraft.driving.messages import ReferenceKind
 from kraft.plot.frame import Frame
 from kraft.plot.labels import Label, draw_labels
-from kraft.plot.motion import draw_start
-from kraft.plot.page import Entry, draw_key, lay_out
+from kraft.plot.page import LegendEntry, draw_legend, lay_out
+from kraft.plot.plan_path import draw_start
 from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace
-from kraft.plot.style import CYCLE, GOAL, INK, WARNING, look, picture_format, write_picture
+from kraft.plot.style import CYCLE, GOAL, INK, WARNING, picture_format, plot_style, write_picture
 from kraft.plot.traces import (
-    CRASH,
+    COLLISION,
     ESTIMATED,
     HIDDEN,
-    SEEN,
-    SEEN_SIZE,
-    Drive,
+    OBSERVATION,
+    OBSERVATION_SIZE,
+    DrivenTrajectory,
     draw_footprints,
-    draw_hidden,
-    draw_intentions,
-    draw_seen,
-    draw_trace,
+    draw_hidden_features,
+    draw_observations,
+    draw_references,
+    draw_run_panel,
     driven_line,
-    footprint_times,
-    traces_of,
+    panels_of_run,
+    run_footprint_interval,
 )
 from kraft.scenario import Task
-from kraft.simulation.hidden import Hidden
+from kraft.simulation.hidden import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult
 from ompl_ext.vehicle import Vehicle
 
@@ -49,7 +49,7 @@ def plot_run(
     *,
     title: str | None = None,
     unknown: Sequence[str] = (),
-    hidden: Sequence[Hidden] = (),
+    hidden: Sequence[HiddenFeature] = (),
 ) -> None:
     """Draw a drive as PNG, SVG or PDF by the suffix of `path`.
 
@@ -60,10 +60,10 @@ def plot_run(
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)  # before the work, not after it
-    drive = Drive.of(result)
-    told = key_numbers(result, unknown)
-    with look():
-        write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", told, hidden))
+    drive = DrivenTrajectory.of(result)
+    notes = key_numbers(result, unknown)
+    with plot_style():
+        write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", notes, hidden))
 
 
 def key_numbers(result: TrialResult, unknown: Sequence[str] = ()) -> Mapping[str, str]:
@@ -81,22 +81,27 @@ def key_numbers(result: TrialResult, unknown: Sequence[str] = ()) -> Mapping[str
 
 
 def _compose(
-    drive: Drive, task: Task, vehicle: Vehicle, title: str, notes: Mapping[str, str], hidden: Sequence[Hidden]
+    drive: DrivenTrajectory,
+    task: Task,
+    vehicle: Vehicle,
+    title: str,
+    notes: Mapping[str, str],
+    hidden: Sequence[HiddenFeature],
 ) -> Figure:
     frame = Frame.around(task.bounds)
     line = driven_line(frame, drive, max(vehicle.top_speed, 1e-3))
-    entries, traces = _key_entries(drive, line, hidden), traces_of(drive, task, vehicle)
-    page = lay_out(frame, notes, len(traces), [entry.width for entry in entries])
+    entries, panels = _legend_entries(drive, line, hidden), panels_of_run(drive, task, vehicle)
+    page = lay_out(frame, notes, len(panels), [entry.width for entry in entries])
     figure = Figure(figsize=(page.width, page.height))
-    page.heading(figure, title, _ending(drive.result))
+    page.heading(figure, title, _failure(drive.result))
     _draw_map(page.axes(figure, page.map), drive, frame, task, vehicle, line, hidden, page.map.width / frame.size[0])
-    draw_key(figure, page, entries)
-    for trace, part in zip(traces, page.panels, strict=True):
-        draw_trace(page.axes(figure, part), trace, drive, last=trace is traces[-1])
+    draw_legend(figure, page, entries)
+    for panel, part in zip(panels, page.panels, strict=True):
+        draw_run_panel(page.axes(figure, part), panel, drive, last=panel is panels[-1])
     return figure
 
 
-def _ending(result: TrialResult) -> str | None:
+def _failure(result: TrialResult) -> str | None:
     """What went wrong, if anything did."""
     match result.outcome:
         case Outcome.COLLISION:
@@ -109,29 +114,29 @@ def _ending(result: TrialResult) -> str | None:
 
 def _draw_map(
     axes: Axes,
-    drive: Drive,
+    drive: DrivenTrajectory,
     frame: Frame,
     task: Task,
     vehicle: Vehicle,
     line: LineCollection,
-    hidden: Sequence[Hidden],
+    hidden: Sequence[HiddenFeature],
     scale: float,
 ) -> None:
     draw_workspace(axes, frame, task.bounds, scale)
-    draw_hidden(axes, frame, hidden)
+    draw_hidden_features(axes, frame, hidden)
     for obstacle in task.obstacles:
         draw_obstacle(axes, frame, obstacle, scale)
     draw_goal(axes, frame, task.goal)
-    draw_seen(axes, frame, drive.result)
-    draw_footprints(axes, frame, vehicle, drive, footprint_times(drive))
-    draw_intentions(axes, frame, vehicle, drive.result)
+    draw_observations(axes, frame, drive.result)
+    draw_footprints(axes, frame, vehicle, drive, run_footprint_interval(drive))
+    draw_references(axes, frame, vehicle, drive.result)
     axes.add_collection(line, autolim=False)
     start = np.array([task.start.x, task.start.y, task.start.heading])
     draw_start(axes, frame, vehicle, start)
-    draw_labels(axes, frame, _labels(drive, task, vehicle), _not_to_hide(drive), scale)
+    draw_labels(axes, frame, _labels(drive, task, vehicle), _avoided_points(drive), scale)
 
 
-def _labels(drive: Drive, task: Task, vehicle: Vehicle) -> list[Label]:
+def _labels(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Label]:
     half = vehicle.footprint.width / 2
     labels = [
         Label("start", (task.start.x, task.start.y), INK, half),
@@ -139,24 +144,26 @@ def _labels(drive: Drive, task: Task, vehicle: Vehicle) -> list[Label]:
     ]
     if drive.result.outcome is Outcome.COLLISION:
         x, y, _ = map(float, drive.motion.poses[-1])
-        labels.append(Label(f"collision with\n{drive.result.obstacle}", (x, y), CRASH, half))
+        labels.append(Label(f"collision with\n{drive.result.obstacle}", (x, y), COLLISION, half))
     return labels
 
 
-def _not_to_hide(drive: Drive) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _avoided_points(drive: DrivenTrajectory) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     return np.column_stack([drive.motion.poses[:, :2], np.ones(len(drive.motion.poses))])
 
 
-def _key_entries(drive: Drive, line: LineCollection, hidden: Sequence[Hidden]) -> list[Entry]:
-    entries = [Entry("planned in each cycle; planned speed", "line", CYCLE, 1.2)]
-    if any(cycle.kind == Kind.CONTINGENCY for cycle in drive.result.cycles):
-        entries.append(Entry("contingency", "dashes", WARNING, 1.6))
+def _legend_entries(
+    drive: DrivenTrajectory, line: LineCollection, hidden: Sequence[HiddenFeature]
+) -> list[LegendEntry]:
+    entries = [LegendEntry("planned in each cycle; planned speed", "line", CYCLE, 1.2)]
+    if any(cycle.kind == ReferenceKind.CONTINGENCY for cycle in drive.result.cycles):
+        entries.append(LegendEntry("contingency", "dashes", WARNING, 1.6))
     entries += [
-        Entry("estimated speed", "line", ESTIMATED, 1.2),
-        Entry("true values", "line", INK, 1.6),
-        Entry("camera", "dots", SEEN, 2 * SEEN_SIZE),
-        Entry(f"vehicle every {footprint_times(drive):g} s", "outline", INK),
-        *([Entry("unknown to the planner", "outline", HIDDEN[hidden[0].kind][1])] if hidden else []),
-        Entry("driven, m/s", "scale", scale=line),
+        LegendEntry("estimated speed", "line", ESTIMATED, 1.2),
+        LegendEntry("true values", "line", INK, 1.6),
+        LegendEntry("camera", "dots", OBSERVATION, 2 * OBSERVATION_SIZE),
+        LegendEntry(f"vehicle every {run_footprint_interval(drive):g} s", "outline", INK),
+        *([LegendEntry("unknown to the planner", "outline", HIDDEN[hidden[0].kind][1])] if hidden else []),
+        LegendEntry("driven, m/s", "scale", scale=line),
     ]
     return entries

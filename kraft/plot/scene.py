@@ -27,7 +27,7 @@ from kraft.plot.style import (
     SMALL,
     SOLID,
     SOLID_EDGE,
-    Look,
+    Style,
     cost_colours,
     text_width,
 )
@@ -72,19 +72,22 @@ def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, scale: float) ->
         _draw_cells(axes, frame, obstacle)
         return
     # all outlines lie below all fillings: obstacles that overlap look like one
-    for look in ({"edgecolor": SOLID_EDGE, "linewidth": 1.4, "zorder": 2.8}, {"facecolor": SOLID, "zorder": 2.9}):
-        axes.add_patch(_shape(frame, obstacle, look))
+    for shape_style in (
+        {"edgecolor": SOLID_EDGE, "linewidth": 1.4, "zorder": 2.8},
+        {"facecolor": SOLID, "zorder": 2.9},
+    ):
+        axes.add_patch(_shape(frame, obstacle, shape_style))
     center, room = widest_place(obstacle)
     if obstacle.name and text_width(obstacle.name, SMALL) / 72 < 0.9 * room * scale:
-        style: Look = {"fontsize": SMALL, "color": "#4a515c", "ha": "center", "va": "center", "zorder": 3.1}
+        style: Style = {"fontsize": SMALL, "color": "#4a515c", "ha": "center", "va": "center", "zorder": 3.1}
         axes.text(*_pair(frame.points(center)), obstacle.name, parse_math=False, clip_on=True, **style)
 
 
-def _shape(frame: Frame, obstacle: Box | Circle | Polygon, look: Mapping[str, Any]) -> Patch:
+def _shape(frame: Frame, obstacle: Box | Circle | Polygon, shape_style: Mapping[str, Any]) -> Patch:
     if isinstance(obstacle, Circle):
-        return Disc(_pair(frame.points(np.array(obstacle.center))), obstacle.radius, **look)
+        return Disc(_pair(frame.points(np.array(obstacle.center))), obstacle.radius, **shape_style)
     vertices = np.array(obstacle.corners if isinstance(obstacle, Box) else obstacle.vertices)
-    return Area(frame.points(vertices), **look)
+    return Area(frame.points(vertices), **shape_style)
 
 
 def widest_place(obstacle: Box | Circle | Polygon) -> tuple[Floats, float]:

@@ -35,7 +35,7 @@ WARNING_PALE: Final = "#fcdcc4"
 GOAL: Final = "#009e73"
 GOAL_PALE: Final = "#b4e0d4"
 GOAL_HALF: Final = "#50bc9c"
-Look: TypeAlias = dict[str, Any]  # arguments of matplotlib's artists
+Style: TypeAlias = dict[str, Any]  # arguments of matplotlib's artists
 Dashes: TypeAlias = tuple[float, tuple[float, ...]]
 DASHED: Final[Dashes] = (0, (2.4, 0.9))  # what would happen instead
 
@@ -60,7 +60,7 @@ SETTINGS: Final[dict[str, Any]] = {
 
 
 @contextmanager
-def look() -> Iterator[None]:
+def plot_style() -> Iterator[None]:
     """Draw with these settings alone, whatever the user's matplotlibrc says, and leave his as they were."""
     with style.context(SETTINGS, after_reset=True):
         yield
@@ -84,8 +84,8 @@ def text_width(text: str, size: float, *, bold: bool = False) -> float:
         return 0.0
     weight = "bold" if bold else "normal"
     properties = FontProperties(family="DejaVu Sans", weight=weight)
-    plain = text.replace("$", r"\$")  # a TextPath always looks for mathematics
-    return float(np.ptp(TextPath((0, 0), plain, size=size, prop=properties).vertices[:, 0]))
+    escaped = text.replace("$", r"\$")  # a TextPath always looks for mathematics
+    return float(np.ptp(TextPath((0, 0), escaped, size=size, prop=properties).vertices[:, 0]))
 
 
 def shortened(text: str, size: float, width: float, *, bold: bool = False) -> str:

@@ -10,29 +10,29 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from kraft.plot.page import HEAD, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
-from kraft.plot.style import INK, SMALL, look, picture_format, text_width, write_picture
-from kraft.plot.sysid_logs import telling
+from kraft.plot.page import HEADING, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
+from kraft.plot.panels import ColouredText
+from kraft.plot.style import INK, SMALL, picture_format, plot_style, text_width, write_picture
+from kraft.plot.sysid_logs import most_excited_log
 from kraft.plot.sysid_panels import (
     draw_correlation,
-    draw_growth,
+    draw_error_over_time,
     draw_histogram,
     draw_parameters,
     draw_windows,
     fit_panels,
-    typical,
+    median_error_log,
 )
 from kraft.plot.sysid_style import (
-    AFTER,
-    BEFORE,
     DATA,
     FITTED,
     HELD_OUT,
-    Word,
+    IDENTIFIED,
+    INITIAL,
     caption,
+    draw_paths,
     draw_stack,
-    draw_ways,
-    fit_floor,
+    set_floor_limits,
 )
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit
@@ -66,7 +66,7 @@ def plot_identification(
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)
-    with look():
+    with plot_style():
         write_picture(path, compose(vehicle, split, result, evaluation, objections))
 
 
@@ -79,7 +79,7 @@ def compose(
 ) -> Figure:
     """The page."""
     rows = note_rows_of(_notes(split, result, evaluation), WIDTH - LEFT - RIGHT)
-    tops, top = [], HEAD + NOTES * len(rows) + 0.32
+    tops, top = [], HEADING + NOTES * len(rows) + 0.32
     for height in ROWS:
         tops.append(top)
         top += height + GAP
@@ -113,30 +113,30 @@ def _draw_data(
     figure: Figure, page: Page, floor: Rectangle, split: LogSplit, result: Identification, top: float
 ) -> None:
     axes = page.axes(figure, floor)
-    ways = {FITTED: _ways(split.fitted), HELD_OUT: _ways(split.held_out)}
-    for colour, found in ways.items():
-        draw_ways(axes, found, colour, width=0.8)
-    fit_floor(axes, [way for found in ways.values() for way in found], floor)
-    words: list[Word] = [("Data", INK), ("fitted", FITTED)]
+    paths = {FITTED: _paths(split.fitted), HELD_OUT: _paths(split.held_out)}
+    for colour, found in paths.items():
+        draw_paths(axes, found, colour, width=0.8)
+    set_floor_limits(axes, [path for found in paths.values() for path in found], floor)
+    words: list[ColouredText] = [("Data", INK), ("fitted", FITTED)]
     caption(figure, page, floor, words + ([("held out", HELD_OUT)] if split.held_out else []))
     labels = max((text_width(name, SMALL) for name in result.names), default=0.0) / 72 + 0.1
     matrix = Rectangle(WIDTH - RIGHT - MATRIX, top, MATRIX, MATRIX)
     left = floor.left + floor.width + 0.3
     table = Rectangle(left, top, matrix.left - labels - 0.25 - left, ROWS[0] + 0.2)
     draw_parameters(figure, page, table, result.parameters, result.warnings)
-    caption(figure, page, table, (("Parameters", INK), ("identified", AFTER), ("initial", BEFORE)))
+    caption(figure, page, table, (("Parameters", INK), ("identified", IDENTIFIED), ("initial", INITIAL)))
     draw_correlation(page.axes(figure, matrix), result.names, result.correlation)
     caption(figure, page, matrix, (("Correlation", INK), (f"({result.interval})", INK)))
 
 
-def _ways(logs: Sequence[Log]) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+def _paths(logs: Sequence[Log]) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
     return [part.poses[:, :2] for log in logs for part in log.parts]
 
 
 def _draw_fit(
     figure: Figure, page: Page, top: float, vehicle: Vehicle, split: LogSplit, result: Identification
 ) -> None:
-    log = telling(split.fitted)
+    log = most_excited_log(split.fitted)
     fit = next(found for found in result.logs if found.name == log.name)
     number = int(np.argmax([len(part.pose_times) for part in fit.parts]))
     shown = fit.parts[number]
@@ -161,10 +161,10 @@ def _draw_fit(
 def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: PredictionEvaluation) -> None:
     pair = evaluation.held_out or evaluation.fitted
     whose = "held-out logs" if evaluation.held_out else "fitted logs"
-    name = typical(pair.identified)
+    name = median_error_log(pair.identified)
     floor = Rectangle(LEFT, top, SIDE + 0.2, ROWS[2])
     draw_windows(page.axes(figure, floor), floor, pair, name)
-    words: tuple[Word, ...] = ((f"Prediction of {name}, 3 s at a time", INK), ("poses", DATA))
+    words: tuple[ColouredText, ...] = ((f"Prediction of {name}, 3 s at a time", INK), ("poses", DATA))
     caption(figure, page, floor, words)
     pairs = [(pair, whose)] + ([(evaluation.fitted, "fitted logs")] if evaluation.held_out else [])
     width = (WIDTH - RIGHT - floor.left - floor.width - 1.5) / 2
@@ -173,7 +173,7 @@ def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: Predict
         ((2,), 180.0 / math.pi, "deg", "Yaw"),
     )):  # fmt: skip
         part = Rectangle(floor.left + floor.width + 0.75 + k * (width + 0.75), top, width, ROWS[2])
-        draw_growth(page.axes(figure, part), pairs, columns, factor, unit)
+        draw_error_over_time(page.axes(figure, part), pairs, columns, factor, unit)
         rest = (("dashed: fitted", INK),) if len(pairs) > 1 else ()
-        words = ((f"{title}, {whose}", INK), ("identified", AFTER), ("initial", BEFORE), *rest)
+        words = ((f"{title}, {whose}", INK), ("identified", IDENTIFIED), ("initial", INITIAL), *rest)
         caption(figure, page, part, words)

@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kraft.plot.page import Page, Rectangle
-from kraft.plot.style import GREY, INK, LABEL, RULE, SMALL, WARNING, Look, plain_number, text_width
-from kraft.plot.sysid_logs import held, speeds
-from kraft.plot.sysid_style import AFTER, BEFORE, DATA, Curve, Panel, draw_ways, fit_floor, note, plain
+from kraft.plot.panels import DOTS, HELD, Curve, Panel
+from kraft.plot.style import GREY, INK, LABEL, RULE, SMALL, WARNING, Style, plain_number, text_width
+from kraft.plot.sysid_logs import held_command, speeds
+from kraft.plot.sysid_style import DATA, IDENTIFIED, INITIAL, draw_message, draw_paths, plain_axes, set_floor_limits
 from kraft.sysid.result import Identification, ParameterEstimate, PartFit
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -29,7 +30,7 @@ BAR: Final = 0.75
 """Least width of the bars in the table, which is that of their heading."""
 BETWEEN: Final = 0.12
 """Room between columns of the table."""
-DOUBTED: Final = 0.5
+DOWNWEIGHTED: Final = 0.5
 """Observations of which less than this counts are marked."""
 BIN: Final = 0.1
 """Width of a bin of time since a window's beginning, s."""
@@ -88,16 +89,16 @@ def _draw_bar(axes: Axes, estimate: ParameterEstimate) -> None:
     axes.set_axis_off()
     axes.set(xlim=(estimate.min, estimate.max), ylim=(-1, 1))
     axes.plot((estimate.min, estimate.max), (0, 0), color=RULE, linewidth=2.0, clip_on=False)
-    axes.plot((estimate.initial,) * 2, (-0.8, 0.8), color=BEFORE, linewidth=1.2, clip_on=False)
-    axes.plot(estimate.ci95, (0, 0), color=AFTER, linewidth=3.0, solid_capstyle="butt")
-    axes.plot((estimate.value,), (0,), "o", color=AFTER, markersize=3.5, markeredgewidth=0, clip_on=False)
+    axes.plot((estimate.initial,) * 2, (-0.8, 0.8), color=INITIAL, linewidth=1.2, clip_on=False)
+    axes.plot(estimate.ci95, (0, 0), color=IDENTIFIED, linewidth=3.0, solid_capstyle="butt")
+    axes.plot((estimate.value,), (0,), "o", color=IDENTIFIED, markersize=3.5, markeredgewidth=0, clip_on=False)
 
 
 def draw_correlation(axes: Axes, names: Sequence[str], correlation: Floats) -> None:
     """The matrix, with its numbers."""
     count = len(names)
     if count == 0:
-        note(axes, "nothing was estimated")
+        draw_message(axes, "nothing was estimated")
         return
     axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
     size = min(LABEL, 46.0 / count)
@@ -116,34 +117,36 @@ def fit_panels(vehicle: Vehicle, result: Identification, part: Part, fit: PartFi
     """Commands, speed and residuals of one part over time."""
     panels = []
     for k, name in enumerate(vehicle.controls):
-        applied = Curve(fit.times[:-1], fit.controls[:, k], AFTER, "held", 0.9)
-        title = ((name, INK), ("commanded", INK), ("in the fit", AFTER))
-        panels.append(Panel(title, (Curve(*held(part, k), INK, "held", 1.3), applied)))
-    measured = Curve(*speeds(part), DATA, "dots")
+        applied = Curve(fit.times[:-1], fit.controls[:, k], {"color": IDENTIFIED, "linewidth": 0.9, **HELD})
+        title = ((name, INK), ("commanded", INK), ("in the fit", IDENTIFIED))
+        panels.append(Panel(title, (Curve(*held_command(part, k), {"color": INK, "linewidth": 1.3, **HELD}), applied)))
+    measured = Curve(*speeds(part), {"color": DATA, **DOTS})
     if vehicle.rest:
-        smoothed = Curve(fit.times, fit.states[:, vehicle.rest_indices[0]], AFTER, width=1.3)
-        title = (("speed, m/s", INK), ("between poses", DATA), ("in the fit", AFTER))
+        smoothed = Curve(fit.times, fit.states[:, vehicle.rest_indices[0]], {"color": IDENTIFIED, "linewidth": 1.3})
+        title = (("speed, m/s", INK), ("between poses", DATA), ("in the fit", IDENTIFIED))
         panels.append(Panel(title, (measured, smoothed)))
     return panels + _residual_panels(result, fit)
 
 
 def _residual_panels(result: Identification, fit: PartFit) -> list[Panel]:
     residuals, times = fit.residuals, fit.pose_times
-    doubted = fit.weights < DOUBTED
+    downweighted = fit.weights < DOWNWEIGHTED
     position = np.hypot(residuals[:, 0], residuals[:, 1])
     curves = [
-        Curve(times, 1000 * residuals[:, 0], INK, "dots"),
-        Curve(times, 1000 * residuals[:, 1], DATA, "dots"),
+        Curve(times, 1000 * residuals[:, 0], {"color": INK, **DOTS}),
+        Curve(times, 1000 * residuals[:, 1], {"color": DATA, **DOTS}),
     ]
-    if doubted.any():
-        curves.append(Curve(times[doubted], 1000 * position[doubted], WARNING, "dots"))
-    yaw = [Curve(times, np.degrees(residuals[:, 2]), INK, "dots")]
-    if doubted.any():
-        yaw.append(Curve(times[doubted], np.degrees(residuals[doubted, 2]), WARNING, "dots"))
-    about = (("counts less", WARNING),) if doubted.any() else ()
+    if downweighted.any():
+        curves.append(Curve(times[downweighted], 1000 * position[downweighted], {"color": WARNING, **DOTS}))
+    yaw = [Curve(times, np.degrees(residuals[:, 2]), {"color": INK, **DOTS})]
+    if downweighted.any():
+        yaw.append(Curve(times[downweighted], np.degrees(residuals[downweighted, 2]), {"color": WARNING, **DOTS}))
+    about = (("counts less", WARNING),) if downweighted.any() else ()
+    position_title = (("residual, mm", INK), ("x", INK), ("y", DATA), *about)
+    yaw_title = (("residual, deg", INK), ("yaw", INK), *about)
     return [
-        Panel((("residual, mm", INK), ("x", INK), ("y", DATA), *about), tuple(curves), 2000 * result.noise.position),
-        Panel((("residual, deg", INK), ("yaw", INK), *about), tuple(yaw), math.degrees(2 * result.noise.yaw)),
+        Panel(position_title, tuple(curves), band=2000 * result.noise.position),
+        Panel(yaw_title, tuple(yaw), band=math.degrees(2 * result.noise.yaw)),
     ]
 
 
@@ -153,7 +156,7 @@ def draw_histogram(axes: Axes, residuals: Floats, sigma: float, unit: str) -> No
     axes.hist(np.clip(residuals, -edge, edge), bins=60, range=(-edge, edge), density=True, color=DATA, alpha=0.75)
     at = np.linspace(-edge, edge, 200)
     axes.plot(at, np.exp(-0.5 * (at / sigma) ** 2) / (sigma * math.sqrt(math.tau)), color=INK, linewidth=1.2)
-    plain(axes)
+    plain_axes(axes)
     axes.spines["left"].set_visible(False)
     axes.set_yticks([])
     axes.set_xlim(-edge, edge)
@@ -165,15 +168,15 @@ def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -
     after = [window for window in pair.identified if window.log == name]
     before = [window for window in pair.initial if window.log == name]
     observed = [window.poses for window in after]
-    for way in observed:
-        axes.plot(way[:, 0], way[:, 1], ".", color=DATA, markersize=2.6, markeredgewidth=0, zorder=2)
+    for path in observed:
+        axes.plot(path[:, 0], path[:, 1], ".", color=DATA, markersize=2.6, markeredgewidth=0, zorder=2)
     for window in before:
-        axes.plot(window.predicted[:, 0], window.predicted[:, 1], color=BEFORE, linewidth=0.9, zorder=3)
-    draw_ways(axes, [window.predicted for window in after], AFTER, width=1.3, zorder=4)
-    fit_floor(axes, [*observed, *(window.predicted for window in (*after, *before))], part)
+        axes.plot(window.predicted[:, 0], window.predicted[:, 1], color=INITIAL, linewidth=0.9, zorder=3)
+    draw_paths(axes, [window.predicted for window in after], IDENTIFIED, width=1.3, zorder=4)
+    set_floor_limits(axes, [*observed, *(window.predicted for window in (*after, *before))], part)
 
 
-def typical(windows: Sequence[Window]) -> str:
+def median_error_log(windows: Sequence[Window]) -> str:
     """Name of the log with the median error."""
     errors: dict[str, list[float]] = {}
     for window in windows:
@@ -182,7 +185,7 @@ def typical(windows: Sequence[Window]) -> str:
     return means[len(means) // 2][1]
 
 
-def growth(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, Floats]:
+def error_over_time(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, Floats]:
     """Time since the beginning of windows (s), and the root mean square error of pose columns after it."""
     since = np.concatenate([window.times - window.times[0] for window in windows])
     off = np.concatenate([(window.predicted - window.poses)[:, list(columns)] for window in windows])
@@ -192,16 +195,16 @@ def growth(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, F
     return known * BIN, np.sqrt([float(np.mean(squared[bins == k])) for k in known])
 
 
-def draw_growth(
+def draw_error_over_time(
     axes: Axes, pairs: Sequence[tuple[PredictionPair, str]], columns: Sequence[int], factor: float, unit: str
 ) -> None:
     """How the error grows with time, identified and initial; a forecast after the first is drawn thin and dashed."""
     for k, (pair, _) in enumerate(pairs):
-        style: Look = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
-        for windows, colour in ((pair.initial, BEFORE), (pair.identified, AFTER)):
-            times, errors = growth(windows, columns)
+        style: Style = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
+        for windows, colour in ((pair.initial, INITIAL), (pair.identified, IDENTIFIED)):
+            times, errors = error_over_time(windows, columns)
             axes.plot(np.append(0.0, times), factor * np.append(0.0, errors), color=colour, **style)
-    plain(axes)
+    plain_axes(axes)
     axes.set(xlim=(0.0, 3.0))
     axes.set_ylim(bottom=0.0)
     axes.grid(color=RULE, linewidth=0.4)

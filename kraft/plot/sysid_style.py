@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,39 +11,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from kraft.plot.page import Page, Rectangle
-from kraft.plot.style import CYCLE, GOAL, GREY, INK, LABEL, RULE, SMALL, WARNING, Look, plain_number, text_width
-from ompl_ext.arrays import Floats, Matrix
+from kraft.plot.panels import ColouredText, Panel, draw_panel
+from kraft.plot.style import CYCLE, GOAL, GREY, INK, LABEL, RULE, SMALL, WARNING, plain_number, text_width
+from ompl_ext.arrays import Matrix
 
 DATA: Final = "#7d8896"
 FITTED: Final = INK
 HELD_OUT: Final = GOAL
-AFTER: Final = CYCLE  # with the identified parameters
-BEFORE: Final = WARNING  # with the initial ones
-Word = tuple[str, str]
-"""Text and its colour."""
+IDENTIFIED: Final = CYCLE  # with the identified parameters
+INITIAL: Final = WARNING  # with the initial ones
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Values (n,) at times (n,), s; as dots, or held from each to the next, or joined."""
-
-    times: Floats
-    values: Floats
-    colour: str
-    kind: str = "line"
-    width: float = 1.0
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A quantity over time, perhaps with a band to either side of 0 in which most of it is expected."""
-
-    title: tuple[Word, ...]
-    curves: tuple[Curve, ...]
-    band: float | None = None
-
-
-def caption(figure: Figure, page: Page, part: Rectangle, words: Sequence[Word]) -> None:
+def caption(figure: Figure, page: Page, part: Rectangle, words: Sequence[ColouredText]) -> None:
     """Say above a part of the page what it shows, in the colours it is shown in; the first words are bold."""
     left = part.left
     for k, (text, colour) in enumerate(words):
@@ -53,7 +31,7 @@ def caption(figure: Figure, page: Page, part: Rectangle, words: Sequence[Word]) 
         left += (text_width(text, LABEL, bold=k == 0) + 5.5) / 72
 
 
-def plain(axes: Axes, *, across: int = 5, along: int = 4) -> None:
+def plain_axes(axes: Axes, *, across: int = 5, along: int = 4) -> None:
     """Few ticks, plain numbers, no frame at the top and the right."""
     axes.spines[["top", "right"]].set_visible(False)
     for axis, count in ((axes.xaxis, across), (axes.yaxis, along)):
@@ -70,9 +48,8 @@ def draw_stack(figure: Figure, page: Page, part: Rectangle, panels: Sequence[Pan
     for k, panel in enumerate(panels):
         place = Rectangle(part.left, part.top + k * (height + gap), part.width, height)
         axes = page.axes(figure, place)
-        _draw_panel(axes, panel)
-        axes.set_xlim(begin, end)
-        axes.tick_params(labelbottom=panel is panels[-1], bottom=panel is panels[-1])
+        plain_axes(axes, across=10, along=3)
+        draw_panel(axes, panel, (begin, end), last=panel is panels[-1])
         left = place.left
         for text, colour in panel.title:
             page.text(figure, left, place.top - 0.03, text, SMALL, colour)
@@ -80,42 +57,30 @@ def draw_stack(figure: Figure, page: Page, part: Rectangle, panels: Sequence[Pan
     axes.set_xlabel("time, s", labelpad=1)
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
-    plain(axes, across=10, along=3)
-    if panel.band is not None:
-        axes.axhspan(-panel.band, panel.band, color=RULE, alpha=0.35, linewidth=0, zorder=0)
-    axes.axhline(0.0, color=RULE, linewidth=0.6, zorder=1)
-    for curve in panel.curves:
-        look: Look = {"color": curve.colour, "linewidth": curve.width}
-        if curve.kind == "dots":
-            look = {"color": curve.colour, "linestyle": "", "marker": ".", "markersize": 2.2, "markeredgewidth": 0}
-        axes.plot(curve.times, curve.values, drawstyle="steps-post" if curve.kind == "held" else "default", **look)
-
-
-def draw_ways(axes: Axes, ways: Sequence[Matrix], colour: str, *, width: float = 0.9, zorder: float = 3.0) -> None:
+def draw_paths(axes: Axes, paths: Sequence[Matrix], colour: str, *, width: float = 0.9, zorder: float = 3.0) -> None:
     """Ways (n, 2) on the floor, a dot where each begins."""
-    for way in ways:
-        axes.plot(way[:, 0], way[:, 1], color=colour, linewidth=width, solid_capstyle="round", zorder=zorder)
-        axes.plot(*way[0, :2], ".", color=colour, markersize=4.0, markeredgewidth=0, zorder=zorder)
+    for path in paths:
+        axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=width, solid_capstyle="round", zorder=zorder)
+        axes.plot(*path[0, :2], ".", color=colour, markersize=4.0, markeredgewidth=0, zorder=zorder)
 
 
-def fit_floor(axes: Axes, ways: Sequence[Matrix], part: Rectangle) -> None:
+def set_floor_limits(axes: Axes, paths: Sequence[Matrix], part: Rectangle) -> None:
     """Limits that hold all ways with the same scale along both axes, m, and fill the part of the page."""
-    points = np.concatenate([way[:, :2] for way in ways])
+    points = np.concatenate([path[:, :2] for path in paths])
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 0.1) * 1.1
     scale = max(size[0] / part.width, size[1] / part.height)
     middle = (low + high) / 2
     half = 0.5 * scale * np.array([part.width, part.height])
     axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
-    plain(axes)
+    plain_axes(axes)
     axes.set_xlabel("x, m", labelpad=1)
     axes.set_ylabel("y, m", labelpad=1)
     axes.grid(color=RULE, linewidth=0.4)
     axes.set_axisbelow(True)
 
 
-def note(axes: Axes, text: str) -> None:
+def draw_message(axes: Axes, text: str) -> None:
     """Say something in the middle of an empty part."""
     axes.set_axis_off()
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=LABEL, color=GREY)

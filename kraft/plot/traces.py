@@ -1,4 +1,4 @@
-"""What changed over time during a drive: speed, clearance and commands, with the cycles behind them."""
+"""A driven trajectory: speed, clearance and commands over time, and what of it is drawn on the map."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
-from kraft.driving.messages import Cycle, Kind
+from kraft.driving.messages import Cycle, ReferenceKind
 from kraft.planning.workspace import workspace_of
-from kraft.plot.frame import Frame, Motion, arrowheads, outlines
-from kraft.plot.style import CYCLE, DASHED, GREY, INK, RULE, SMALL, WARNING, WARNING_PALE, Look, plain_number
+from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
+from kraft.plot.panels import HELD, Curve, Panel, draw_panel, draw_title, quantity
+from kraft.plot.style import CYCLE, DASHED, INK, RULE, WARNING, WARNING_PALE, Style
 from kraft.scenario import Task
-from kraft.simulation.hidden import Hidden
+from kraft.simulation.hidden import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
@@ -27,81 +28,79 @@ from ompl_ext.vehicle import Vehicle
 
 ESTIMATED: Final = "#a3178f"
 COMMANDS: Final = ("throttle", "steering, rad")
+OBSERVATION: Final = "#7d8896"
+OBSERVATION_SIZE: Final = 2.4  # pt
+COLLISION: Final = "#c1121f"
+HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
+"""Face and edge of what the planner did not know."""
 
 
 @dataclass(frozen=True)
-class Curve:
-    """Values (n,) at the drive's times, held until the next if `stepped`; curves `behind` are thinner."""
+class DrivenTrajectory:
+    """A result as a motion: true poses and speeds (n,) at the ticks of the controller."""
 
-    values: Floats
-    colour: str
-    behind: bool = False
-    stepped: bool = False
+    result: TrialResult
+    motion: PoseTrajectory
+    speeds: Floats
 
-
-@dataclass(frozen=True)
-class Trace:
-    """One panel: a quantity between limits, in one or more curves."""
-
-    title: str
-    curves: tuple[Curve, ...]
-    limits: tuple[float, float]
+    @classmethod
+    def of(cls, result: TrialResult) -> DrivenTrajectory:
+        """Take the ticks of a result, of which there is at least one."""
+        times = np.array([step.time for step in result.steps])
+        poses = np.array([step.pose for step in result.steps])
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return cls(result, PoseTrajectory(times, poses), np.array([step.speed for step in result.steps]))
 
 
-def traces_of(drive: Drive, task: Task, vehicle: Vehicle) -> list[Trace]:
+def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Panel]:
     """Speed (true, estimated, planned), true clearance, and the two commands."""
-    steps = drive.result.steps
-    speeds = [Curve(drive.speeds, INK)]
+    steps, times = drive.result.steps, drive.motion.times
+    true: Style = {"color": INK, "linewidth": 1.3, "zorder": 3}
+    speeds = [Curve(times, drive.speeds, true)]
     if vehicle.rest:
         index = vehicle.rest_indices[0]
         planned = np.array([_planned(drive.result, step.time, index) for step in steps])
         estimated = np.array([step.estimate[index] for step in steps])
-        speeds = [Curve(planned, CYCLE, True), Curve(estimated, ESTIMATED, True), *speeds]
+        thin = {**true, "linewidth": 0.9}
+        curves = (
+            Curve(times, planned, {**thin, "color": CYCLE}),
+            Curve(times, estimated, {**thin, "color": ESTIMATED}),
+        )
+        speeds = [*curves, *speeds]
     everything = np.concatenate([curve.values for curve in speeds])
     top = max(vehicle.top_speed, float(np.nanmax(everything)))
     exact = ExactClearance(workspace_of(task, vehicle), vehicle.footprint)
     clearance = np.maximum(exact.distances(drive.motion.poses), 0.0)
-    traces = [
-        Trace("speed, m/s", tuple(speeds), (min(0.0, float(np.nanmin(everything))), top)),
-        Trace("clearance, m", (Curve(clearance, INK),), (0.0, max(0.1, float(clearance.max())))),
+    panels = [
+        Panel(quantity("speed, m/s"), tuple(speeds), (min(0.0, float(np.nanmin(everything))), top)),
+        Panel(quantity("clearance, m"), (Curve(times, clearance, true),), (0.0, max(0.1, float(clearance.max())))),
     ]
     commands = np.array([step.command for step in steps])
     for title, values, (low, high) in zip(COMMANDS, commands.T, vehicle.control_bounds, strict=True):
         limits = min(0.0, float(low), float(values.min())), max(0.0, float(high), float(values.max()))
-        traces.append(Trace(title, (Curve(values, INK, stepped=True),), limits))
-    return traces
+        panels.append(Panel(quantity(title), (Curve(times, values, {**true, **HELD}),), limits))
+    return panels
 
 
 def _planned(result: TrialResult, time: float, index: int) -> float:
     """What the reference in charge has at a time; nothing after its end."""
-    cycle = _in_charge(result.cycles, time)
+    cycle = _active_cycle(result.cycles, time)
     if cycle is None or time > cycle.reference.end:
         return float("nan")
     return float(cycle.reference.state_at(time)[index])
 
 
-def _in_charge(cycles: tuple[Cycle, ...], time: float) -> Cycle | None:
+def _active_cycle(cycles: tuple[Cycle, ...], time: float) -> Cycle | None:
     begun = [cycle for cycle in cycles if cycle.time <= time + 1e-9]
     return begun[-1] if begun else None
 
 
-def draw_trace(axes: Axes, trace: Trace, drive: Drive, *, last: bool) -> None:
+def draw_run_panel(axes: Axes, panel: Panel, drive: DrivenTrajectory, *, last: bool) -> None:
     """One panel over the time of the trial; contingencies are shaded, cycles begin at the ticks above."""
-    low, high = trace.limits
-    room = 0.12 * (high - low)
-    end = max(drive.result.time, 1e-3)
-    axes.set(xlim=(0.0, end), ylim=(low - room, high + room))
     axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 4, 5, 10]))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
     _draw_cycles(axes, drive.result)
-    axes.axhline(0.0, color=RULE, linewidth=0.6, zorder=1)
-    for curve in trace.curves:
-        look: Look = {"color": curve.colour, "linewidth": 0.9 if curve.behind else 1.3, "zorder": 3}
-        axes.plot(drive.motion.times, curve.values, drawstyle="steps-post" if curve.stepped else "default", **look)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelbottom=last, bottom=last)
-    title: Look = {"fontsize": SMALL + 0.5, "color": GREY, "va": "bottom", "parse_math": False}
-    axes.text(0.0, 1.03, trace.title, transform=axes.transAxes, **title)
+    draw_panel(axes, panel, (0.0, max(drive.result.time, 1e-3)), last=last)
+    draw_title(axes, panel.title)
     if last:
         axes.set_xlabel("time, s", labelpad=2)
 
@@ -109,72 +108,48 @@ def draw_trace(axes: Axes, trace: Trace, drive: Drive, *, last: bool) -> None:
 def _draw_cycles(axes: Axes, result: TrialResult) -> None:
     ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
     for cycle, end in zip(result.cycles, ends, strict=True):
-        if cycle.kind == Kind.CONTINGENCY:
+        if cycle.kind == ReferenceKind.CONTINGENCY:
             axes.axvspan(cycle.time, end, color=WARNING_PALE, linewidth=0, zorder=0)
         axes.axvline(cycle.time, color=RULE, linewidth=0.5, zorder=0.5)
 
 
-SEEN: Final = "#7d8896"
-SEEN_SIZE: Final = 2.4  # pt
-CRASH: Final = "#c1121f"
-HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
-"""Face and edge of what the planner did not know."""
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A result as a motion: true poses and speeds (n,) at the ticks of the controller."""
-
-    result: TrialResult
-    motion: Motion
-    speeds: Floats
-
-    @classmethod
-    def of(cls, result: TrialResult) -> Drive:
-        """Take the ticks of a result, of which there is at least one."""
-        times = np.array([step.time for step in result.steps])
-        poses = np.array([step.pose for step in result.steps])
-        poses[:, 2] = np.unwrap(poses[:, 2])
-        return cls(result, Motion(times, poses), np.array([step.speed for step in result.steps]))
-
-
-def draw_hidden(axes: Axes, frame: Frame, things: Sequence[Hidden]) -> None:
+def draw_hidden_features(axes: Axes, frame: Frame, things: Sequence[HiddenFeature]) -> None:
     """Patches and bumps on the floor, boxes on them."""
     for thing in things:
         face, edge = HIDDEN[thing.kind]
         order = {"patch": 1.2, "bump": 1.4, "box": 3.2}[thing.kind]
-        look: Look = {"facecolors": face, "edgecolors": edge, "linewidths": 0.8, "zorder": order}
-        axes.add_collection(PolyCollection([frame.points(thing.corners)], **look))
+        style: Style = {"facecolors": face, "edgecolors": edge, "linewidths": 0.8, "zorder": order}
+        axes.add_collection(PolyCollection([frame.points(thing.corners)], **style))
 
 
-def draw_seen(axes: Axes, frame: Frame, result: TrialResult) -> None:
+def draw_observations(axes: Axes, frame: Frame, result: TrialResult) -> None:
     """Positions as the camera measured them."""
     if result.observations:
         places = frame.points(np.array([(seen.x, seen.y) for seen in result.observations]))
-        axes.plot(*places.T, ".", color=SEEN, markersize=SEEN_SIZE, markeredgewidth=0, zorder=3.4)
+        axes.plot(*places.T, ".", color=OBSERVATION, markersize=OBSERVATION_SIZE, markeredgewidth=0, zorder=3.4)
 
 
-def draw_intentions(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialResult) -> None:
+def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialResult) -> None:
     """What each cycle committed for its own duration, and a mark where that was a contingency."""
     ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
     for cycle, end in zip(result.cycles, ends, strict=True):
         reference = cycle.reference
-        motion = Motion.of(reference.times, reference.states, vehicle)
+        motion = PoseTrajectory.of(reference.times, reference.states, vehicle)
         begin = max(cycle.time, reference.start)
-        planned = cycle.kind == Kind.PLAN
+        planned = cycle.kind == ReferenceKind.PLAN
         colour = CYCLE if planned else WARNING
         if min(end, reference.end) > begin:
             path = frame.points(motion.between(begin, min(end, reference.end))[:, :2])
             axes.plot(*path.T, color=colour, linewidth=0.9, linestyle="solid" if planned else DASHED, zorder=5.4)
             axes.plot(*path[0], marker="|", color=colour, markersize=3, zorder=5.4)
         if not planned:
-            ring: Look = {"markerfacecolor": "white", "markeredgecolor": WARNING, "markeredgewidth": 1.2}
+            ring: Style = {"markerfacecolor": "white", "markeredgecolor": WARNING, "markeredgewidth": 1.2}
             axes.plot(
                 *frame.points(motion.at(np.array([begin]))[0, :2]), marker="o", markersize=4.5, zorder=6.6, **ring
             )
 
 
-def driven_line(frame: Frame, drive: Drive, top_speed: float) -> LineCollection:
+def driven_line(frame: Frame, drive: DrivenTrajectory, top_speed: float) -> LineCollection:
     """The true path in colours of the speed."""
     places = frame.points(drive.motion.poses[:, :2])
     pieces = np.stack([places[:-1], places[1:]], axis=1)
@@ -186,21 +161,21 @@ def driven_line(frame: Frame, drive: Drive, top_speed: float) -> LineCollection:
     return lines
 
 
-def draw_footprints(axes: Axes, frame: Frame, vehicle: Vehicle, drive: Drive, interval: float) -> None:
+def draw_footprints(axes: Axes, frame: Frame, vehicle: Vehicle, drive: DrivenTrajectory, interval: float) -> None:
     """The car at regular times, s, and where it was when the trial ended: red if it had hit something."""
     times = np.arange(interval, drive.motion.end - interval / 3, interval)
     crashed = drive.result.outcome is Outcome.COLLISION
     ends = np.array([drive.motion.end])
-    for when, colour, width in ((times, INK, 0.6), (ends, CRASH if crashed else INK, 1.4)):
+    for when, colour, width in ((times, INK, 0.6), (ends, COLLISION if crashed else INK, 1.4)):
         poses = drive.motion.at(when)
         shapes = list(frame.points(outlines(vehicle.footprint, poses)))
-        look: Look = {"edgecolors": colour, "linewidths": width, "zorder": 5.0}
-        axes.add_collection(PolyCollection(shapes, facecolors=(1.0, 1.0, 1.0, 0.25), **look))
+        style: Style = {"edgecolors": colour, "linewidths": width, "zorder": 5.0}
+        axes.add_collection(PolyCollection(shapes, facecolors=(1.0, 1.0, 1.0, 0.25), **style))
         heads = list(frame.points(arrowheads(vehicle.footprint, poses)))
         axes.add_collection(LineCollection(heads, colors=colour, linewidths=width, zorder=5.0))
 
 
-def footprint_times(drive: Drive) -> float:
+def run_footprint_interval(drive: DrivenTrajectory) -> float:
     """Seconds between footprints: one, or more where so many would hide each other."""
     return float(max(1, math.ceil(drive.motion.end / 30)))
 

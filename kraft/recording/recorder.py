@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.errors import InputError
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
 from kraft.recording.room import Place, Room, predicted
@@ -67,7 +67,7 @@ class Recorder:
             InputError: if the vehicle is not a car with throttle and steering.
         """
         self._scenario, self._seed = scenario, seed
-        self._model = Model(vehicle)
+        self._model = CarModel(vehicle)
         self._room = Room(scenario, vehicle)
         self._world = World(scenario)
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.planning.workspace import workspace_of
 from kraft.recording.manoeuvres import Manoeuvre
 from kraft.scenario import Box, Scenario, Start
@@ -77,7 +77,7 @@ class Room:
         return STEP * (inside - 1)
 
 
-def predicted(model: Model, manoeuvre: Manoeuvre) -> Matrix:
+def predicted(model: CarModel, manoeuvre: Manoeuvre) -> Matrix:
     """Poses (m, 3) from the origin, `STEP` apart, that the model expects."""
     state = np.zeros(len(model.vehicle.state))
     poses = [(0.0, 0.0, 0.0)]

@@ -19,9 +19,9 @@ COLOURS: Final = {
     "paint": "#d63a1f", "stripe": "#f7f5ef", "glass": "#1b222b", "trim": "#22252a", "lamp": "#fff6d8",
     "tail lamp": "#a3100c", "plate": "#ffffff", "ink": "#08080a", "tyre": "#1d1e21", "rim": "#d5d8dc",
 }  # fmt: skip
-SHINY: Final = {"paint": 0.7, "glass": 0.9, "rim": 0.8, "ice": 0.8, "lamp": 0.5}
-GLOWING: Final = {"lamp": 0.5, "tail lamp": 0.3, "plate": 0.15, "goal": 0.1}
-CLEAR: Final = {"ice": 0.75, "goal": 0.85}
+SHININESS: Final = {"paint": 0.7, "glass": 0.9, "rim": 0.8, "ice": 0.8, "lamp": 0.5}
+EMISSION: Final = {"lamp": 0.5, "tail lamp": 0.3, "plate": 0.15, "goal": 0.1}
+OPACITY: Final = {"ice": 0.75, "goal": 0.85}
 
 MARGIN: Final = 0.35
 """By how much the floor that is seen reaches beyond the bounds, m."""
@@ -32,15 +32,15 @@ TABLE: Final = 0.45
 
 def rgba(name: str) -> list[float]:
     """A colour's red, green, blue and opacity in [0, 1]."""
-    return [*(int(COLOURS[name][k : k + 2], 16) / 255 for k in (1, 3, 5)), CLEAR.get(name, 1.0)]
+    return [*(int(COLOURS[name][k : k + 2], 16) / 255 for k in (1, 3, 5)), OPACITY.get(name, 1.0)]
 
 
 def add_materials(spec: Any) -> None:
     """Add everything that geoms name as their material."""
     for name in COLOURS:
-        shine = SHINY.get(name, 0.15)
-        glow = GLOWING.get(name, 0.0)
-        spec.add_material(name=name, rgba=rgba(name), specular=shine, shininess=shine, emission=glow)
+        shininess = SHININESS.get(name, 0.15)
+        emission = EMISSION.get(name, 0.0)
+        spec.add_material(name=name, rgba=rgba(name), specular=shininess, shininess=shininess, emission=emission)
     spec.add_texture(
         name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         mark=mujoco.mjtMark.mjMARK_EDGE, rgb1=[0.80, 0.79, 0.77], rgb2=[0.76, 0.75, 0.73],
@@ -78,13 +78,13 @@ def add_surroundings(spec: Any, ground: Any, scenario: Scenario, frame: FloorFra
     half = [(bounds.x[1] - bounds.x[0]) / 2 + MARGIN, (bounds.y[1] - bounds.y[0]) / 2 + MARGIN]
     centre = [sum(bounds.x) / 2, sum(bounds.y) / 2]
     ground.add_geom(
-        type=BOX, pos=[*centre, -THICKNESS / 2], size=[*half, THICKNESS / 2], material="floor", **contacts.LOOKS
+        type=BOX, pos=[*centre, -THICKNESS / 2], size=[*half, THICKNESS / 2], material="floor", **contacts.VISUAL
     )
     corners = [np.array([centre[0] + a * half[0], centre[1] + b * half[1], 0.0]) for a in (-1, 1) for b in (-1, 1)]
     lowest = min(float(frame.to_world(corner)[2]) for corner in corners) - THICKNESS - 0.01
     table = [half[0] + TABLE, half[1] + TABLE, 0.02]
-    spec.worldbody.add_geom(type=BOX, pos=[*centre, lowest - 0.02], size=table, material="table", **contacts.LOOKS)
+    spec.worldbody.add_geom(type=BOX, pos=[*centre, lowest - 0.02], size=table, material="table", **contacts.VISUAL)
     for name, radius, top in (("goal rim", goal.radius, 0.0012), ("goal", 0.92 * goal.radius, 0.0018)):
         ground.add_geom(
-            type=CYLINDER, pos=[*goal.center, top / 2], size=[radius, top / 2, 0.0], material=name, **contacts.LOOKS
+            type=CYLINDER, pos=[*goal.center, top / 2], size=[radius, top / 2, 0.0], material=name, **contacts.VISUAL
         )

@@ -41,13 +41,13 @@ class MarkerCamera:
                 f"expected more than the marker's {marker_height:g} m",
             )
         preset = PRESETS[sensing.preset]
-        misses = preset.misses if sensing.dropout is None else sensing.dropout
+        dropout = preset.dropout if sensing.dropout is None else sensing.dropout
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0xCA3E7A])))
         self.camera = np.array(sensing.camera)
-        self._eye = tuple(float(value) for value in sensing.camera)
+        self._camera_position = tuple(float(value) for value in sensing.camera)
         self.latency = sensing.latency
         self.marker_height = marker_height
-        self._noise = PoseNoise(preset, misses, sensing.noise_scale, generator)
+        self._noise = PoseNoise(preset, dropout, sensing.noise_scale, generator)
 
     def expose(self, time: float, position: Floats, rotation: Matrix) -> Observation | None:
         """What a frame taken at `time` (s, ascending) shows, None if the marker is not detected.
@@ -58,9 +58,9 @@ class MarkerCamera:
         x, y, z = position.tolist()
         dx, dy, dz = (HALF_MARKER * part for part in rotation[:, 0].tolist())
         offset = position - self.camera
-        towards = self._on_plane(x, y, z)
-        error = self._noise.draw(time, math.sqrt(offset.dot(offset)), self._sight(x, y))
-        if towards is None or error is None:
+        centre = self._on_plane(x, y, z)
+        error = self._noise.draw(time, math.sqrt(offset.dot(offset)), self._sight_direction(x, y))
+        if centre is None or error is None:
             return None
         front, rear = self._on_plane(x + dx, y + dy, z + dz), self._on_plane(x - dx, y - dy, z - dz)
         if front is None or rear is None:
@@ -69,20 +69,20 @@ class MarkerCamera:
         return Observation(
             time=time,
             arrival=time + self.latency,
-            x=towards[0] + error[0],
-            y=towards[1] + error[1],
+            x=centre[0] + error[0],
+            y=centre[1] + error[1],
             theta=math.remainder(heading, math.tau),
         )
 
     def _on_plane(self, px: float, py: float, pz: float) -> tuple[float, float] | None:
         """Where the line of sight to a point meets the assumed plane, m; None if the camera is not above the point."""
-        x, y, z = self._eye
+        x, y, z = self._camera_position
         below = z - pz
         if below <= 0.0:
             return None
         share = (z - self.marker_height) / below
         return x + share * (px - x), y + share * (py - y)
 
-    def _sight(self, px: float, py: float) -> float:
+    def _sight_direction(self, px: float, py: float) -> float:
         """Direction of the line of sight on the floor, rad."""
-        return math.atan2(py - self._eye[1], px - self._eye[0])
+        return math.atan2(py - self._camera_position[1], px - self._camera_position[0])

@@ -13,7 +13,7 @@ from kraft.simulation.car import CAR
 from kraft.simulation.contacts import ROWS
 from kraft.simulation.floor_frame import FloorFrame
 
-TOUCHING: Final = 0.001
+MAX_PENETRATION: Final = 0.001
 """How deep things that touch are within each other at most, m."""
 
 
@@ -32,7 +32,7 @@ class Collision:
     point: tuple[float, float, float]
 
 
-class Collisions:
+class CollisionDetector:
     """Contacts of a compiled world, told apart."""
 
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
@@ -49,12 +49,12 @@ class Collisions:
     def boxes_in_car(self) -> list[int]:
         """Indices of the movable boxes that the car stands in, deeper than a contact is."""
         contact = self._data.contact
-        deep = contact.geom[contact.dist < -TOUCHING]
+        deep = contact.geom[contact.dist < -MAX_PENETRATION]
         boxes = self._movable[deep[self._of_car[deep].any(axis=1)]]
         return sorted(set(boxes[boxes >= 0].tolist()))
 
     @property
-    def suspected(self) -> bool:
+    def may_have_collision(self) -> bool:
         """Whether a contact may be one between car and obstacle, by the number of rows: never wrongly False."""
         data = self._data
         return bool(data.nefc - data.nf - data.nl != ROWS * data.ncon)

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-GROUND: Final = 1
-SOLID: Final = 2
-RIDGE: Final = 4
-LOOSE: Final = 8
+GROUND_BIT: Final = 1
+OBSTACLE_BIT: Final = 2
+BUMP_BIT: Final = 4
+MOVABLE_BIT: Final = 8
+ALL_BITS: Final = GROUND_BIT | OBSTACLE_BIT | BUMP_BIT | MOVABLE_BIT
 
 FLOOR_PRIORITY: Final = 1
 BOX_PRIORITY: Final = 2
@@ -29,14 +30,18 @@ CONTACT_TIME: Final = 0.01
 ROWS: Final = 3
 """Of a contact with friction in the solver's matrix; one without has a single row."""
 
-WHEEL: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": 0, "condim": 1}
-CHASSIS: Final = {"contype": SOLID | RIDGE | LOOSE, "conaffinity": 0, "condim": 1}
-FLOOR: Final = {"contype": 0, "conaffinity": GROUND, "priority": FLOOR_PRIORITY}
-PATCH: Final = {"contype": 0, "conaffinity": GROUND, "priority": PATCH_PRIORITY}
-BUMP: Final = {"contype": 0, "conaffinity": RIDGE, "priority": FLOOR_PRIORITY}
-OBSTACLE: Final = {"contype": 0, "conaffinity": SOLID, "condim": 1}
-MOVABLE: Final = {"contype": GROUND | SOLID | RIDGE | LOOSE, "conaffinity": LOOSE, "priority": BOX_PRIORITY}
-LOOKS: Final = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
+WHEEL: Final = {"contype": ALL_BITS, "conaffinity": 0, "condim": 1}
+CHASSIS: Final = {"contype": OBSTACLE_BIT | BUMP_BIT | MOVABLE_BIT, "conaffinity": 0, "condim": 1}
+FLOOR: Final = {"contype": 0, "conaffinity": GROUND_BIT, "priority": FLOOR_PRIORITY}
+PATCH: Final = {"contype": 0, "conaffinity": GROUND_BIT, "priority": PATCH_PRIORITY}
+BUMP: Final = {"contype": 0, "conaffinity": BUMP_BIT, "priority": FLOOR_PRIORITY}
+OBSTACLE: Final = {"contype": 0, "conaffinity": OBSTACLE_BIT, "condim": 1}
+MOVABLE: Final = {
+    "contype": ALL_BITS,
+    "conaffinity": MOVABLE_BIT,
+    "priority": BOX_PRIORITY,
+}
+VISUAL: Final = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
 
 
 def friction(sliding: float) -> list[float]:

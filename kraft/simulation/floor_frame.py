@@ -24,7 +24,7 @@ class FloorFrame:
         """Turn the floor about the origin of the map, which stays where it is, at height 0."""
         if tilt is None:
             return cls(np.eye(3), np.zeros(3))
-        return cls(_lean(tilt.slope, tilt.uphill), np.zeros(3))
+        return cls(_tilt_rotation(tilt.slope, tilt.uphill), np.zeros(3))
 
     @cached_property
     def _rows(self) -> list[list[float]]:
@@ -58,7 +58,7 @@ class FloorFrame:
         return xx * x + yx * y + zx * z, xy * x + yy * y + zy * z
 
 
-def _lean(angle: float, uphill: float) -> Matrix:
+def _tilt_rotation(angle: float, uphill: float) -> Matrix:
     """Rotation that lifts the direction `uphill` (rad from +x) by `angle` (rad), (3, 3)."""
     axis = np.array([math.sin(uphill), -math.cos(uphill), 0.0])
     cross = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])

@@ -12,24 +12,24 @@ from ompl_ext.arrays import Matrix
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenFeature:
     """An outline (n, 2), m, in the map's frame."""
 
     kind: Literal["patch", "bump", "box"]
     corners: Matrix
 
 
-def hidden_things(scenario: Scenario, movable_poses: Matrix | None = None) -> list[Hidden]:
+def hidden_features(scenario: Scenario, movable_poses: Matrix | None = None) -> list[HiddenFeature]:
     """Patches, bumps and movable boxes; these at `movable_poses` (n, 3), m and rad, or where they begin."""
     truth = scenario.truth
     found = [
-        Hidden("patch", np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
+        HiddenFeature("patch", np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
         for (x0, x1), (y0, y1) in ((patch.x, patch.y) for patch in truth.friction_patches)
     ]
-    found += [Hidden("bump", _corners(Box(bump.center, bump.size, bump.yaw))) for bump in truth.speed_bumps]
+    found += [HiddenFeature("bump", _corners(Box(bump.center, bump.size, bump.yaw))) for bump in truth.speed_bumps]
     for i, box in enumerate(truth.movable_boxes):
         x, y, yaw = (*box.center, box.yaw) if movable_poses is None else map(float, movable_poses[i])
-        found.append(Hidden("box", _corners(Box((x, y), box.size[:2], yaw))))
+        found.append(HiddenFeature("box", _corners(Box((x, y), box.size[:2], yaw))))
     return found
 
 

@@ -13,7 +13,7 @@ from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Polygon, Scenari
 from kraft.scenario.truth import FrictionPatch, MovableBox, SpeedBump
 from kraft.simulation import appearance, contacts
 from kraft.simulation.car import GRAVITY, add_car
-from kraft.simulation.car_looks import add_car_looks
+from kraft.simulation.car_visuals import add_car_visuals
 from kraft.simulation.floor_frame import FloorFrame
 from ompl_ext.arrays import Matrix
 from ompl_ext.triangulate import triangles
@@ -26,7 +26,7 @@ PATCH_RISE: Final = 0.001
 PATCH_DEPTH: Final = 0.05
 STRIPE: Final = 0.1
 """Width of a bump's stripes, m, about."""
-APART: Final = 12
+MAX_SEPARATE_BODIES: Final = 12
 """So many obstacles at most are bodies of their own: a few bodies are told far from the car sooner than geoms of one
 body, more than twenty later. It decides nothing but the time that takes."""
 WALL_RATIO: Final = 10.0
@@ -37,22 +37,22 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> Any:
     """Add all that stands on the floor, and the floor, whose body it returns; obstacle i is "obstacle i part j"."""
     ground = _add_body(spec, FLOOR, frame)
     truth = scenario.truth
-    grip = contacts.friction(truth.floor_friction)
+    friction = contacts.friction(truth.floor_friction)
     ground.add_geom(
         name=FLOOR,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 0.05],
-        friction=grip,
+        friction=friction,
         group=3,
         **contacts.settings(**contacts.FLOOR),
     )
     for i, patch in enumerate(truth.friction_patches):
         _add_patch(ground, i, patch)
     for i, bump in enumerate(truth.speed_bumps):
-        _add_bump(ground, i, bump, grip)
-    apart = len(scenario.obstacles) <= APART
+        _add_bump(ground, i, bump, friction)
+    separate = len(scenario.obstacles) <= MAX_SEPARATE_BODIES
     for i, obstacle in enumerate(scenario.obstacles):
-        _add_obstacle(spec, _add_body(spec, f"obstacle {i}", frame) if apart else ground, i, obstacle)
+        _add_obstacle(spec, _add_body(spec, f"obstacle {i}", frame) if separate else ground, i, obstacle)
     for i, box in enumerate(truth.movable_boxes):
         _add_movable(spec, i, box, min(box.friction, truth.floor_friction), frame)
     return ground
@@ -65,7 +65,7 @@ def quaternion(rotation: Matrix) -> Any:
     return result
 
 
-def turn(yaw: float) -> list[float]:
+def yaw_quaternion(yaw: float) -> list[float]:
     """Quaternion of a rotation about the vertical, rad."""
     return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
 
@@ -83,7 +83,7 @@ def _add_patch(ground: Any, i: int, patch: FrictionPatch) -> None:
     )
 
 
-def _add_bump(ground: Any, i: int, bump: SpeedBump, grip: list[float]) -> None:
+def _add_bump(ground: Any, i: int, bump: SpeedBump, friction: list[float]) -> None:
     """A slice of a cylinder that lies along the longer side, deep enough that the slice has the bump's size."""
     across, along = sorted(bump.size)
     height = min(bump.height, across / 2)  # a half cylinder is as steep as it gets
@@ -98,7 +98,7 @@ def _add_bump(ground: Any, i: int, bump: SpeedBump, grip: list[float]) -> None:
         pos=[*bump.center, height - radius],
         quat=quat,
         size=[radius, along / 2, 0.0],
-        friction=grip,
+        friction=friction,
         material="bump",
         **contacts.settings(**contacts.BUMP),
     )
@@ -107,7 +107,7 @@ def _add_bump(ground: Any, i: int, bump: SpeedBump, grip: list[float]) -> None:
         shift = ((k + 0.5) / stripes - 0.5) * along
         place = [bump.center[0] + c * shift, bump.center[1] + s * shift, height - radius]
         size = [radius + 0.0008, along / stripes / 4, 0.0]
-        ground.add_geom(type=CYLINDER, pos=place, quat=quat, size=size, material="bump stripe", **contacts.LOOKS)
+        ground.add_geom(type=CYLINDER, pos=place, quat=quat, size=size, material="bump stripe", **contacts.VISUAL)
 
 
 def _add_body(spec: Any, name: str, frame: FloorFrame) -> Any:
@@ -129,7 +129,7 @@ def _geoms(spec: Any, name: str, shape: Box | Circle | Polygon) -> list[dict[str
     match shape:
         case Box():
             size = [shape.size[0] / 2, shape.size[1] / 2, half]
-            return [{"type": BOX, "pos": [*shape.center, half], "quat": turn(shape.yaw), "size": size}]
+            return [{"type": BOX, "pos": [*shape.center, half], "quat": yaw_quaternion(shape.yaw), "size": size}]
         case Circle():
             return [{"type": CYLINDER, "pos": [*shape.center, half], "size": [shape.radius, half, 0.0]}]
         case Polygon():
@@ -163,7 +163,7 @@ def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: Floo
         **contacts.settings(**contacts.MOVABLE),
     )
     tape = [length / 2 + 0.0006, 0.025, height / 2 + 0.0006]
-    body.add_geom(type=BOX, size=tape, material="tape", **contacts.LOOKS)
+    body.add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
 
 
 def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
@@ -189,7 +189,7 @@ def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
     appearance.add_light(spec, scenario)
     ground = add_scene(spec, scenario, frame)
     appearance.add_surroundings(spec, ground, scenario, frame)
-    add_car_looks(spec, add_car(spec, scenario.truth.vehicle))
+    add_car_visuals(spec, add_car(spec, scenario.truth.vehicle))
     with warnings.catch_warnings():  # a box that touches the car is awake from the start, as it should be
         warnings.filterwarnings("ignore", message=".*could be slept")
         return spec.compile()

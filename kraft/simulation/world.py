@@ -16,9 +16,9 @@ from kraft.errors import Defect, InputError
 from kraft.scenario import Scenario, Start
 from kraft.simulation import car as drivetrain
 from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, sag
-from kraft.simulation.collision import Collision, Collisions
+from kraft.simulation.collision import Collision, CollisionDetector
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.simulation.scene import build, quaternion, turn
+from kraft.simulation.scene import build, quaternion, yaw_quaternion
 from ompl_ext.arrays import Floats, Matrix
 
 TIMESTEP: Final = 0.002
@@ -32,7 +32,6 @@ class World:
         model: the compiled `mujoco.MjModel`, for drawing.
         data: its `mujoco.MjData`, for drawing and recording.
         frame: where the floor is in the world.
-        bounds: the scenario's, in the floor's frame.
     """
 
     dt: Final = TIMESTEP
@@ -44,12 +43,11 @@ class World:
             InputError: if the car starts in a movable box.
         """
         truth = scenario.truth
-        self.bounds: Final = scenario.bounds
         self.frame: Final = FloorFrame.of(truth.tilt)
         self.model: Final[Any] = build(scenario, self.frame, TIMESTEP)
         self.data: Final[Any] = mujoco.MjData(self.model)
-        self._start, self._goal, self._gap = scenario.start, scenario.goal, truth.vehicle
-        self._contacts = Collisions(self.model, self.data, scenario, self.frame)
+        self._start, self._goal, self._truth_vehicle = scenario.start, scenario.goal, truth.vehicle
+        self._contacts = CollisionDetector(self.model, self.data, scenario, self.frame)
         self._body, self._marker = self.data.body(CAR), self.data.site(MARKER)
         self._joint = self.data.joint(CAR)
         self._velocity = self._joint.qvel[:3]  # a view, as all that MuJoCo's objects hand out
@@ -60,7 +58,7 @@ class World:
         self._collision: Collision | None = None
         self._steps = 0
         self.reset()
-        self._check_room(scenario)
+        self._check_start(scenario)
 
     def reset(self, start: Start | None = None) -> None:
         """Back to time 0 and the scenario's start, or another, with the throttle off and the wheels straight."""
@@ -75,10 +73,10 @@ class World:
         """Command the car from now on; throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad are clamped."""
         stop = drivetrain.STEERING_MAX
         commanded = min(max(steering, -stop), stop)
-        true = commanded * self._gap.steering_scale + self._gap.steering_offset
+        true = commanded * self._truth_vehicle.steering_scale + self._truth_vehicle.steering_offset
         left, right = drivetrain.wheel_angles(drivetrain.LINKAGE * min(max(true, -stop), stop))
         control = self.data.ctrl
-        control[self._motor] = self._gap.drive_scale * drivetrain.wheel_torque(throttle)
+        control[self._motor] = self._truth_vehicle.drive_scale * drivetrain.wheel_torque(throttle)
         control[self._servos[0]], control[self._servos[1]] = left, right
 
     def step(self, steps: int) -> None:
@@ -95,7 +93,7 @@ class World:
             mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
             self._steps += 1
-            if contacts.suspected:
+            if contacts.may_have_collision:
                 self._collision = contacts.first(self.time)
                 if self._collision is not None:
                     break
@@ -152,8 +150,8 @@ class World:
     @property
     def configuration(self) -> Floats:
         """Everything that `show` needs to draw this moment again, (nq,)."""
-        seen: Floats = self.data.qpos.copy()
-        return seen
+        copy: Floats = self.data.qpos.copy()
+        return copy
 
     def show(self, configuration: Floats) -> None:
         """Look as at a recorded moment, for pictures: at rest, at time 0. `reset` before driving on."""
@@ -161,7 +159,7 @@ class World:
         self.data.qpos[:] = configuration
         mujoco.mj_step1(self.model, self.data)
 
-    def _check_room(self, scenario: Scenario) -> None:
+    def _check_start(self, scenario: Scenario) -> None:
         """Refuse movable boxes that the car begins in: they would be thrown apart."""
         problem, expected = "stands where the car starts", "expected a box beside the start"
         keys = [("truth", "movable_boxes", i) for i in self._contacts.boxes_in_car()]
@@ -170,9 +168,9 @@ class World:
 
     def _place(self, start: Start) -> None:
         """Put the car on the floor and its wheels into motion."""
-        rotation, sunk = self.frame.rotation, sag(self._gap)
+        rotation, sunk = self.frame.rotation, sag(self._truth_vehicle)
         upright = np.empty(4)
-        mujoco.mju_mulQuat(upright, quaternion(rotation), np.array(turn(start.heading)))
+        mujoco.mju_mulQuat(upright, quaternion(rotation), np.array(yaw_quaternion(start.heading)))
         self._joint.qpos[:3] = self.frame.to_world(np.array([start.x, start.y, -sunk]))
         self._joint.qpos[3:] = upright
         direction = np.array([math.cos(start.heading), math.sin(start.heading), 0.0])

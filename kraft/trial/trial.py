@@ -11,11 +11,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import make_estimator
 from kraft.driving.messages import Cycle, Observation, Reference
-from kraft.driving.proposer import Planners
+from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.camera import MarkerCamera
@@ -87,12 +87,12 @@ class _Trial:
         scenario, method, vehicle = spec.scenario, spec.method, spec.vehicle
         self.world = World(scenario)
         self._camera = MarkerCamera(scenario.sensing, MARKER_HEIGHT, spec.seed)
-        model, start = Model(vehicle), start_state(scenario.task(), vehicle)
+        model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
         self._estimator = make_estimator(method.estimator, model, start)
         self._controller = make_controller(method.controller, model)
         period = 1.0 / method.controller.rate_hz
         self._replanner = Replanner(
-            Planners.of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
+            Solvers.of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
             period=period, delay=scenario.sensing.communication_delay, realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._reference = self._replanner.begin(start)

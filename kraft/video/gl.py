@@ -28,14 +28,14 @@ def offscreen_context(width: int, height: int) -> Any:
         MissingDependency: with what to install or set.
     """
     backend = _backend()
-    with warnings.catch_warnings(record=True) as told:  # GLFW fails by warnings, several for each call
+    with warnings.catch_warnings(record=True) as caught:  # GLFW fails by warnings, several for each call
         warnings.simplefilter("always")
         try:
             context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
             context.make_current()
             _try_to_draw()
         except Exception as error:  # each backend and each driver fails in a way of its own
-            reason = _said(told[0].message) if told else f"{type(error).__name__}: {error}"
+            reason = _glfw_message(caught[0].message) if caught else f"{type(error).__name__}: {error}"
             problem = f"{backend.upper()} cannot draw here ({reason})"
             raise MissingDependency(f"a video needs OpenGL without a window: {problem}; {_advice()}") from None
     return context
@@ -45,7 +45,7 @@ def _advice() -> str:
     return f"unset MUJOCO_GL, or {ADVICE}" if os.environ.get("MUJOCO_GL") else ADVICE
 
 
-def _said(warning: Warning | str) -> str:
+def _glfw_message(warning: Warning | str) -> str:
     """A GLFW warning, ``(number) b'text'``, without the number."""
     return re.sub(r"^\(\d+\) b?['\"](.*)['\"]$", r"\1", str(warning))
 
@@ -57,17 +57,17 @@ def _try_to_draw() -> None:
 
 
 def _backend() -> str:
-    asked = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if asked in BACKENDS:
-        return asked
-    if asked:
-        problem = f"MUJOCO_GL={asked} draws nothing"
+    requested = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if requested in BACKENDS:
+        return requested
+    if requested:
+        problem = f"MUJOCO_GL={requested} draws nothing"
         raise MissingDependency(f"a video needs OpenGL without a window: {problem}; unset it or use {BACKENDS[0]}")
     # the first import of a backend fixes it for the process, so look before
     return "osmesa" if find_library("EGL") is None and find_library("OSMesa") is not None else "egl"
 
 
-INSTEAD: Final = "`--video FILE.mp4` needs no screen"
+INSTEAD: Final = "a video file needs no screen"
 
 
 def check_video(path: Path) -> None:
@@ -91,15 +91,15 @@ def check_view() -> None:
         MissingDependency: if there is no screen, or nothing to open a window with.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise MissingDependency(f"--view needs a screen, and DISPLAY is not set; {INSTEAD}")
+        raise MissingDependency(f"a window needs a screen, and DISPLAY is not set; {INSTEAD}")
     try:
         glfw = importlib.import_module("glfw")
         importlib.import_module("mujoco.viewer")
     except Exception as error:  # whatever a graphics library that is not there leads to
-        raise MissingDependency(f"--view needs MuJoCo's viewer: {error}; {INSTEAD}") from error
+        raise MissingDependency(f"a window needs MuJoCo's viewer: {error}; {INSTEAD}") from error
     # the viewer opens its window in a thread and would wait forever if that failed
     if not glfw.init() or not _can_open(glfw):
-        raise MissingDependency(f"--view cannot open a window with OpenGL on this screen; {INSTEAD}")
+        raise MissingDependency(f"a window with OpenGL cannot be opened on this screen; {INSTEAD}")
 
 
 def _can_open(glfw: Any) -> bool:

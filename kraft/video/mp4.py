@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -13,8 +11,7 @@ import numpy as np
 from av.video.reformatter import ColorRange, Colorspace
 from numpy.typing import NDArray
 
-from kraft.errors import InputError
-from kraft.files import EXPECTED, file_mode
+from kraft.files import Replacement, unwritable
 
 Image: TypeAlias = NDArray[np.uint8]
 
@@ -32,14 +29,8 @@ class Mp4Writer:
         Raises:
             InputError: if it cannot be written.
         """
-        self._path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            handle, self._temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-            os.close(handle)
-        except OSError as error:
-            raise _unwritable(path, error) from error
-        self._container: Any = av.open(self._temporary, "w", format="mp4", options={"movflags": "faststart"})
+        self._path, self._file = path, Replacement(path)
+        self._container: Any = av.open(str(self._file.temporary), "w", format="mp4", options={"movflags": "faststart"})
         stream: Any = self._container.add_stream("libx264", rate=fps, options=SETTINGS)
         stream.width, stream.height = size
         stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, fps)
@@ -65,23 +56,18 @@ class Mp4Writer:
         try:
             self._mux(None)
             self._container.close()
-            os.chmod(self._temporary, file_mode())
-            os.replace(self._temporary, self._path)
         except OSError as error:
-            raise _unwritable(self._path, error) from error
+            raise unwritable(self._path, error) from error
+        self._file.commit()
 
     def discard(self) -> None:
         """Close and remove what has been written; does nothing after `finish`."""
         self._container.close()
-        Path(self._temporary).unlink(missing_ok=True)
+        self._file.discard()
 
     def _mux(self, frame: Any) -> None:
         try:
             for packet in self._stream.encode(frame):
                 self._container.mux(packet)
         except OSError as error:
-            raise _unwritable(self._path, error) from error
-
-
-def _unwritable(path: Path, error: OSError) -> InputError:
-    return InputError.of(str(path), f"cannot be written: {error.strerror}", EXPECTED)
+            raise unwritable(self._path, error) from error

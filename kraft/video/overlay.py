@@ -13,11 +13,11 @@ import numpy as np
 from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
-from kraft.driving.messages import Kind
+from kraft.driving.messages import ReferenceKind
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.video import palette
-from kraft.video.moment import Moment
 from kraft.video.mp4 import Image
+from kraft.video.snapshot import Snapshot
 
 BAND: Final = 84
 """Height of the band at the foot, px."""
@@ -34,18 +34,18 @@ class Overlay:
         self._width, self._height = size[0] - map_width, size[1]
         self._static = Pillow.new("RGBA", size, (0, 0, 0, 0))
         draw = ImageDraw.Draw(self._static)
-        draw.rectangle((0, self._height - BAND, self._width - 1, self._height), fill=palette.PLATE)
-        draw.rectangle((self._width - 1, 0, self._width, self._height), fill=palette.PLATE)
+        draw.rectangle((0, self._height - BAND, self._width - 1, self._height), fill=palette.BACKGROUND)
+        draw.rectangle((self._width - 1, 0, self._width, self._height), fill=palette.BACKGROUND)
         self._title(draw, spec)
-        draw_legend(draw, self._width - MARGIN, MARGIN, spec.vehicle.top_speed, _plate())
+        draw_legend(draw, self._width - MARGIN, MARGIN, spec.vehicle.top_speed, _background())
 
-    def over(self, picture: Image, moment: Moment, result: TrialResult | None = None) -> Image:
+    def over(self, picture: Image, snapshot: Snapshot, result: TrialResult | None = None) -> Image:
         """The picture with everything on it; with a result, how the trial ended."""
         image = Pillow.fromarray(picture)
         image.paste(self._static, (0, 0), self._static)
         draw = ImageDraw.Draw(image)
-        self._numbers(draw, moment)
-        self._state(draw, moment)
+        self._numbers(draw, snapshot)
+        self._state(draw, snapshot)
         if result is not None:
             self._outcome(draw, result)
         return np.asarray(image)
@@ -53,32 +53,32 @@ class Overlay:
     def _title(self, draw: ImageDraw.ImageDraw, spec: TrialSpec) -> None:
         name, method = spec.scenario.name, spec.method.title
         width = int(max(font(24, bold=True).getlength(name), font(15).getlength(method))) + 28
-        draw.rounded_rectangle((MARGIN, MARGIN, MARGIN + width, MARGIN + 66), 8, fill=_plate())
+        draw.rounded_rectangle((MARGIN, MARGIN, MARGIN + width, MARGIN + 66), 8, fill=_background())
         draw.text((MARGIN + 14, MARGIN + 30), name, palette.TEXT, font(24, bold=True), "ls")
-        draw.text((MARGIN + 14, MARGIN + 53), method, palette.QUIET, font(15), "ls")
+        draw.text((MARGIN + 14, MARGIN + 53), method, palette.SECONDARY_TEXT, font(15), "ls")
 
-    def _numbers(self, draw: ImageDraw.ImageDraw, moment: Moment) -> None:
-        ahead = moment.cycle.cost_to_goal if moment.cycle else math.inf
-        left = max(0.0, ahead - (moment.time - moment.cycle.time)) if moment.cycle else math.inf
+    def _numbers(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
+        ahead = snapshot.cycle.cost_to_goal if snapshot.cycle else math.inf
+        left = max(0.0, ahead - (snapshot.time - snapshot.cycle.time)) if snapshot.cycle else math.inf
         numbers = (
-            ("time", f"{moment.time:.1f}", "s"),
-            ("speed", f"{round(moment.speed, 2) + 0.0:.2f}", "m/s"),
+            ("time", f"{snapshot.time:.1f}", "s"),
+            ("speed", f"{round(snapshot.speed, 2) + 0.0:.2f}", "m/s"),
             ("plan to goal", f"{left:.1f}" if math.isfinite(ahead) else "–", "s" if math.isfinite(ahead) else ""),
-            ("clearance", f"{100 * max(moment.clearance, 0.0):.0f}", "cm"),
+            ("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f}", "cm"),
         )
         foot = self._height - BAND
         for column, (name, value, unit) in enumerate(numbers):
             x = MARGIN + 4 + COLUMN * column
-            draw.text((x, foot + 27), name, palette.QUIET, font(14), "ls")
+            draw.text((x, foot + 27), name, palette.SECONDARY_TEXT, font(14), "ls")
             draw.text((x, foot + 62), value, palette.TEXT, font(28, bold=True), "ls")
             right = x + font(28, bold=True).getlength(value) + 6
-            draw.text((right, foot + 62), unit, palette.QUIET, font(15), "ls")
+            draw.text((right, foot + 62), unit, palette.SECONDARY_TEXT, font(15), "ls")
 
-    def _state(self, draw: ImageDraw.ImageDraw, moment: Moment) -> None:
+    def _state(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
         """Plan or contingency, and why."""
-        if moment.cycle is None:
+        if snapshot.cycle is None:
             return
-        planned = moment.cycle.kind == Kind.PLAN
+        planned = snapshot.cycle.kind == ReferenceKind.PLAN
         x, foot = MARGIN + 4 * COLUMN + 12, self._height - BAND
         text = "PLAN" if planned else "CONTINGENCY"
         fill = palette.PLAN if planned else palette.CONTINGENCY
@@ -86,18 +86,18 @@ class Overlay:
         top = foot + 27 if planned else foot + 10
         draw.rounded_rectangle((x, top, x + width, top + 30), 15, fill=fill)
         draw.text((x + width / 2, top + 15), text, palette.TEXT, font(16, bold=True), "mm")
-        for row, line in enumerate(wrapped(moment.cycle.reason, 13, self._width - x - MARGIN, 2)):
+        for row, line in enumerate(wrapped(snapshot.cycle.reason, 13, self._width - x - MARGIN, 2)):
             draw.text((x + 2, foot + 58 + 16 * row), line, palette.TEXT, font(13), "ls")
 
     def _outcome(self, draw: ImageDraw.ImageDraw, result: TrialResult) -> None:
-        text, fill = verdict(result)
+        text, fill = outcome_text(result)
         middle, top = self._width / 2, 0.24 * self._height
         half = font(34, bold=True).getlength(text) / 2 + 30
         draw.rounded_rectangle((middle - half, top, middle + half, top + 70), 12, fill=fill)
         draw.text((middle, top + 35), text, palette.TEXT, font(34, bold=True), "mm")
 
 
-def verdict(result: TrialResult) -> tuple[str, str]:
+def outcome_text(result: TrialResult) -> tuple[str, str]:
     """How a trial ended, and in which colour to say it."""
     match result.outcome:
         case Outcome.SUCCESS:
@@ -108,8 +108,8 @@ def verdict(result: TrialResult) -> tuple[str, str]:
             return f"not at the goal after {result.time:.0f} s", palette.FAILURE
 
 
-def _plate() -> tuple[int, int, int, int]:
-    red, green, blue, opacity = (round(255 * part) for part in palette.colour(palette.PLATE, OPACITY))
+def _background() -> tuple[int, int, int, int]:
+    red, green, blue, opacity = (round(255 * part) for part in palette.colour(palette.BACKGROUND, OPACITY))
     return red, green, blue, opacity
 
 
@@ -127,7 +127,7 @@ def draw_legend(
         ("plan", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.PLAN, 4)),
         ("predicted", lambda d, x, y: d.rectangle((x, y - 5, x + SAMPLE, y + 5), palette.PREDICTED)),
         ("contingency", _dashes),
-        ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.QUIET, 1)),
+        ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.SECONDARY_TEXT, 1)),
         (
             "believed pose",
             lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=palette.ESTIMATE, width=2),

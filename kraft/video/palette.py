@@ -28,9 +28,9 @@ ESTIMATE: Final = "#a3178f"
 SUCCESS: Final = GOAL
 FAILURE: Final = "#c1121f"
 
-PLATE: Final = "#14171c"
+BACKGROUND: Final = "#14171c"
 TEXT: Final = "#ffffff"
-QUIET: Final = "#b9c2cf"
+SECONDARY_TEXT: Final = "#b9c2cf"
 
 
 def speed_colours(speeds: Floats, top: float) -> Matrix:

@@ -52,12 +52,12 @@ class Pen:
         for side in segments(closed):
             self.stroke(side, width, rise, colour)
 
-    def ball(self, centre: Floats, radius: float, colour: Colour) -> None:
+    def sphere(self, centre: Floats, radius: float, colour: Colour) -> None:
         """A ball around a point (3,) of the floor's frame."""
         place = self._surface.to_world(centre[None, :])[0]
         self._add(SPHERE, np.full(3, radius), place, np.eye(3), np.array(colour))
 
-    def hairlines(self, pieces: Floats, rise: float, colour: Colour, pixels: float) -> None:
+    def lines(self, pieces: Floats, rise: float, colour: Colour, pixels: float) -> None:
         """Straight lines (n, 2, 2), `pixels` wide however far they are."""
         ends = self._surface.to_world(self._surface.raised(pieces.reshape(-1, 2), rise)).reshape(-1, 2, 3)
         zero, eye, rgba = np.zeros(3), np.eye(3).ravel(), np.array(colour, np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -17,10 +18,10 @@ from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.video.gl import check_video, offscreen_context
-from kraft.video.moment import Chronicle
 from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import BAND, Overlay
-from kraft.video.stage import Stage
+from kraft.video.renderer import SceneRenderer
+from kraft.video.snapshot import SnapshotRecorder
 
 FPS: Final = 30
 SIZE: Final = (1280, 720)
@@ -48,9 +49,9 @@ class VideoRecorder:
         check_video(path)
         self._spec, self._map_width = spec, map_width(spec.scenario.bounds)
         self._gl: Any = offscreen_context(*SIZE)
-        self._chronicle = Chronicle(spec)
+        self._snapshots = SnapshotRecorder(spec)
         self._overlay = Overlay(spec, SIZE, self._map_width)
-        self._stage: Stage | None = None
+        self._renderer: SceneRenderer | None = None
         self._world: World | None = None
         self._file = Mp4Writer(path, SIZE, FPS)
 
@@ -59,22 +60,22 @@ class VideoRecorder:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._file.discard()
-        if self._stage is not None:
-            self._stage.close()
+        if self._renderer is not None:
+            self._renderer.close()
         self._gl.free()
 
     def on_cycle(self, cycle: Cycle) -> None:
         """For `run_trial`."""
-        self._chronicle.on_cycle(cycle)
+        self._snapshots.on_cycle(cycle)
 
     def on_step(self, world: World, step: Step) -> None:
         """For `run_trial`; films the world if a frame is due."""
-        if self._stage is None:
-            self._stage, self._world = Stage(world, self._spec, SIZE, self._map_width, BAND), world
-        moment = self._chronicle.on_step(world, step)
+        if self._renderer is None:
+            self._renderer, self._world = SceneRenderer(world, self._spec, SIZE, self._map_width, BAND), world
+        snapshot = self._snapshots.on_step(world, step)
         due = round(world.time * FPS) + 1 - self._file.frames
         if due > 0:
-            picture = self._overlay.over(self._stage.picture(moment), moment)
+            picture = self._overlay.over(self._renderer.picture(snapshot), snapshot)
             for _ in range(due):
                 self._file.add(picture)
 
@@ -84,10 +85,10 @@ class VideoRecorder:
         Raises:
             InputError: if the file cannot be written.
         """
-        assert self._stage is not None, "a trial has at least one tick"
+        assert self._renderer is not None, "a trial has at least one tick"
         assert self._world is not None, "a trial has at least one tick"
-        moment = self._chronicle.now(self._world)
-        picture = self._overlay.over(self._stage.picture(moment), moment, result)
+        snapshot = self._snapshots.now(self._world)
+        picture = self._overlay.over(self._renderer.picture(snapshot), snapshot, result)
         for _ in range(round(HOLD * FPS)):
             self._file.add(picture)
         self._file.finish()
@@ -100,7 +101,7 @@ def map_width(bounds: Bounds) -> int:
     return 2 * round(min(max(wanted, 220), SIZE[0] / 2.4) / 2)
 
 
-class _Taken(Exception):  # noqa: N818 - it ends the drive, nothing is wrong
+class _StillWritten(Exception):  # noqa: N818 - it ends the drive, nothing is wrong
     pass
 
 
@@ -111,21 +112,20 @@ def write_still(path: Path, spec: TrialSpec, time: float) -> None:
         InputError: if the file cannot be written.
         MissingDependency: if nothing can be drawn without a window here.
     """
-    side, chronicle = map_width(spec.scenario.bounds), Chronicle(spec)
+    side, snapshots = map_width(spec.scenario.bounds), SnapshotRecorder(spec)
     gl = offscreen_context(*SIZE)
 
-    def look(world: World, step: Step) -> None:
-        moment = chronicle.on_step(world, step)
+    def on_step(world: World, step: Step) -> None:
+        snapshot = snapshots.on_step(world, step)
         if world.time >= time - 1e-6:
-            stage = Stage(world, spec, SIZE, side, BAND)
-            write_whole(path, _png(Overlay(spec, SIZE, side).over(stage.picture(moment), moment)))
-            stage.close()
-            raise _Taken
+            renderer = SceneRenderer(world, spec, SIZE, side, BAND)
+            write_whole(path, _png(Overlay(spec, SIZE, side).over(renderer.picture(snapshot), snapshot)))
+            renderer.close()
+            raise _StillWritten
 
     try:
-        run_trial(spec, chronicle.on_cycle, look, keep_trees=True)
-    except _Taken:
-        pass
+        with suppress(_StillWritten):
+            run_trial(spec, snapshots.on_cycle, on_step, keep_trees=True)
     finally:
         gl.free()
 

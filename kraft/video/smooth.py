@@ -14,9 +14,9 @@ Image = NDArray[np.uint8]
 
 CONTRAST: Final = 0.11
 """Contrast from which on neighbours count as an edge, as a share of the brightest."""
-DARKEST: Final = 6.0
+MIN_CONTRAST: Final = 6.0
 """Contrast that is never seen, of 255."""
-REACH: Final = 6.0
+MAX_SEARCH: Final = 6.0
 """How far along an edge the filter looks at most, px."""
 
 
@@ -41,12 +41,12 @@ def _fxaa(image: Image, luma: NDArray[np.float32], result: Image) -> None:
             nw, ne, sw, se = luma[i - 1, j - 1], luma[i - 1, j + 1], luma[i + 1, j - 1], luma[i + 1, j + 1]
             here = luma[i, j]
             low, high = min(nw, ne, sw, se, here), max(nw, ne, sw, se, here)
-            if high - low < max(DARKEST, CONTRAST * high):
+            if high - low < max(MIN_CONTRAST, CONTRAST * high):
                 continue
             # along the edge: square to the gradient
             dx, dy = (sw + se) - (nw + ne), (nw + sw) - (ne + se)
             least = min(abs(dx), abs(dy)) + max(0.03125 * (nw + ne + sw + se), 2.0)
-            dx, dy = max(-REACH, min(REACH, dx / least)), max(-REACH, min(REACH, dy / least))
+            dx, dy = max(-MAX_SEARCH, min(MAX_SEARCH, dx / least)), max(-MAX_SEARCH, min(MAX_SEARCH, dy / least))
             for k in range(3):
                 near = far = 0.0
                 for share in (-0.5, -1.0 / 6.0, 1.0 / 6.0, 0.5):

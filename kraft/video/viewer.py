@@ -16,16 +16,16 @@ from kraft.driving.messages import Cycle
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
-from kraft.video.drawing import draw_cycle, draw_moment
+from kraft.video.drawing import draw_cycle, draw_snapshot
 from kraft.video.gl import check_view
-from kraft.video.moment import Chronicle, Moment
-from kraft.video.overlay import verdict
+from kraft.video.overlay import outcome_text
 from kraft.video.pen import Pen
-from kraft.video.stage import AHEAD, DISTANCE, LOWEST
+from kraft.video.renderer import AHEAD, DISTANCE, MIN_ELEVATION
+from kraft.video.snapshot import Snapshot, SnapshotRecorder
 
 HOLD: Final = 2.0
 """How long the end is shown, s."""
-LATE: Final = 0.05
+MAX_DELAY: Final = 0.05
 """From this delay on a picture is left out, s, but not ten of them in a row."""
 
 
@@ -43,12 +43,12 @@ class LiveView:
             MissingDependency: if a window cannot be opened.
         """
         check_view()
-        self._spec, self._chronicle = spec, Chronicle(spec)
+        self._spec, self._snapshots = spec, SnapshotRecorder(spec)
         self._window: Any = None
         self._data: Any = None
         self._pen: Pen | None = None
         self._threads: list[threading.Thread] = []
-        self._kept, self._cycle = 0, -1
+        self._static_geoms, self._cycle = 0, -1
         self._began = self._shown = 0.0
 
     def __enter__(self) -> Self:
@@ -62,24 +62,25 @@ class LiveView:
 
     def on_cycle(self, cycle: Cycle) -> None:
         """For `run_trial`."""
-        self._chronicle.on_cycle(cycle)
+        self._snapshots.on_cycle(cycle)
 
     def on_step(self, world: World, step: Step) -> None:
         """For `run_trial`; shows the world when the clock says so."""
-        moment = self._chronicle.on_step(world, step)
+        snapshot = self._snapshots.on_step(world, step)
         if self._window is None:
             self._open(world)
         if self._window.is_running():
             early = self._began + world.time - clock.monotonic()
             clock.sleep(max(0.0, early))
-            if early > -LATE or clock.monotonic() > self._shown + 10 * LATE:  # a slow screen must not slow the trial
-                self._show(world, moment)
+            overdue = clock.monotonic() > self._shown + 10 * MAX_DELAY
+            if early > -MAX_DELAY or overdue:  # a slow screen must not slow the trial
+                self._show(world, snapshot)
                 self._shown = clock.monotonic()
 
     def finish(self, result: TrialResult) -> None:
         """Show for a moment how it ended."""
         if self._window is not None and self._window.is_running():
-            self._window.set_texts(_text(verdict(result)[0], ""))
+            self._window.set_texts(_text(outcome_text(result)[0], ""))
             self._window.sync()
             clock.sleep(HOLD)
 
@@ -95,37 +96,37 @@ class LiveView:
         with self._window.lock():
             self._window.opt.geomgroup[3] = 0  # what only touches
             camera = self._window.cam
-            camera.distance, camera.elevation = DISTANCE, -math.degrees(LOWEST)
+            camera.distance, camera.elevation = DISTANCE, -math.degrees(MIN_ELEVATION)
             camera.azimuth = math.degrees(float(world.pose[2]))
         self._began = clock.monotonic() - world.time
 
-    def _show(self, world: World, moment: Moment) -> None:
+    def _show(self, world: World, snapshot: Snapshot) -> None:
         """Draw; the camera moves with the car, and from where it looks is the spectator's choice."""
         assert self._pen is not None, "it is made with the window"
-        x, y, theta = moment.pose
+        x, y, theta = snapshot.pose
         ahead = np.array([x + AHEAD * math.cos(theta), y + AHEAD * math.sin(theta), 0.08])
         with self._window.lock():
             mujoco.mj_copyData(self._data, world.model, world.data)
             scene = self._window.user_scn
-            scene.ngeom = self._kept
-            if moment.cycle is not None and moment.cycle.number != self._cycle:
-                scene.ngeom, self._cycle = 0, moment.cycle.number
-                draw_cycle(self._pen, moment.cycle, self._spec.vehicle)
-                self._kept = scene.ngeom
-            draw_moment(self._pen, moment, self._spec.vehicle)
+            scene.ngeom = self._static_geoms
+            if snapshot.cycle is not None and snapshot.cycle.number != self._cycle:
+                scene.ngeom, self._cycle = 0, snapshot.cycle.number
+                draw_cycle(self._pen, snapshot.cycle, self._spec.vehicle)
+                self._static_geoms = scene.ngeom
+            draw_snapshot(self._pen, snapshot, self._spec.vehicle)
             self._window.cam.lookat[:] = world.frame.to_world(ahead)
-        self._window.set_texts(_state(moment))
+        self._window.set_texts(_state(snapshot))
         self._window.sync()
 
 
-def _state(moment: Moment) -> Any:
+def _state(snapshot: Snapshot) -> Any:
     rows = [
-        ("time", f"{moment.time:.1f} s"),
-        ("speed", f"{moment.speed:.2f} m/s"),
-        ("clearance", f"{100 * max(moment.clearance, 0.0):.0f} cm"),
+        ("time", f"{snapshot.time:.1f} s"),
+        ("speed", f"{snapshot.speed:.2f} m/s"),
+        ("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f} cm"),
     ]
-    if moment.cycle is not None:
-        rows.append((str(moment.cycle.kind), moment.cycle.reason or " "))
+    if snapshot.cycle is not None:
+        rows.append((str(snapshot.cycle.kind), snapshot.cycle.reason or " "))
     return _text("\n".join(name for name, _ in rows), "\n".join(value for _, value in rows))
 
 

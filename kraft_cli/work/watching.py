@@ -107,12 +107,12 @@ class Watchers:
             film.finish(result)
         if self._wanted.plot is not None:
             from kraft.plot.run import plot_run
-            from kraft.simulation.hidden import hidden_things
+            from kraft.simulation.hidden import hidden_features
 
             scenario = self._spec.scenario
             moved = None if self._world is None else self._world.movable_poses
             title = f"{scenario.name} · {self._spec.method.title}"
             plot_run(
                 self._wanted.plot, scenario.task(), self._spec.vehicle, result,
-                title=title, unknown=scenario.truth.in_words(), hidden=hidden_things(scenario, moved),
+                title=title, unknown=scenario.truth.in_words(), hidden=hidden_features(scenario, moved),
             )  # fmt: skip

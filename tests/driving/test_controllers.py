@@ -22,9 +22,9 @@ from support.driving import (
     track,
 )
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import Controller, make_controller
-from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Geometric, Kinodynamic, OpenLoop
 from ompl_ext.arrays import Floats
 
@@ -38,7 +38,9 @@ AT_REST = np.array([0.0, 0.0, 0.0, 0.0])
 MOVING = np.array([0.0, 0.0, 0.0, 0.5])
 
 
-def command(choice: Settings, state: Floats, reference: Reference, time: float, model: Model | None = None) -> Floats:
+def command(
+    choice: Settings, state: Floats, reference: Reference, time: float, model: CarModel | None = None
+) -> Floats:
     """First command of a new controller."""
     return make_controller(choice, model or car()).command(Estimate(time, np.array(state), 0.0), reference)
 
@@ -62,7 +64,9 @@ def test_open_loop_sends_what_is_planned_for_the_time_and_rests_after_it() -> No
 
 
 def test_open_loop_clamps_a_plan_that_asks_too_much() -> None:
-    reference = Reference(Kind.PLAN, np.arange(2.0), np.zeros((2, 4)), np.array([[3.0, -2.0]]), np.array([-1.0, 0.9]))
+    reference = Reference(
+        ReferenceKind.PLAN, np.arange(2.0), np.zeros((2, 4)), np.array([[3.0, -2.0]]), np.array([-1.0, 0.9])
+    )
     assert command(OPEN, AT_REST, reference, 0.5).tolist() == [1.0, -0.38]
     assert command(OPEN, AT_REST, reference, 1.5).tolist() == [0.0, 0.38]
 
@@ -201,14 +205,16 @@ def test_at_and_past_the_end_of_the_path_the_car_rests(choice: Settings, forward
 
 def test_the_planned_rest_control_is_what_is_held_at_the_end() -> None:
     moving = drive(car(), AT_REST, STRAIGHT)
-    reference = Reference(Kind.CONTINGENCY, moving.times, moving.states, moving.controls, np.array([0.0, 0.19]))
+    reference = Reference(
+        ReferenceKind.CONTINGENCY, moving.times, moving.states, moving.controls, np.array([0.0, 0.19])
+    )
     for choice in (OPEN, PATH, TRACK):
         assert command(choice, at(4.0, reference), reference, 4.5).tolist() == [0.0, 0.19]
 
 
 @ALL
 def test_a_reference_of_one_state_is_a_place_to_rest(choice: Settings) -> None:
-    one = Reference(Kind.CONTINGENCY, np.array([2.0]), MOVING[None, :], np.zeros((0, 2)), np.zeros(2))
+    one = Reference(ReferenceKind.CONTINGENCY, np.array([2.0]), MOVING[None, :], np.zeros((0, 2)), np.zeros(2))
     for time in (1.0, 2.0, 3.0):
         assert command(choice, MOVING, one, time).tolist() == [0.0, 0.0]
 
@@ -218,7 +224,7 @@ def test_a_reference_of_one_state_is_a_place_to_rest(choice: Settings) -> None:
 
 @CLOSED
 def test_a_contingency_is_never_given_more_throttle_than_it_plans(choice: Settings) -> None:
-    stop = drive(slow_car(), np.array([0.0, 0.0, 0.0, 0.6]), [(0.0, 0.19, 3.0)], kind=Kind.CONTINGENCY)
+    stop = drive(slow_car(), np.array([0.0, 0.0, 0.0, 0.6]), [(0.0, 0.19, 3.0)], kind=ReferenceKind.CONTINGENCY)
     for time in (0.0, 0.5, 2.0, 2.99):
         for forward in (-0.4, -0.05, 0.0, 0.1):
             state = at(time, stop, forward=forward)
@@ -227,14 +233,14 @@ def test_a_contingency_is_never_given_more_throttle_than_it_plans(choice: Settin
 
 @CLOSED
 def test_a_stop_that_is_over_drives_no_car_on(choice: Settings) -> None:
-    creeping = drive(car(), MOVING, [(0.3, 0.0, 2.0)], kind=Kind.CONTINGENCY)
+    creeping = drive(car(), MOVING, [(0.3, 0.0, 2.0)], kind=ReferenceKind.CONTINGENCY)
     for forward in (-1.0, -0.3, 0.0, 0.3):
         assert command(choice, at(1.0, creeping, forward=forward), creeping, 2.5)[0] == 0.0
 
 
 @ALL
 def test_a_car_that_rolls_farther_than_its_model_comes_to_rest(choice: Settings) -> None:
-    stop = drive(car(), np.array([0.0, 0.0, 0.0, 0.6]), [(0.0, 0.38, 1.0)], kind=Kind.CONTINGENCY)
+    stop = drive(car(), np.array([0.0, 0.0, 0.0, 0.6]), [(0.0, 0.38, 1.0)], kind=ReferenceKind.CONTINGENCY)
     truth = Truth(slow_car(), stop.states[0])
     states, commands = track(make_controller(choice, car()), truth, stop, 8.0)
     assert states[-1, 3] < 0.01
@@ -326,8 +332,8 @@ def references(draw: Callable[[st.SearchStrategy[object]], object]) -> Reference
     gaps = np.array(draw(st.lists(st.floats(1e-3, 3.0), min_size=count, max_size=count)))
     points = np.array(draw(st.lists(st.tuples(NEAR, NEAR, NEAR, NEAR), min_size=count, max_size=count)))
     controls = np.array(draw(st.lists(st.tuples(NEAR, NEAR), min_size=count - 1, max_size=count - 1)))
-    kind = draw(st.sampled_from(list(Kind)))
-    assert isinstance(kind, Kind)
+    kind = draw(st.sampled_from(list(ReferenceKind)))
+    assert isinstance(kind, ReferenceKind)
     repeated = points[np.maximum(np.arange(count) - int(bool(draw(st.booleans()))), 0)]  # standing still, too
     return Reference(kind, np.cumsum(gaps), repeated, controls.reshape(-1, 2), np.array(draw(st.tuples(NEAR, NEAR))))
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.driving import RATE, car, slow_car
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.messages import Observation
@@ -37,7 +37,7 @@ class Ride:
     commands: Floats
 
     @classmethod
-    def of(cls, model: Model, seconds: float, scale: float = 1.0, start: Floats = START) -> Ride:
+    def of(cls, model: CarModel, seconds: float, scale: float = 1.0, start: Floats = START) -> Ride:
         """Driven by the model, with the pose moving `scale` times as fast as the model says."""
         states, commands = [start.copy()], []
         for k in range(round(seconds * RATE)):
@@ -282,7 +282,7 @@ def test_with_matched_noise_the_filters_covariance_says_how_far_off_it_is() -> N
         assert isinstance(estimator, PoseFilter)
         for k, error in enumerate(ride.replay(estimator, noisy(ride, seed, position, heading, latency=0.0))):
             if k > 60 and k % 20 == 0:
-                covariance = estimator.belief.covariance[:3, :3]
+                covariance = estimator.posterior.covariance[:3, :3]
                 distances.append(error[:3] @ np.linalg.solve(covariance, error[:3]))
     assert 1.8 < np.mean(distances) < 4.5  # chi-squared with three degrees of freedom
 

@@ -10,30 +10,33 @@ import numpy as np
 import pytest
 from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
-from kraft.driving.messages import Kind
-from kraft.driving.method import Clearance, Planner
-from kraft.driving.proposer import LEEWAY, SMALLEST_GOAL, Planners
+from kraft.driving.messages import ReferenceKind
+from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.proposer import MIN_GOAL_RADIUS, RECOVERY_MARGIN, Solvers
 from kraft.errors import Defect
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.verification import Verification
 
 
-def planners(**settings: object) -> Planners:
-    return Planners.of(turns(), mushr(), Planner(**{"mode": "replanning", **settings}))  # type: ignore[arg-type]
+def solvers(**settings: object) -> Solvers:
+    return Solvers.of(turns(), mushr(), PlannerSettings(**{"mode": "replanning", **settings}))  # type: ignore[arg-type]
 
 
 def test_without_margin_and_foresight_what_plans_is_what_checks() -> None:
-    for same in (planners(), planners(safety=MARGIN), planners(safety=Clearance(foresight=1.0))):
+    for same in (solvers(), solvers(safety=MARGIN), solvers(safety=Clearance(foresight=1.0))):
         assert same.planning is same.checking
 
 
 def test_planning_keeps_margin_and_foresight_and_checking_does_not() -> None:
-    ours = planners(safety=FARSIGHTED, margin=0.03, goal_margin=0.1)
-    shape, wide = mushr().footprint, ours.planning.vehicle.footprint
+    ours = solvers(safety=FARSIGHTED, margin=0.03, goal_margin=0.1)
+    shape, larger_footprint = mushr().footprint, ours.planning.vehicle.footprint
     assert ours.checking.vehicle.footprint == shape
-    assert (wide.length, wide.width) == (pytest.approx(shape.length + 0.06), pytest.approx(shape.width + 0.06))
-    assert wide.offset == shape.offset
+    assert (larger_footprint.length, larger_footprint.width) == (
+        pytest.approx(shape.length + 0.06),
+        pytest.approx(shape.width + 0.06),
+    )
+    assert larger_footprint.offset == shape.offset
     assert (ours.planning.safety.cycle, ours.checking.safety.cycle) == (3.0, 1.0)
     for dirt in (ours.planning, ours.checking):
         assert (dirt.safety.enabled, dirt.safety.delta, dirt.safety.delta_per_speed) == (True, 0.02, 0.05)
@@ -42,9 +45,9 @@ def test_planning_keeps_margin_and_foresight_and_checking_does_not() -> None:
 
 
 def test_a_goal_is_not_shrunk_to_nothing() -> None:
-    goal = planners(goal_margin=0.4).checking.goal
+    goal = solvers(goal_margin=0.4).checking.goal
     assert goal is not None
-    assert goal.radius == SMALLEST_GOAL
+    assert goal.radius == MIN_GOAL_RADIUS
 
 
 def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresight_reaches() -> None:
@@ -61,22 +64,22 @@ def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresigh
 def test_a_start_without_room_for_the_margin_is_planned_from_without_it() -> None:
     begin = BESIDE_THE_WALL + np.array([0.08, 0.0, 0.0, 0.0])
     cycles = drive(replanner(margin=0.03), 2, begin=begin)
-    assert cycles[0].kind is Kind.PLAN
+    assert cycles[0].kind is ReferenceKind.PLAN
     assert 0.0 < cycles[0].clearance < 0.03
 
 
 def test_a_vehicle_that_rests_nearer_than_the_clearance_stays_there() -> None:
     cycles = drive(replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0)), 3, begin=BESIDE_THE_WALL)
-    assert [cycle.kind for cycle in cycles] == [Kind.CONTINGENCY] * 3
+    assert [cycle.kind for cycle in cycles] == [ReferenceKind.CONTINGENCY] * 3
     assert "lacks clearance" in cycles[0].reason
-    np.testing.assert_allclose(cycles[-1].predicted.end, BESIDE_THE_WALL, atol=1e-6)
+    np.testing.assert_allclose(cycles[-1].predicted.final_state, BESIDE_THE_WALL, atol=1e-6)
 
 
 def test_with_recover_it_leaves_with_the_clearance_that_it_has_and_then_keeps_what_is_asked_for() -> None:
     subject = replanner(safety=Clearance(delta=0.15, delta_per_speed=0.0), recover=True)
     cycles = drive(subject, 8, begin=BESIDE_THE_WALL)
-    assert cycles[0].kind is Kind.PLAN
-    assert min(cycle.clearance for cycle in cycles) >= 0.1 - LEEWAY - 1e-3
+    assert cycles[0].kind is ReferenceKind.PLAN
+    assert min(cycle.clearance for cycle in cycles) >= 0.1 - RECOVERY_MARGIN - 1e-3
     assert cycles[-1].clearance >= 0.15
     assert subject.dirt.safety.delta == 0.15
 
@@ -98,7 +101,7 @@ def test_recover_is_for_a_vehicle_at_rest_and_not_in_collision() -> None:
         assert subject.dirt.safety.delta == 0.15
 
 
-@pytest.mark.parametrize(("away", "radius"), [(0.2, 0.1), (0.1, 0.05), (0.004, SMALLEST_GOAL)])
+@pytest.mark.parametrize(("away", "radius"), [(0.2, 0.1), (0.1, 0.05), (0.004, MIN_GOAL_RADIUS)])
 def test_the_goal_region_shrinks_before_a_vehicle_that_has_not_arrived(away: float, radius: float) -> None:
     """By its own estimate it has: a plan from within the scene's region, 0.25 m, would else be to stay there."""
     subject = replanner()
@@ -106,7 +109,7 @@ def test_the_goal_region_shrinks_before_a_vehicle_that_has_not_arrived(away: flo
     plan = subject._proposal.plan
     assert plan is not None
     assert math.dist(plan.states[-1][:2], (1.0, 5.0)) <= radius
-    assert (len(plan.durations) > 0) == (away > SMALLEST_GOAL)
+    assert (len(plan.durations) > 0) == (away > MIN_GOAL_RADIUS)
 
 
 def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away() -> None:
@@ -162,7 +165,7 @@ def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pyt
     """The search with the margin finds nothing: half of the time is its, the rest that of the one without."""
     subject = replanner(margin=0.03, cycle=0.5, lead=0.05)
     subject._proposer._realtime = True
-    now, granted, both = [0.0], list[float](), subject._proposer._planners
+    now, granted, both = [0.0], list[float](), subject._proposer._solvers
     monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: now[0])
     for dirt in (both.planning, both.checking):
 

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
-from kraft.driving.messages import Cycle, Estimate, Kind
-from kraft.driving.method import Clearance, Geometric, Planner
-from kraft.driving.proposer import Planners
+from kraft.driving.messages import Cycle, Estimate, ReferenceKind
+from kraft.driving.method import Clearance, Geometric, PlannerSettings
+from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
-from kraft.driving.stopping import emergency
+from kraft.driving.stopping import emergency_reference
 from ompl_ext.arrays import Floats
 
 
 def test_the_first_cycle_executes_the_plan_made_before_the_clock_ran() -> None:
     first = drive(replanner(), 1)[0]
-    assert (first.number, first.time, first.kind) == (0, 0.0, Kind.PLAN)
+    assert (first.number, first.time, first.kind) == (0, 0.0, ReferenceKind.PLAN)
     assert first.reference.start == 0.0
     np.testing.assert_array_equal(first.reference.states[0], start())
     assert first.reference.end == pytest.approx(first.cost_to_goal)
@@ -33,7 +33,7 @@ def test_a_vehicle_that_is_where_it_was_predicted_reaches_the_goal_without_a_con
     safety: Clearance | None, tracking: bool
 ) -> None:
     cycles = drive(replanner(safety=safety, tracking=tracking, margin=0.03), 9)
-    assert [cycle.kind for cycle in cycles] == [Kind.PLAN] * 9
+    assert [cycle.kind for cycle in cycles] == [ReferenceKind.PLAN] * 9
     costs = [cycle.cost_to_goal for cycle in cycles]
     assert costs[-1] < costs[0] - 6.0
     assert min(cycle.clearance for cycle in cycles) > 0.0
@@ -45,14 +45,14 @@ def test_a_vehicle_that_does_as_planned_needs_no_contingency_for_a_clearance_tha
 ) -> None:
     """Asked for in the coming cycle alone it lets plans cut corners that the next cycle crawls round, but drives on."""
     cycles = drive(replanner(seed, safety=MARGIN, margin=0.03), 9)
-    assert [cycle.kind for cycle in cycles] == [Kind.PLAN] * 9
+    assert [cycle.kind for cycle in cycles] == [ReferenceKind.PLAN] * 9
     assert min(cycle.predicted.slack for cycle in cycles) >= 0.0
 
 
 def test_a_controller_that_gets_ahead_of_a_plan_by_more_than_the_margin_is_told_so() -> None:
     """The controller looks ahead of the plan: where that speeds up, 0.25 of the difference of speeds is the slack."""
     cycles = drive(replanner(2, safety=MARGIN, margin=0.03, tracking=True), 9)
-    refused = [cycle for cycle in cycles if cycle.kind is Kind.CONTINGENCY]
+    refused = [cycle for cycle in cycles if cycle.kind is ReferenceKind.CONTINGENCY]
     assert refused
     assert all("from the latest estimate" in cycle.reason for cycle in refused)
     assert all(cycle.predicted.slack >= 0.0 for cycle in cycles)  # each of them with a safe one
@@ -62,7 +62,7 @@ def test_each_cycle_begins_where_the_last_one_is_predicted_to_end() -> None:
     cycles = drive(replanner(), 4)
     for before, after in itertools.pairwise(cycles):
         assert after.time == pytest.approx(before.predicted.times[-1])
-        np.testing.assert_allclose(after.predicted.states[0], before.predicted.end, atol=2e-3)
+        np.testing.assert_allclose(after.predicted.states[0], before.predicted.final_state, atol=2e-3)
 
 
 def test_what_is_left_of_the_last_plan_is_kept() -> None:
@@ -100,30 +100,30 @@ def test_a_cycle_begins_when_what_is_committed_has_arrived_and_where_what_is_und
         found.append(subject.step(Estimate(now, state, 0.0), current))
         assert found[-1].time == pytest.approx(number + late)
         assert found[-1].reference.start == pytest.approx(number + late)
-    assert [cycle.kind for cycle in found] == [Kind.PLAN] * 6
+    assert [cycle.kind for cycle in found] == [ReferenceKind.PLAN] * 6
     for before, after in itertools.pairwise(found):
         assert before.predicted.times[-1] == pytest.approx(after.time)
-        np.testing.assert_allclose(after.predicted.states[0], before.predicted.end, atol=5e-3)
-    assert math.dist(found[-1].predicted.end[:2], start()[:2]) > 1.5
+        np.testing.assert_allclose(after.predicted.states[0], before.predicted.final_state, atol=5e-3)
+    assert math.dist(found[-1].predicted.final_state[:2], start()[:2]) > 1.5
 
 
 def test_one_shot_plans_once() -> None:
     subject = replanner(mode="one-shot")
     first = drive(subject, 1)[0]
-    assert first.kind is Kind.PLAN
+    assert first.kind is ReferenceKind.PLAN
     assert subject.next_step == math.inf
 
 
 def test_a_plan_that_is_unsafe_from_the_latest_estimate_is_not_committed() -> None:
     towards_the_wall = np.array([0.9, 0.0, 0.0, 0.0])  # the corridor's inner half width is 1.2 m
     cycles = drive(replanner(safety=MARGIN), 2, towards_the_wall)
-    assert cycles[1].kind is Kind.CONTINGENCY
+    assert cycles[1].kind is ReferenceKind.CONTINGENCY
     assert "from the latest estimate" in cycles[1].reason
     assert cycles[1].contingency is cycles[1].reference
 
 
 def test_a_plan_is_committed_without_clearance_if_none_is_asked_for() -> None:
-    assert drive(replanner(), 2, np.array([0.02, 0.0, 0.0, 0.0]))[1].kind is Kind.PLAN
+    assert drive(replanner(), 2, np.array([0.02, 0.0, 0.0, 0.0]))[1].kind is ReferenceKind.PLAN
 
 
 @pytest.mark.parametrize("age", [0.6, math.inf])
@@ -131,24 +131,24 @@ def test_an_old_or_missing_observation_stops_the_vehicle(age: float) -> None:
     subject = replanner(patience=0.5)
     current = subject.begin(start())
     first = subject.step(Estimate(0.0, start(), math.inf), current)
-    assert first.kind is Kind.PLAN  # where it stands at the start is known
+    assert first.kind is ReferenceKind.PLAN  # where it stands at the start is known
     late = subject.step(Estimate(0.9, first.predicted.states[-3], age), first.reference)
-    assert late.kind is Kind.CONTINGENCY
+    assert late.kind is ReferenceKind.CONTINGENCY
     assert "newest observation" in late.reason
 
 
 def test_an_observation_that_is_late_but_not_too_late_does_not_stop_it() -> None:
     subject = replanner(patience=0.5)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
-    assert subject.step(Estimate(0.9, first.predicted.states[-4], 0.4), first.reference).kind is Kind.PLAN
+    assert subject.step(Estimate(0.9, first.predicted.states[-4], 0.4), first.reference).kind is ReferenceKind.PLAN
 
 
 def test_without_a_plan_the_vehicle_stops() -> None:
     subject = replanner(safety=Clearance(delta=0.5))  # more than the start has to the near wall
     cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
-    assert cycle.kind is Kind.CONTINGENCY
+    assert cycle.kind is ReferenceKind.CONTINGENCY
     assert "lacks clearance" in cycle.reason
-    np.testing.assert_allclose(cycle.predicted.end[:2], start()[:2], atol=1e-6)
+    np.testing.assert_allclose(cycle.predicted.final_state[:2], start()[:2], atol=1e-6)
 
 
 def test_a_prediction_in_collision_stops_the_vehicle_one_cycle_later() -> None:
@@ -157,7 +157,7 @@ def test_a_prediction_in_collision_stops_the_vehicle_one_cycle_later() -> None:
     fast = np.array([1.0, 0.7, math.pi / 2, 0.6])  # 10 cm from the first box's level and heading past it
     into = np.array([0.45, 0.6, math.pi / 2, 0.6])  # 0.2 m before the first box
     stopped = subject.step(Estimate(0.9, into, 0.0), first.reference)
-    assert stopped.kind is Kind.CONTINGENCY
+    assert stopped.kind is ReferenceKind.CONTINGENCY
     assert subject.step(Estimate(1.9, fast, 0.0), stopped.reference).reason != ""
 
 
@@ -193,7 +193,7 @@ def test_the_contingency_in_hand_is_used_when_none_is_safe_and_the_vehicle_is_ne
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     assert first.contingency is not None
     second = subject.step(Estimate(1.0, too_fast_beside_the_contingency(first, share), 0.0), first.reference)
-    assert second.kind is Kind.CONTINGENCY
+    assert second.kind is ReferenceKind.CONTINGENCY
     assert second.reference is first.contingency
 
 
@@ -203,9 +203,9 @@ def test_an_emergency_is_what_is_left_when_none_is_safe_and_the_one_in_hand_begi
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     state = too_fast_beside_the_contingency(first, share)
     second = subject.step(Estimate(1.0, state, 0.0), first.reference)
-    assert (second.kind, second.reference.start) == (Kind.CONTINGENCY, 1.0)
+    assert (second.kind, second.reference.start) == (ReferenceKind.CONTINGENCY, 1.0)
     assert second.reference is not first.contingency
-    expected = emergency(subject.dirt, state, 1.0)
+    expected = emergency_reference(subject.dirt, state, 1.0)
     np.testing.assert_array_equal(second.reference.states, expected.states)
     np.testing.assert_array_equal(second.reference.controls, expected.controls)
     assert second.contingency is second.reference
@@ -234,15 +234,15 @@ def test_a_contingency_goes_on_when_no_other_is_safe() -> None:
 
 
 def test_looking_ahead_leaves_the_controller_as_it_is() -> None:
-    controller = make_controller(Geometric(kind="geometric"), Model(mushr()))  # which remembers errors
-    planner = Planner(mode="replanning", iterations=300)
-    subject = Replanner(Planners.of(turns(), mushr(), planner), planner, controller, 0, period=1 / 30)
+    controller = make_controller(Geometric(kind="geometric"), CarModel(mushr()))  # which remembers errors
+    planner = PlannerSettings(mode="replanning", iterations=300)
+    subject = Replanner(Solvers.of(turns(), mushr(), planner), planner, controller, 0, period=1 / 30)
     reference = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start())).reference
-    untouched = make_controller(Geometric(kind="geometric"), Model(mushr()))
+    untouched = make_controller(Geometric(kind="geometric"), CarModel(mushr()))
     beside = start() + np.array([0.05, 0.1, 0.1, 0.3])
     for k in range(5):
         estimate = Estimate(0.3 + k / 30, beside, 0.0)
-        subject._roll(beside, estimate.time, estimate.time + 1.0, reference)
+        subject._predict(beside, estimate.time, estimate.time + 1.0, reference)
         np.testing.assert_array_equal(controller.command(estimate, reference), untouched.command(estimate, reference))
 
 

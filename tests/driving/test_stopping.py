@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, mushr, replanner, start
 
-from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.replanner import Replanner
-from kraft.driving.stopping import emergency, plan_reference, stop_control
+from kraft.driving.stopping import emergency_reference, plan_reference, stop_control
 from ompl_ext.arrays import Floats
 
 
@@ -41,8 +41,8 @@ def test_an_emergency_takes_the_manoeuvre_that_keeps_the_most_distance_or_hits_s
         if dirt.exact.distance(*state[:3]) <= 0.01 or dirt.contingency(state) is not None:
             continue
         found += 1
-        reference = emergency(dirt, state, 3.0)
-        assert (reference.kind, reference.start) == (Kind.CONTINGENCY, 3.0)
+        reference = emergency_reference(dirt, state, 3.0)
+        assert (reference.kind, reference.start) == (ReferenceKind.CONTINGENCY, 3.0)
         assert abs(reference.states[-1][3]) <= 0.01
         each = [along(subject, state, number) for number in range(len(dirt.vehicle.manoeuvres))]
         best = max(each, key=lambda pair: (pair[0], -pair[1]))
@@ -60,12 +60,16 @@ def test_a_contingency_that_is_over_asks_for_nothing() -> None:
     assert cycle.contingency is not None
     assert cycle.contingency.controls[0][0] < 0.0  # it brakes
     np.testing.assert_array_equal(cycle.contingency.rest, np.zeros(2))
-    np.testing.assert_array_equal(emergency(subject.dirt, start(), 0.0).rest, np.zeros(2))
+    np.testing.assert_array_equal(emergency_reference(subject.dirt, start(), 0.0).rest, np.zeros(2))
 
 
 def test_a_reference_interpolates_states_and_holds_controls() -> None:
     reference = Reference(
-        Kind.PLAN, np.array([1.0, 2.0, 4.0]), np.array([[0.0], [1.0], [5.0]]), np.array([[0.1], [0.2]]), np.zeros(1)
+        ReferenceKind.PLAN,
+        np.array([1.0, 2.0, 4.0]),
+        np.array([[0.0], [1.0], [5.0]]),
+        np.array([[0.1], [0.2]]),
+        np.zeros(1),
     )
     assert [float(reference.state_at(t)[0]) for t in (0.0, 1.0, 1.5, 3.0, 4.0, 9.0)] == [0.0, 0.0, 0.5, 3.0, 5.0, 5.0]
     assert [float(reference.control_at(t)[0]) for t in (0.0, 1.0, 2.0, 3.9, 4.0)] == [0.1, 0.1, 0.2, 0.2, 0.0]

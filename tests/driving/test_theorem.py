@@ -35,9 +35,9 @@ def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: py
 
         plan = self._proposal.plan
         if plan is None:
-            return self._stop(root, begins, current, self._proposal.reason)
-        reference = plan_reference(plan, begins, self._at_rest)
-        return Decision(reference, self._roll(root, begins, begins + 1.0, reference), "", plan)
+            return self._choose_contingency(root, begins, current, self._proposal.reason)
+        reference = plan_reference(plan, begins, self._zero_control)
+        return Decision(reference, self._predict(root, begins, begins + 1.0, reference), "", plan)
 
     monkeypatch.setattr(Replanner, "_decide", trusting)
     assert any(episode(number).clearance <= 0.0 for number in range(1, 80, 2))

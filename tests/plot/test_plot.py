@@ -17,12 +17,12 @@ from PIL import Image
 from kraft.errors import InputError
 from kraft.plot import picture, plot_plan
 from kraft.plot import style as output
-from kraft.plot.frame import Frame, Motion, arrowheads, outlines
+from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
 from kraft.plot.labels import Label, draw_labels
-from kraft.plot.page import flow
-from kraft.plot.picture import Subject, compose
+from kraft.plot.page import flow_rows
+from kraft.plot.picture import PlanPicture, compose
 from kraft.plot.scene import EDGES_MAX, tree_lines, widest_place
-from kraft.plot.style import LABEL, look, shortened, text_width
+from kraft.plot.style import LABEL, plot_style, shortened, text_width
 from kraft.scenario import Bounds, Box, Circle, Goal, OccupancyMap, Polygon, Start, Task, load_scenario
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.plan import Contingency, Plan, TreeView
@@ -79,8 +79,8 @@ def fan(nodes: int, vehicle: Vehicle = CAR) -> TreeView:
 
 
 def figure(task: Task, plan: Plan | None, tree: TreeView, vehicle: Vehicle = CAR, cycle: float = 1.0) -> Figure:
-    with look():
-        return compose(Subject.of(task, vehicle, plan, tree, cycle), "title", {})
+    with plot_style():
+        return compose(PlanPicture.of(task, vehicle, plan, tree, cycle), "title", {})
 
 
 def texts(drawn: Figure) -> list[str]:
@@ -126,7 +126,7 @@ def test_an_error_while_drawing_leaves_the_old_picture(tmp_path: Path, monkeypat
     def broken(*_: object) -> None:
         raise RuntimeError("out of ink")
 
-    monkeypatch.setattr(picture, "draw_key", broken)
+    monkeypatch.setattr(picture, "draw_legend", broken)
     with pytest.raises(RuntimeError, match="ink"):
         plot_plan(target, TURNS, CAR, None, fan(1))
     assert target.read_text() == "old"
@@ -184,7 +184,7 @@ def test_the_first_cycle_of_a_plan_may_be_longer_than_the_plan(tmp_path: Path) -
 def test_a_vehicle_without_heading_is_drawn_without_heading_marks(tmp_path: Path) -> None:
     plan = drive(SLED)
     plot_plan(tmp_path / "p.svg", TURNS, SLED, plan, fan(9, SLED))
-    assert not Motion.of(plan.times, plan.trajectory, SLED).poses[:, 2].any()
+    assert not PoseTrajectory.of(plan.times, plan.trajectory, SLED).poses[:, 2].any()
     marks = [
         lines
         for lines in figure(TURNS, plan, fan(1, SLED), SLED).axes[0].collections
@@ -227,7 +227,7 @@ def test_footprints_and_marks_turn_with_the_vehicle() -> None:
 
 def test_a_motion_is_cut_at_exact_times_and_turns_the_short_way() -> None:
     states = np.array([[0.0, 0.0, 3.1, 0.0], [1.0, 0.0, -3.1, 0.0]])
-    motion = Motion.of(np.array([0.0, 1.0]), states, CAR)
+    motion = PoseTrajectory.of(np.array([0.0, 1.0]), states, CAR)
     part = motion.between(0.25, 0.75)
     assert part[[0, -1], 0].tolist() == [0.25, 0.75]
     assert np.abs(part[:, 2]).min() > 3.1
@@ -275,5 +275,5 @@ def test_a_long_title_is_cut_to_the_width_it_has() -> None:
 
 
 def test_items_flow_into_rows_and_one_that_is_too_wide_has_its_own() -> None:
-    assert flow([2.0, 2.0, 2.0, 9.0, 1.0], 5.0) == [[0, 1], [2], [3], [4]]
-    assert flow([], 5.0) == []
+    assert flow_rows([2.0, 2.0, 2.0, 9.0, 1.0], 5.0) == [[0, 1], [2], [3], [4]]
+    assert flow_rows([], 5.0) == []

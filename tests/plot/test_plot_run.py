@@ -13,11 +13,11 @@ from PIL import Image
 from kraft.driving.method import load_method
 from kraft.errors import InputError
 from kraft.plot.frame import Frame
-from kraft.plot.run import _compose, _key_entries, key_numbers, plot_run
-from kraft.plot.style import look
-from kraft.plot.traces import SEEN, Drive, driven_line, footprint_times, traces_of
+from kraft.plot.run import _compose, _legend_entries, key_numbers, plot_run
+from kraft.plot.style import plot_style
+from kraft.plot.traces import OBSERVATION, DrivenTrajectory, driven_line, panels_of_run, run_footprint_interval
 from kraft.scenario import load_scenario
-from kraft.simulation.hidden import hidden_things
+from kraft.simulation.hidden import hidden_features
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
@@ -49,7 +49,7 @@ def test_the_same_drive_gives_the_same_bytes(suffix: str, driven: TrialResult, t
         driven, cycles=tuple(dataclasses.replace(cycle, planning_ms=99.0) for cycle in driven.cycles)
     )
     for path, result in zip(paths, (driven, slower), strict=True):
-        plot_run(path, MOVABLE.task(), MUSHR, result, hidden=hidden_things(MOVABLE))
+        plot_run(path, MOVABLE.task(), MUSHR, result, hidden=hidden_features(MOVABLE))
     assert paths[0].read_bytes() == paths[1].read_bytes()
     if suffix == ".png":
         assert width(paths[0]) == 1600
@@ -59,8 +59,8 @@ def test_the_same_drive_gives_the_same_bytes(suffix: str, driven: TrialResult, t
 def test_every_ending_is_told(outcome: Outcome, driven: TrialResult) -> None:
     crashed = outcome is Outcome.COLLISION
     result = dataclasses.replace(driven, outcome=outcome, obstacle="left wall" if crashed else None)
-    with look():
-        found = texts(_compose(Drive.of(result), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()))
+    with plot_style():
+        found = texts(_compose(DrivenTrajectory.of(result), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()))
     assert ("collision with left wall" in found) == crashed
     assert ("collision with\nleft wall" in found) == crashed
     assert ("time limit" in found) == (outcome is Outcome.TIMEOUT)
@@ -70,13 +70,13 @@ def test_what_the_planner_did_not_know_is_said() -> None:
     slope = load_scenario("slope")
     result = run_trial(TrialSpec(slope, load_method("oneshot-openloop"), MUSHR, 0))
     unknown = slope.truth.in_words()
-    found = texts(_compose(Drive.of(result), slope.task(), MUSHR, "title", key_numbers(result, unknown), ()))
+    found = texts(_compose(DrivenTrajectory.of(result), slope.task(), MUSHR, "title", key_numbers(result, unknown), ()))
     assert {"not known to the planner", "a floor that leans 7.16 degrees"} <= set(found)
     assert "not known to the planner" not in key_numbers(result)
 
 
 def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
-    speed, clearance, throttle, steering = traces_of(Drive.of(driven), MOVABLE.task(), MUSHR)
+    speed, clearance, throttle, steering = panels_of_run(DrivenTrajectory.of(driven), MOVABLE.task(), MUSHR)
     planned, estimated, true = speed.curves
     assert true.values == pytest.approx([step.speed for step in driven.steps])
     assert estimated.values == pytest.approx([step.estimate[3] for step in driven.steps])
@@ -88,24 +88,24 @@ def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
 
 def test_the_axes_of_commands_end_at_the_bounds_of_the_vehicle(driven: TrialResult) -> None:
     for name, expected in (("mushr", (0.0, 1.0)), ("mushr-drive", (-0.5, 1.0))):
-        *_, throttle, steering = traces_of(Drive.of(driven), MOVABLE.task(), load_vehicle(name))
+        *_, throttle, steering = panels_of_run(DrivenTrajectory.of(driven), MOVABLE.task(), load_vehicle(name))
         assert throttle.limits == expected
         assert steering.limits == (-0.38, 0.38)
 
 
 def test_the_key_shows_the_camera_as_the_map_does(driven: TrialResult) -> None:
-    drive = Drive.of(driven)
+    drive = DrivenTrajectory.of(driven)
     line = driven_line(Frame.around(MOVABLE.bounds), drive, MUSHR.top_speed)
-    (camera,) = (entry for entry in _key_entries(drive, line, ()) if entry.text == "camera")
-    assert (camera.kind, camera.colour) == ("dots", SEEN)
-    with look():
+    (camera,) = (entry for entry in _legend_entries(drive, line, ()) if entry.text == "camera")
+    assert (camera.kind, camera.colour) == ("dots", OBSERVATION)
+    with plot_style():
         figure = _compose(drive, MOVABLE.task(), MUSHR, "title", {}, ())
     dots = [artist for artist in figure.artists + figure.lines if getattr(artist, "get_marker", str)() == "."]
     assert [artist.get_linestyle() for artist in dots] == ["None"]
 
 
 def test_the_path_has_the_colours_of_its_speed(driven: TrialResult) -> None:
-    drive = Drive.of(driven)
+    drive = DrivenTrajectory.of(driven)
     line = driven_line(Frame.around(MOVABLE.bounds), drive, MUSHR.top_speed)
     assert len(line.get_segments()) == len(driven.steps) - 1
     shades = np.asarray(line.get_array())
@@ -113,10 +113,10 @@ def test_the_path_has_the_colours_of_its_speed(driven: TrialResult) -> None:
 
 
 def test_long_drives_have_fewer_footprints(driven: TrialResult) -> None:
-    drive = Drive.of(driven)
-    assert footprint_times(drive) == 1
+    drive = DrivenTrajectory.of(driven)
+    assert run_footprint_interval(drive) == 1
     longer = dataclasses.replace(drive.motion, times=drive.motion.times * 20)
-    assert footprint_times(dataclasses.replace(drive, motion=longer)) > 1
+    assert run_footprint_interval(dataclasses.replace(drive, motion=longer)) > 1
 
 
 def test_an_unknown_format_is_refused(driven: TrialResult, tmp_path: Path) -> None:

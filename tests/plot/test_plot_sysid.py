@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from support.sysid import estimated, fake_evaluation, fake_identification, fake_log, fake_windows
 
 from kraft.errors import InputError
-from kraft.plot.style import look
+from kraft.plot.style import plot_style
 from kraft.plot.sysid import compose, plot_identification
-from kraft.plot.sysid_logs import compose_logs, plot_logs, speeds, telling
-from kraft.plot.sysid_panels import growth, typical
+from kraft.plot.sysid_logs import compose_logs, most_excited_log, plot_logs, speeds
+from kraft.plot.sysid_panels import error_over_time, median_error_log
 from kraft.sysid.data import LogSplit
 from kraft.sysid.result import Identification
 from kraft.vehicles.load import load_vehicle
@@ -31,7 +31,7 @@ def texts(figure: Figure) -> str:
 
 
 def page(split: LogSplit, result: Identification, objections: tuple[str, ...] = ()) -> Figure:
-    with look():
+    with plot_style():
         return compose(MUSHR, split, result, fake_evaluation(split), objections)
 
 
@@ -103,7 +103,7 @@ def test_everything_frozen_leaves_a_page() -> None:
 
 
 def test_the_logs_alone_are_drawn_with_why_nothing_came_of_them(tmp_path: Path) -> None:
-    with look():
+    with plot_style():
         seen = texts(compose_logs(MUSHR, LOGS, "logs show no motion"))
     for said in ("not identified: logs show no motion", "throttle, commanded", "speed between poses, m/s"):
         assert said in seen
@@ -115,7 +115,7 @@ def test_the_logs_alone_are_drawn_with_why_nothing_came_of_them(tmp_path: Path) 
 def test_a_log_of_a_few_poses_can_be_drawn(poses: int) -> None:
     (part,) = LOGS[0].parts
     short = replace(part, pose_times=part.pose_times[:poses], poses=part.poses[:poses])
-    with look():
+    with plot_style():
         assert "not identified" in texts(compose_logs(MUSHR, (replace(LOGS[0], parts=(short,)),), "is short"))
 
 
@@ -131,7 +131,7 @@ def test_the_speed_between_poses_is_that_of_the_drive() -> None:
 
 
 def test_errors_grow_as_the_windows_say() -> None:
-    times, errors = growth(fake_windows(LOGS, 0.1), (0, 1))
+    times, errors = error_over_time(fake_windows(LOGS, 0.1), (0, 1))
     assert np.allclose(errors, 0.1 * times, rtol=0.15, atol=0.001)
     assert times[0] == pytest.approx(0.1)
 
@@ -141,6 +141,6 @@ def test_the_log_that_is_shown_is_the_one_that_is_steered_most_or_predicted_as_u
     wild = replace(
         LOGS[2], parts=(replace(part, commands=part.commands * np.where(np.arange(16) % 2, 1, -1)[:, None]),)
     )
-    assert telling((*LOGS[:2], wild)) is wild
+    assert most_excited_log((*LOGS[:2], wild)) is wild
     windows = [*fake_windows(LOGS[:1], 0.1), *fake_windows(LOGS[1:2], 0.2), *fake_windows(LOGS[2:3], 0.9)]
-    assert typical(windows) == "run_2"
+    assert median_error_log(windows) == "run_2"

@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from support.paths import ROOT
 
 from kraft.config import bundled
-from kraft.driving.method import Clearance, Filter, Geometric, Kinodynamic, Method, Planner, load_method
+from kraft.driving.method import Clearance, Filter, Geometric, Kinodynamic, Method, PlannerSettings, load_method
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS
 
@@ -38,7 +38,7 @@ def shown(field: FieldInfo) -> set[str]:
     return {words.get(str(default), str(default)), f"{default:g}" if isinstance(default, float) else "?"}
 
 
-@pytest.mark.parametrize("model", [Planner, Clearance, Filter, Geometric, Kinodynamic])
+@pytest.mark.parametrize("model", [PlannerSettings, Clearance, Filter, Geometric, Kinodynamic])
 def test_every_setting_is_documented_with_its_default(model: type[BaseModel]) -> None:
     for name, field in model.model_fields.items():
         if name not in ("kind", "rate_hz"):
@@ -80,5 +80,5 @@ def test_the_table_of_noise_is_the_one_in_the_code() -> None:
     noise = PRESETS["single-tag"]
     row = next(line for line in TEXT.splitlines() if line.startswith("| `single-tag`"))
     expected = [1000 * law.at(d) for law in (noise.along, noise.across) for d in (3.0, 5.0)]
-    expected += [math.degrees(noise.heading.at(d)) for d in (3.0, 5.0)] + [100 * noise.misses]
+    expected += [math.degrees(noise.heading.at(d)) for d in (3.0, 5.0)] + [100 * noise.dropout]
     assert [float(number) for number in re.findall(r"([\d.]+) (?:mm|deg|%)", row)] == pytest.approx(expected)

@@ -13,7 +13,7 @@ from kraft.errors import InputError
 from kraft.scenario import Sensing, load_scenario
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.noise import PRESETS, Growth
+from kraft.simulation.noise import PRESETS, PowerLaw
 from kraft.simulation.world import World
 from ompl_ext.arrays import Floats, Matrix
 
@@ -167,7 +167,7 @@ def test_errors_have_the_measured_spread(
     preset: Preset, distance: float, along: float, across: float, heading: float
 ) -> None:
     found = errors(preset, at_distance(distance), 20_000)
-    wander = PRESETS[preset].wander
+    wander = PRESETS[preset].correlated
     expected = [math.hypot(along, wander[0]), math.hypot(across, wander[0]), math.hypot(heading, wander[1])]
     assert found.std(axis=0) == pytest.approx(expected, rel=0.07)
 
@@ -181,7 +181,7 @@ def test_at_three_metres_errors_are_what_was_measured_there() -> None:
 
 
 def test_noise_grows_with_the_distance_as_the_power_law_through_both_measurements() -> None:
-    law = Growth.through(0.042, 0.106)
+    law = PowerLaw.through(0.042, 0.106)
     assert (law.at(3.0), law.at(5.0)) == pytest.approx((0.042, 0.106))
     assert law.at(6.0) > 1.3 * law.at(5.0)
 

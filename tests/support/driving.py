@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import Controller
-from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.stopping import plan_reference
 from kraft.planning.plan_task import plan_task
 from kraft.planning.search import Budget
@@ -26,23 +26,27 @@ START = np.array([1.0, -0.5, math.pi / 2, 0.0])
 
 
 @functools.cache
-def car() -> Model:
-    return Model(PROMPT)
+def car() -> CarModel:
+    return CarModel(PROMPT)
 
 
 @functools.cache
-def slow_car() -> Model:
-    return Model(LAGGING)
+def slow_car() -> CarModel:
+    return CarModel(LAGGING)
 
 
 @functools.cache
-def reversing_car() -> Model:
+def reversing_car() -> CarModel:
     """The same car with a throttle that goes below zero."""
-    return Model(replace(PROMPT, controls={**PROMPT.controls, "throttle": (-1.0, 1.0)}))
+    return CarModel(replace(PROMPT, controls={**PROMPT.controls, "throttle": (-1.0, 1.0)}))
 
 
 def drive(
-    model: Model, start: Floats, legs: Sequence[tuple[float, float, float]], kind: Kind = Kind.PLAN, begin: float = 0.0
+    model: CarModel,
+    start: Floats,
+    legs: Sequence[tuple[float, float, float]],
+    kind: ReferenceKind = ReferenceKind.PLAN,
+    begin: float = 0.0,
 ) -> Reference:
     """Reference of legs (throttle, steering, duration in s), sampled every 0.1 s, as the model drives them."""
     times, states, controls = [begin], [np.asarray(start, dtype=float)], []
@@ -65,7 +69,13 @@ class Truth:
     """The model behind a delay (s), a throttle with a lag (s), a steering servo with a rate (rad/s) and a scale."""
 
     def __init__(
-        self, model: Model, state: Floats, lag: float = 0.0, servo: float = math.inf, delay: int = 0, scale: float = 1.0
+        self,
+        model: CarModel,
+        state: Floats,
+        lag: float = 0.0,
+        servo: float = math.inf,
+        delay: int = 0,
+        scale: float = 1.0,
     ) -> None:
         self.model, self.state = model, np.array(state, dtype=float)
         self._lag, self._servo, self._scale = lag, servo, scale

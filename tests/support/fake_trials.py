@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kraft.driving.messages import Cycle, Kind, Motion, Reference
+from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.errors import InputError, MissingDependency
 from kraft.evaluation.job import Job, Say, Stop, perform
 from kraft.evaluation.row import TrialRow
@@ -115,12 +115,12 @@ def ends(pipe: Connection) -> None:
 
 def cycle(number: int, kind: str) -> Cycle:
     """A cycle in which nothing moves."""
-    reference = Reference(Kind(kind), np.array([0.0, 1.0]), np.zeros((2, 4)), np.zeros((1, 2)), np.zeros(2))
+    reference = Reference(ReferenceKind(kind), np.array([0.0, 1.0]), np.zeros((2, 4)), np.zeros((1, 2)), np.zeros(2))
     fields = {
         "number": number, "time": float(number), "speed": 0.5, "kind": kind, "reason": "because",
         "cost_to_goal": math.inf if kind == "contingency" else 9.0, "clearance": 0.1, "iterations": 1000, "nodes": 50,
         "retained": 3, "planning_ms": 4.0 + number, "missed": number == 3, "reference": reference, "contingency": None,
-        "predicted": Motion(np.array([0.0, 1.0]), np.zeros((2, 4)), 0.1),
+        "predicted": PredictedMotion(np.array([0.0, 1.0]), np.zeros((2, 4)), 0.1),
     }  # fmt: skip
     return Cycle(**fields)
 

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.messages import Cycle, Estimate
-from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, Planner
-from kraft.driving.proposer import Planners
+from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, PlannerSettings
+from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
@@ -42,12 +42,12 @@ def replanner(
     delay: float = 0.0,
     **settings: object,
 ) -> Replanner:
-    planner = Planner(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
+    planner = PlannerSettings(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
     kind = Kinodynamic(kind="kinodynamic") if tracking else OpenLoop(kind="open_loop")
     vehicle = load_vehicle(model)
-    controller = make_controller(kind, Model(vehicle))
+    controller = make_controller(kind, CarModel(vehicle))
     return Replanner(
-        Planners.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay
+        Solvers.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kraft.driving.messages import Cycle, Kind
+from kraft.driving.messages import Cycle, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
 from kraft.simulation.world import World
@@ -80,7 +80,9 @@ def test_a_vehicle_that_is_never_seen_stops_after_its_first_cycle(tmp_path: Path
     result = run_trial(spec(tmp_path, method, "sensing: {dropout: 1}\n" + AIMLESS))
     assert result.observations == ()
     assert (result.outcome, result.time) == (Outcome.TIMEOUT, pytest.approx(6.0))
-    assert [cycle.kind for cycle in result.cycles] == [Kind.PLAN] + [Kind.CONTINGENCY] * (len(result.cycles) - 1)
+    assert [cycle.kind for cycle in result.cycles] == [ReferenceKind.PLAN] + [ReferenceKind.CONTINGENCY] * (
+        len(result.cycles) - 1
+    )
     assert all("newest observation is inf s old" in cycle.reason for cycle in result.cycles[1:])
     assert abs(result.steps[-1].speed) < 0.01
     stands = [step.pose for step in result.steps if step.time > 4.0]

@@ -10,18 +10,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from kraft.driving.messages import Cycle, Kind, Motion, Reference
+from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.scenario import Box, Scenario, Start, load_scenario
-from kraft.simulation.hidden import hidden_things
+from kraft.simulation.hidden import hidden_features
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialSpec
 from kraft.vehicles.load import load_vehicle
 from kraft.video.drawing import EDGES_MAX, draw_cycle
-from kraft.video.moment import Chronicle
 from kraft.video.pen import LINE, Pen, resampled
-from kraft.video.stage import ROOF, SOLID, ChaseCamera, map_aim
+from kraft.video.renderer import ROOF, SOLID, ChaseCamera, map_aim
+from kraft.video.snapshot import SnapshotRecorder
 from ompl_ext.plan import TreeView
 
 BLUE = (0.0, 0.0, 1.0, 1.0)
@@ -83,7 +83,7 @@ def test_strokes_climb_bumps() -> None:
 def test_a_full_scene_takes_no_more_and_complains_not() -> None:
     _, scene, pen = canvas("turns", room=10)
     pen.stroke(ARC, 0.03, 0.009, BLUE)
-    pen.hairlines(np.zeros((5, 2, 2)), 0.01, BLUE, 1.0)
+    pen.lines(np.zeros((5, 2, 2)), 0.01, BLUE, 1.0)
     assert scene.ngeom == 10
 
 
@@ -94,22 +94,22 @@ def test_dashes_leave_gaps() -> None:
     assert 0.5 < length < 0.75
 
 
-def cycle(kind: Kind, nodes: int, time: float = 0.0) -> Cycle:
+def cycle(kind: ReferenceKind, nodes: int, time: float = 0.0) -> Cycle:
     times = np.linspace(time, time + 2, 21)
     states = np.zeros((21, len(MUSHR.state)))
     states[:, 1] = np.linspace(0, 1, 21)
     reference = Reference(kind, times, states, np.zeros((20, 2)), np.zeros(2))
-    safe = Reference(Kind.CONTINGENCY, times[:5], states[:5], np.zeros((4, 2)), np.zeros(2))
+    safe = Reference(ReferenceKind.CONTINGENCY, times[:5], states[:5], np.zeros((4, 2)), np.zeros(2))
     view = TreeView(
         np.zeros((nodes, len(MUSHR.state))), np.arange(nodes) - 1, np.zeros((nodes, 2)), *np.zeros((3, nodes))
     )
-    predicted = Motion(times[:11], states[:11], 0.1)
+    predicted = PredictedMotion(times[:11], states[:11], 0.1)
     return Cycle(1, time, 0.0, kind, "", 2.0, 0.1, 9, nodes, 0, 1.0, False, reference, safe, predicted, view)
 
 
 def test_a_plan_is_drawn_with_its_tree_and_a_contingency_without_a_plan() -> None:
     _, scene, pen = canvas("turns")
-    draw_cycle(pen, cycle(Kind.PLAN, 9000), MUSHR)
+    draw_cycle(pen, cycle(ReferenceKind.PLAN, 9000), MUSHR)
     lines = [geom for geom in drawn(scene) if geom.type == LINE]
     assert len(lines) == EDGES_MAX
     blue = [geom for geom in drawn(scene) if geom.rgba[2] > 0.6 and geom.rgba[0] < 0.1]
@@ -117,21 +117,21 @@ def test_a_plan_is_drawn_with_its_tree_and_a_contingency_without_a_plan() -> Non
     assert blue
     assert orange
     scene.ngeom = 0
-    draw_cycle(pen, cycle(Kind.CONTINGENCY, 5), MUSHR)
+    draw_cycle(pen, cycle(ReferenceKind.CONTINGENCY, 5), MUSHR)
     assert not [geom for geom in drawn(scene) if geom.rgba[2] > 0.6 and geom.rgba[0] < 0.1]
 
 
 def test_a_cycle_is_shown_from_when_it_begins() -> None:
     scenario = load_scenario("turns")
     world = World(scenario)
-    chronicle = Chronicle(TrialSpec(scenario, load_method("kraft"), MUSHR, 0))
-    chronicle.on_cycle(cycle(Kind.PLAN, 3, time=0.05))
+    snapshots = SnapshotRecorder(TrialSpec(scenario, load_method("kraft"), MUSHR, 0))
+    snapshots.on_cycle(cycle(ReferenceKind.PLAN, 3, time=0.05))
     step = Step(0.0, (1.0, -0.5, 1.57), 0.0, np.zeros(len(MUSHR.state)), np.zeros(2), 0)
-    assert chronicle.on_step(world, step).cycle is None
+    assert snapshots.on_step(world, step).cycle is None
     world.step(25)
-    moment = chronicle.on_step(world, step)
-    assert moment.cycle is not None
-    assert moment.clearance == pytest.approx(0.3, abs=0.2)
+    snapshot = snapshots.on_step(world, step)
+    assert snapshot.cycle is not None
+    assert snapshot.clearance == pytest.approx(0.3, abs=0.2)
 
 
 def hidden_behind(height: float) -> Scenario:
@@ -190,11 +190,11 @@ def test_curves_keep_their_ends() -> None:
 
 def test_what_was_hidden_is_shown_where_it_ended() -> None:
     scenario = load_scenario("movable")
-    before = hidden_things(scenario)
+    before = hidden_features(scenario)
     moved = World(scenario).movable_poses + np.array([0.5, 0.0, 0.0])
-    after = hidden_things(scenario, moved)
+    after = hidden_features(scenario, moved)
     assert {thing.kind for thing in before} == {"box"}
     for one, other in zip(before, after, strict=True):
         assert other.corners.mean(axis=0) - one.corners.mean(axis=0) == pytest.approx([0.5, 0.0], abs=1e-6)
-    assert {thing.kind for thing in hidden_things(load_scenario("slip"))} == {"patch"}
-    assert {thing.kind for thing in hidden_things(load_scenario("bump"))} == {"bump"}
+    assert {thing.kind for thing in hidden_features(load_scenario("slip"))} == {"patch"}
+    assert {thing.kind for thing in hidden_features(load_scenario("bump"))} == {"bump"}

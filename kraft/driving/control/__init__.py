@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.control.geometric import GeometricController
 from kraft.driving.control.kinodynamic import KinodynamicController
 from kraft.driving.control.open_loop import OpenLoopController
@@ -12,7 +12,7 @@ from kraft.driving.method import Geometric, Kinodynamic, OpenLoop
 __all__ = ["Controller", "GeometricController", "KinodynamicController", "OpenLoopController", "make_controller"]
 
 
-def make_controller(settings: OpenLoop | Geometric | Kinodynamic, model: Model) -> Controller:
+def make_controller(settings: OpenLoop | Geometric | Kinodynamic, model: CarModel) -> Controller:
     """The controller that a method names, for the vehicle of `model`."""
     match settings:
         case OpenLoop():

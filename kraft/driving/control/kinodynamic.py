@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from kraft.driving.car_model import Model
-from kraft.driving.control.path import Guide, Path, Place
-from kraft.driving.messages import Estimate, Kind, Reference
+from kraft.driving.car_model import CarModel
+from kraft.driving.control.path import Path, PathTracker, Projection
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Kinodynamic
 from ompl_ext.arrays import Floats
 
@@ -26,24 +26,24 @@ class KinodynamicController:
     car is along it, the throttle.  In reverse it is the rear axle that is steered onto its path.
     """
 
-    def __init__(self, settings: Kinodynamic, model: Model) -> None:
+    def __init__(self, settings: Kinodynamic, model: CarModel) -> None:
         self._settings, self._model = settings, model
-        self._guide = Guide(model, 0.5 * model.wheelbase, WINDOW)
+        self._tracker = PathTracker(model, 0.5 * model.wheelbase, WINDOW)
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time; past the end of the path what the reference holds at rest."""
-        guide = self._guide
-        guide.take(reference, estimate.time)
-        guide.keep_time(estimate.time + self._settings.look)
-        place, path = guide.locate(estimate.state), guide.path
-        if guide.is_last and path.is_over_at(place):
+        tracker = self._tracker
+        tracker.set_reference(reference, estimate.time)
+        tracker.advance_to(estimate.time + self._settings.look)
+        projection, path = tracker.project(estimate.state), tracker.path
+        if tracker.is_last and path.is_past_end(projection):
             return self._model.clamped(reference.rest)
         speed = abs(float(estimate.state[self._model.v]))
-        ahead = path.sample(place.distance + self._settings.look * speed)
-        steering = float(path.steering[ahead]) + self._correction(estimate.state, speed, path, place)
-        return self._model.command(self._throttle(estimate.time, reference, path, place), steering)
+        ahead = path.index_at(projection.arc_length + self._settings.look * speed)
+        steering = float(path.steering[ahead]) + self._feedback(estimate.state, speed, path, projection)
+        return self._model.command(self._throttle(estimate.time, reference, path, projection), steering)
 
-    def _correction(self, state: Floats, speed: float, path: Path, place: Place) -> float:
+    def _feedback(self, state: Floats, speed: float, path: Path, projection: Projection) -> float:
         """Steering beyond the planned one, rad (Hoffmann et al. 2007, eq. 5, with a softened denominator).
 
         The front axle moves in the direction theta + steering, so the heading error to the direction of its path is the
@@ -51,20 +51,20 @@ class KinodynamicController:
         the car the other way, so the heading error changes sign; the error across the path does not.
         """
         settings = self._settings
-        heading = math.remainder(float(path.theta[place.index] - state[self._model.theta]), math.tau)
-        across = math.atan2(settings.k_path * place.across, speed + settings.softening)
-        return path.direction * settings.k_heading * heading - across
+        heading = math.remainder(float(path.theta[projection.index] - state[self._model.theta]), math.tau)
+        cross_track_term = math.atan2(settings.k_path * projection.cross_track, speed + settings.softening)
+        return path.direction * settings.k_heading * heading - cross_track_term
 
-    def _throttle(self, time: float, reference: Reference, path: Path, place: Place) -> float:
+    def _throttle(self, time: float, reference: Reference, path: Path, projection: Projection) -> float:
         """Planned throttle and more where the car is behind; a manoeuvre that stops the car is never given more.
 
         What is planned for this time counts, not for this place: a car that is a little early where the plan crawls
         would else be given the throttle of a later, faster part, and be earlier still.
         """
-        behind = path.distance_at(time) - place.distance
+        behind = path.arc_length_at(time) - projection.arc_length
         planned = float(reference.control_at(time + self._settings.look)[self._model.throttle])
         throttle = planned + path.direction * self._settings.k_along * behind
-        if reference.kind is Kind.PLAN:
+        if reference.kind is ReferenceKind.PLAN:
             return throttle
         if time >= reference.end:
             return float(reference.rest[self._model.throttle])

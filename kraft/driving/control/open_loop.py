@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Estimate, Reference
 from ompl_ext.arrays import Floats
 
@@ -10,7 +10,7 @@ from ompl_ext.arrays import Floats
 class OpenLoopController:
     """Blindly executes the plan."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: CarModel) -> None:
         self._model = model
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:

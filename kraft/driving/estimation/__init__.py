@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.latest import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.estimation.protocol import Estimator
@@ -12,7 +12,7 @@ from ompl_ext.arrays import Floats
 __all__ = ["Estimator", "LatestPose", "PoseFilter", "make_estimator"]
 
 
-def make_estimator(settings: Latest | Filter, model: Model, start_state: Floats) -> Estimator:
+def make_estimator(settings: Latest | Filter, model: CarModel, start_state: Floats) -> Estimator:
     """The estimator that a method names; the vehicle is known to be in `start_state` (nx,) at time 0."""
     if isinstance(settings, Filter):
         return PoseFilter(settings, model, start_state)

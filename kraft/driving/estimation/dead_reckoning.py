@@ -54,29 +54,29 @@ class DeadReckoning:
     def __init__(self, advance: Advance, rest: Floats, time: float, state: Floats) -> None:
         self._advance = advance
         self.commands = Commands(rest)
-        self.anchor(time, state)
+        self.reset(time, state)
 
-    def anchor(self, time: float, state: Floats, keep: float = math.inf) -> None:
+    def reset(self, time: float, state: Floats, keep: float = math.inf) -> None:
         """Predict from `state` at `time` (s) from now on; keep the commands since `keep` (s) if that is earlier."""
         self.time, self._state = time, state.copy()
-        self._head = self.time, self._state
+        self._latest = self.time, self._state
         self.commands.forget(min(time, keep))
 
     def command(self, time: float, control: Floats) -> None:
         """Hold `control` (nu,) from `time` (s) on."""
-        if time < self._head[0]:
-            self._head = self.time, self._state
+        if time < self._latest[0]:
+            self._latest = self.time, self._state
         self.commands.add(time, control)
 
     def at(self, time: float) -> Floats:
         """Predicted state at `time` (s); before the anchor it is the anchor's."""
-        if time < self._head[0]:
-            self._head = self.time, self._state
-        began, state = self._head
-        self._head = max(began, time), self.along(state, began, time)
-        return self._head[1].copy()
+        if time < self._latest[0]:
+            self._latest = self.time, self._state
+        begin, state = self._latest
+        self._latest = max(begin, time), self.propagate(state, begin, time)
+        return self._latest[1].copy()
 
-    def along(self, state: Floats, begin: float, end: float) -> Floats:
+    def propagate(self, state: Floats, begin: float, end: float) -> Floats:
         """State (nx,) that another `state` at `begin` leads to at `end` (s), as far back as commands are kept."""
         for control, duration in self.commands.between(begin, end):
             state = self._advance(state, control, duration)

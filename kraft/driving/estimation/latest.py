@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from kraft.driving.car_model import Model
+from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.dead_reckoning import DeadReckoning
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Latest
@@ -22,25 +22,25 @@ class LatestPose:
     cycle, and one bad pose must not let a bad one pass: replanning takes the mean of the newest poses.
     """
 
-    def __init__(self, settings: Latest, model: Model, start_state: Floats) -> None:
+    def __init__(self, settings: Latest, model: CarModel, start_state: Floats) -> None:
         self._model = model
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
-        self._seen = -math.inf
+        self._newest_time = -math.inf
         self._window = settings.replanning_window
-        self._newest: deque[tuple[float, Floats]] = deque()
+        self._window_poses: deque[tuple[float, Floats]] = deque()
 
     def observe(self, observation: Observation) -> None:
         """Predict from this pose on, unless a newer one is known."""
-        if observation.time <= self._seen or observation.time < self._reckoning.time:
+        if observation.time <= self._newest_time or observation.time < self._reckoning.time:
             return
-        self._seen = observation.time
+        self._newest_time = observation.time
         state, model = self._reckoning.at(observation.time), self._model
         state[model.x], state[model.y] = observation.x, observation.y
         state[model.theta] += math.remainder(observation.theta - state[model.theta], math.tau)  # no jump of a turn
-        self._newest.append((observation.time, state))
-        while self._newest[0][0] < observation.time - self._window - 1e-9:
-            self._newest.popleft()
-        self._reckoning.anchor(observation.time, state, self._newest[0][0])
+        self._window_poses.append((observation.time, state))
+        while self._window_poses[0][0] < observation.time - self._window - 1e-9:
+            self._window_poses.popleft()
+        self._reckoning.reset(observation.time, state, self._window_poses[0][0])
 
     def commanded(self, time: float, control: Floats) -> None:
         """Note that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
@@ -48,13 +48,13 @@ class LatestPose:
 
     def estimate(self, time: float) -> Estimate:
         """State at `time` (s)."""
-        return Estimate(time, self._reckoning.at(time), time - self._seen)
+        return Estimate(time, self._reckoning.at(time), time - self._newest_time)
 
     def replanning_estimate(self, time: float) -> Estimate:
         """State at `time` (s): mean of what each of the newest poses alone leads to with the commands since."""
-        if len(self._newest) < 2:
+        if len(self._window_poses) < 2:
             return self.estimate(time)
-        states = np.array([self._reckoning.along(state, seen, time) for seen, state in self._newest])
+        states = np.array([self._reckoning.propagate(state, observed, time) for observed, state in self._window_poses])
         turned = states[:, self._model.theta] - states[-1, self._model.theta]
         states[:, self._model.theta] -= math.tau * np.round(turned / math.tau)  # headings far off may be a turn apart
-        return Estimate(time, states.mean(axis=0), time - self._seen)
+        return Estimate(time, states.mean(axis=0), time - self._newest_time)

@@ -28,7 +28,7 @@ SILL: Final = (0.07, 0.058, 0.05, 0.046, 0.046, 0.048, 0.05, 0.053, 0.06)
 BITS: Final = ("011001", "100110", "101101", "010011", "110100", "001110")
 
 
-def add_car_looks(spec: Any, body: Any) -> None:
+def add_car_visuals(spec: Any, body: Any) -> None:
     """Dress the car's body and its wheels."""
     meshes = {
         "paint": [_deck(), *_both(_flank()), *_roof()],
@@ -41,18 +41,18 @@ def add_car_looks(spec: Any, body: Any) -> None:
         "ink": _cells(),
     }
     for material, parts in meshes.items():
-        _dress(body, add_mesh(spec, f"car {material}", parts), material)
+        _add_visual(body, add_mesh(spec, f"car {material}", parts), material)
     add_mesh(spec, "rim", _rim())
     for name in WHEELS:
         wheel = spec.body(name)
         across = [math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0]
         size = [WHEEL_RADIUS, WHEEL_WIDTH / 2, 0.0]
-        wheel.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, quat=across, material="tyre", **contacts.LOOKS)
-        _dress(wheel, "rim", "rim")
+        wheel.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, quat=across, material="tyre", **contacts.VISUAL)
+        _add_visual(wheel, "rim", "rim")
 
 
-def _dress(body: Any, mesh: str, material: str) -> None:
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=material, **contacts.LOOKS)
+def _add_visual(body: Any, mesh: str, material: str) -> None:
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=material, **contacts.VISUAL)
 
 
 def _both(part: Part) -> list[Part]:

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
-from kraft.plot.frame import Frame, Motion, arrowheads, outlines
-from kraft.plot.style import CYCLE, CYCLE_PALE, DASHED, INK, WARNING, WARNING_PALE, Dashes, Look
+from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
+from kraft.plot.style import CYCLE, CYCLE_PALE, DASHED, INK, WARNING, WARNING_PALE, Dashes, Style
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -18,7 +18,7 @@ FOOTPRINTS_MAX = 40
 SWEPT = 64  # footprints that make up a swept area
 
 
-def footprint_interval(motion: Motion, vehicle: Vehicle) -> float:
+def footprint_interval(motion: PoseTrajectory, vehicle: Vehicle) -> float:
     """Seconds between the footprints that are drawn: short, but not so short that they hide each other."""
     duration = motion.end - float(motion.times[0])
     spacing = 1.1 * vehicle.footprint.length * duration / max(motion.length, 1e-9)
@@ -31,22 +31,22 @@ def path_width(vehicle: Vehicle, scale: float) -> float:
     return float(np.clip(0.06 * 72 * scale * vehicle.footprint.width, 1.1, 1.8))
 
 
-def draw_plan(axes: Axes, frame: Frame, vehicle: Vehicle, motion: Motion, cycle: float, scale: float) -> None:
+def draw_plan(axes: Axes, frame: Frame, vehicle: Vehicle, motion: PoseTrajectory, cycle: float, scale: float) -> None:
     """Path and footprints; what lies before the end of the cycle (s) is emphasised."""
-    begin, leaves, width = float(motion.times[0]), min(cycle, motion.end), path_width(vehicle, scale)
-    times = _footprint_times(motion, footprint_interval(motion, vehicle), leaves)
-    before = times <= leaves
-    _draw_swept(axes, frame, vehicle, motion.at(np.linspace(begin, leaves, SWEPT)), CYCLE_PALE, 4.3)
+    begin, cycle_end, width = float(motion.times[0]), min(cycle, motion.end), path_width(vehicle, scale)
+    times = _footprint_times(motion, footprint_interval(motion, vehicle), cycle_end)
+    before = times <= cycle_end
+    _draw_swept(axes, frame, vehicle, motion.at(np.linspace(begin, cycle_end, SWEPT)), CYCLE_PALE, 4.3)
     for poses, colour in ((motion.at(times[~before]), INK), (motion.at(times[before]), CYCLE)):
         _draw_vehicle(axes, frame, vehicle, poses, colour, linewidths=0.8, facecolors=(1.0, 1.0, 1.0, 0.35))
-    _draw_path(axes, frame, motion.between(leaves, motion.end), INK, width)
-    _draw_path(axes, frame, motion.between(begin, leaves), CYCLE, 2 * width)
+    _draw_path(axes, frame, motion.between(cycle_end, motion.end), INK, width)
+    _draw_path(axes, frame, motion.between(begin, cycle_end), CYCLE, 2 * width)
 
 
-def _footprint_times(motion: Motion, interval: float, leaves: float) -> Floats:
+def _footprint_times(motion: PoseTrajectory, interval: float, cycle_end: float) -> Floats:
     """Regular times (s), the end of the cycle and the end of the plan; none of the first close to these two."""
     regular = np.arange(interval, motion.end, interval)
-    fixed = np.unique([leaves, motion.end])
+    fixed = np.unique([cycle_end, motion.end])
     far = (np.abs(regular[:, None] - fixed) > interval / 3).all(axis=1)
     return np.sort(np.concatenate([regular[far], fixed]))
 
@@ -56,31 +56,37 @@ def draw_start(axes: Axes, frame: Frame, vehicle: Vehicle, pose: Floats) -> None
     _draw_vehicle(axes, frame, vehicle, pose[None, :], "white", linewidths=1.2, facecolors=INK, zorder=6.0)
 
 
-def draw_contingency(axes: Axes, frame: Frame, vehicle: Vehicle, braking: Motion, scale: float) -> None:
+def draw_contingency(axes: Axes, frame: Frame, vehicle: Vehicle, contingency: PoseTrajectory, scale: float) -> None:
     """Path until standstill, the floor it sweeps, and the footprint where it ends."""
-    last, width = braking.poses[-1:], path_width(vehicle, scale)
-    times = np.linspace(float(braking.times[0]), braking.end, SWEPT)
-    _draw_swept(axes, frame, vehicle, braking.at(times), WARNING_PALE, 4.2)
+    last, width = contingency.poses[-1:], path_width(vehicle, scale)
+    times = np.linspace(float(contingency.times[0]), contingency.end, SWEPT)
+    _draw_swept(axes, frame, vehicle, contingency.at(times), WARNING_PALE, 4.2)
     _draw_vehicle(axes, frame, vehicle, last, WARNING, linestyles=[DASHED], linewidths=1.6, zorder=5.3)
-    _draw_path(axes, frame, braking.poses, WARNING, 1.4 * width, DASHED)
-    ring: Look = {"markerfacecolor": "white", "markeredgecolor": WARNING, "markeredgewidth": 0.9 * width}
-    where = frame.points(braking.poses[0, :2])
+    _draw_path(axes, frame, contingency.poses, WARNING, 1.4 * width, DASHED)
+    ring: Style = {"markerfacecolor": "white", "markeredgecolor": WARNING, "markeredgewidth": 0.9 * width}
+    where = frame.points(contingency.poses[0, :2])
     axes.plot(*where, marker="o", markersize=3.4 * width, zorder=6.7, **ring)
 
 
 def _draw_swept(axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colour: str, zorder: float) -> None:
     """What the footprint covers; opaque, so that it does not matter how often it is covered."""
     shapes = list(frame.points(outlines(vehicle.footprint, poses)))
-    look: Look = {"facecolors": colour, "edgecolors": colour, "linewidths": 0.5, "zorder": zorder}
-    axes.add_collection(PolyCollection(shapes, **look))
+    style: Style = {"facecolors": colour, "edgecolors": colour, "linewidths": 0.5, "zorder": zorder}
+    axes.add_collection(PolyCollection(shapes, **style))
 
 
 def _draw_vehicle(
-    axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colour: str, *, linewidths: float, **look: Any
+    axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colour: str, *, linewidths: float, **style: Any
 ) -> None:
     """Footprints and, if the vehicle turns, marks that say where it heads."""
     shapes = list(frame.points(outlines(vehicle.footprint, poses)))
-    drawn: Look = {"facecolors": "none", "edgecolors": colour, "linewidths": linewidths, "zorder": 5.0, **look}
+    drawn: Style = {
+        "facecolors": "none",
+        "edgecolors": colour,
+        "linewidths": linewidths,
+        "zorder": 5.0,
+        **style,
+    }
     axes.add_collection(PolyCollection(shapes, **drawn))
     if vehicle.index("theta") >= 0:
         marks = list(frame.points(arrowheads(vehicle.footprint, poses)))
@@ -91,7 +97,11 @@ def _draw_path(
     axes: Axes, frame: Frame, poses: Matrix, colour: str, width: float, dashes: Dashes | None = None
 ) -> None:
     path = frame.points(poses[:, :2])
-    below: Look = {"color": "white", "linewidth": width + 1.6, "zorder": 6.2}  # a casing, whole even under dashes
-    above: Look = {"color": colour, "linewidth": width, "zorder": 6.3, "linestyle": dashes or "solid"}
-    for look in (below, above):
-        axes.plot(path[:, 0], path[:, 1], **look)
+    below: Style = {
+        "color": "white",
+        "linewidth": width + 1.6,
+        "zorder": 6.2,
+    }  # a casing, whole even under dashes
+    above: Style = {"color": colour, "linewidth": width, "zorder": 6.3, "linestyle": dashes or "solid"}
+    for style in (below, above):
+        axes.plot(path[:, 0], path[:, 1], **style)

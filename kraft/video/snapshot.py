@@ -19,7 +19,7 @@ TRAIL_SPACING = 0.04
 
 
 @dataclass(frozen=True)
-class Moment:
+class Snapshot:
     """One instant: truth, belief, and what the robot is about.
 
     Poses are x, y (m) and heading (rad).  `trail` (n, 3) are x, y and speed (m/s) of where the car has been;
@@ -35,35 +35,35 @@ class Moment:
     trail: Matrix
 
 
-class Chronicle:
+class SnapshotRecorder:
     """Is told what `run_trial` tells, and says what there is to show."""
 
     def __init__(self, spec: TrialSpec) -> None:
         self._vehicle = spec.vehicle
         self._exact = ExactClearance(workspace_of(spec.scenario.task(), spec.vehicle), spec.vehicle.footprint)
-        self._coming: list[Cycle] = []
+        self._committed: list[Cycle] = []
         self._cycle: Cycle | None = None
         self._trail: list[tuple[float, float, float]] = []
         self._estimate: Floats = np.zeros(3)
 
     def on_cycle(self, cycle: Cycle) -> None:
         """Take note of a cycle; it is shown from when it begins."""
-        self._coming.append(cycle)
+        self._committed.append(cycle)
 
-    def on_step(self, world: World, step: Step) -> Moment:
+    def on_step(self, world: World, step: Step) -> Snapshot:
         """Take note of a tick of the controller."""
         self._estimate = poses_of(step.estimate[None, :], self._vehicle)[0]
         return self.now(world)
 
-    def now(self, world: World) -> Moment:
+    def now(self, world: World) -> Snapshot:
         """What is to be seen in the world as it is; the belief is that of the last tick."""
-        while self._coming and self._coming[0].time <= world.time + 1e-9:
-            self._cycle = self._coming.pop(0)
+        while self._committed and self._committed[0].time <= world.time + 1e-9:
+            self._cycle = self._committed.pop(0)
         x, y, theta = map(float, world.pose)
         here = (x, y, world.speed)
         if not self._trail or np.hypot(x - self._trail[-1][0], y - self._trail[-1][1]) >= TRAIL_SPACING:
             self._trail.append(here)
-        return Moment(
+        return Snapshot(
             time=world.time,
             pose=np.array([x, y, theta]),
             speed=world.speed,

@@ -15,11 +15,11 @@ from kraft.scenario import Bounds
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.result import TrialSpec
-from kraft.video.drawing import draw_crash, draw_cycle, draw_moment
-from kraft.video.moment import Moment
+from kraft.video.drawing import draw_collision, draw_cycle, draw_snapshot
 from kraft.video.mp4 import Image
 from kraft.video.pen import Pen
 from kraft.video.smooth import smoothed
+from kraft.video.snapshot import Snapshot
 from ompl_ext.arrays import Floats
 
 GEOMS_MAX: Final = 12_000
@@ -45,13 +45,13 @@ class View:
         self._world, self._rectangle = world, mujoco.MjrRect(*part)
         self._options = mujoco.MjvOption()
         self._options.geomgroup[3] = 0  # what only touches
-        self._kept = 0
+        self._static_geoms = 0
 
-    def keep(self, draw: Callable[[Pen], None]) -> None:
+    def set_static(self, draw: Callable[[Pen], None]) -> None:
         """Draw what stays in the scene until this is called again."""
         self.scene.ngeom = 0
         draw(self.pen)
-        self._kept = self.scene.ngeom
+        self._static_geoms = self.scene.ngeom
 
     def render(self, context: Any, aim: Aim, draw: Callable[[Pen], None]) -> None:
         """Render what stays, the world as it is, and what is drawn now.
@@ -59,23 +59,23 @@ class View:
         Without a GPU multisampling would double the time; `kraft.video.smooth` takes its place.
         """
         scene, world = self.scene, self._world
-        scene.ngeom = self._kept
+        scene.ngeom = self._static_geoms
         aim.apply(scene, NEAR, FAR)
         mujoco.mjv_addGeoms(world.model, world.data, self._options, mujoco.MjvPerturb(), EVERYTHING, scene)
         draw(self.pen)
         mujoco.mjv_makeLights(world.model, world.data, scene)
         for light in scene.lights[: scene.nlight]:
             if light.castshadow and light.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
-                light.pos = self._seen() - LAMP * light.dir
+                light.pos = self._view_centre() - LAMP * light.dir
         mujoco.mjr_render(self._rectangle, scene, context)
 
-    def _seen(self) -> Floats:
+    def _view_centre(self) -> Floats:
         """The middle of what the view from behind shows, in the world's frame."""
         x, y, theta = map(float, self._world.pose)
         return self._world.frame.to_world(np.array([x + math.cos(theta), y + math.sin(theta), 0.0]))
 
 
-class Stage:
+class SceneRenderer:
     """Both views of a trial.  Needs a current graphics context; `close` frees what it holds there."""
 
     def __init__(self, world: World, spec: TrialSpec, size: tuple[int, int], map_width: int, foot: int) -> None:
@@ -102,28 +102,28 @@ class Stage:
             view.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         self._camera, self._above = ChaseCamera(), map_aim(world, spec.scenario.bounds, map_width / height)
 
-    def picture(self, moment: Moment) -> Image:
+    def picture(self, snapshot: Snapshot) -> Image:
         """The picture of the world as it is: uint8 (height, width, 3)."""
-        if moment.cycle is not None and moment.cycle.number != self._cycle:
-            self._begin(moment.cycle)
+        if snapshot.cycle is not None and snapshot.cycle.number != self._cycle:
+            self._begin_cycle(snapshot.cycle)
         for view, aim in ((self._chase, self._camera.aim(self._world)), (self._map, self._above)):
-            view.render(self._context, aim, lambda pen: self._draw(pen, moment))
+            view.render(self._context, aim, lambda pen: self._draw(pen, snapshot))
         mujoco.mjr_readPixels(self._image, None, self._whole, self._context)
         return smoothed(np.ascontiguousarray(self._image[::-1]))
 
-    def _draw(self, pen: Pen, moment: Moment) -> None:
-        draw_moment(pen, moment, self._spec.vehicle)
+    def _draw(self, pen: Pen, snapshot: Snapshot) -> None:
+        draw_snapshot(pen, snapshot, self._spec.vehicle)
         if self._world.collision is not None:
-            draw_crash(pen, self._world.collision.point)
+            draw_collision(pen, self._world.collision.point)
 
     def close(self) -> None:
         """Free buffers and textures."""
         self._context.free()
 
-    def _begin(self, cycle: Cycle) -> None:
+    def _begin_cycle(self, cycle: Cycle) -> None:
         self._cycle = cycle.number
         for view in (self._chase, self._map):
-            view.keep(lambda pen: draw_cycle(pen, cycle, self._spec.vehicle))
+            view.set_static(lambda pen: draw_cycle(pen, cycle, self._spec.vehicle))
 
 
 FIELD_OF_VIEW: Final = math.radians(45.0)
@@ -131,7 +131,7 @@ DISTANCE: Final = 2.1
 """Between the camera and what it looks at, m."""
 AHEAD: Final = 0.5
 """How far in front of the car it looks, m."""
-LOWEST, HIGHEST, STEP = math.radians(36.0), math.radians(80.0), math.radians(3.0)
+MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP = math.radians(36.0), math.radians(80.0), math.radians(3.0)
 """Elevation of the camera above the floor: as low as nothing stands between it and the car."""
 SETTLING: Final = 0.35
 """Time in which the camera follows a turn, s."""
@@ -167,16 +167,16 @@ class ChaseCamera:
     def __init__(self) -> None:
         self._time, self._dt = -math.inf, math.inf
         self._heading = self._rate = 0.0
-        self._elevation = LOWEST
+        self._elevation = MIN_ELEVATION
 
     def aim(self, world: World) -> Aim:
         """Where it is now; to be asked in the order of time."""
         x, y, theta = map(float, world.pose)
         self._turn(world.time, theta)
-        self._rise(self._clear(world, x, y))
+        self._rise(self._clear_elevation(world, x, y))
         target, offset = self._place(x, y, self._elevation)
         position = world.frame.to_world(target + offset)
-        return Aim(position, *_levelled(world.frame.rotation @ -offset), math.tan(FIELD_OF_VIEW / 2), True)
+        return Aim(position, *_level_axes(world.frame.rotation @ -offset), math.tan(FIELD_OF_VIEW / 2), True)
 
     def _place(self, x: float, y: float, elevation: float) -> tuple[Floats, Floats]:
         """What it looks at, and where it is from there, in the floor's frame, m."""
@@ -201,20 +201,20 @@ class ChaseCamera:
         share = 1.0 - math.exp(-self._dt / SETTLING)
         self._elevation = max(elevation, self._elevation + (elevation - self._elevation) * share)
 
-    def _clear(self, world: World, x: float, y: float) -> float:
+    def _clear_elevation(self, world: World, x: float, y: float) -> float:
         """The lowest elevation from which nothing hides the roof."""
         roof = np.array([x, y, ROOF])
         start, hit = world.frame.to_world(roof), np.zeros(1, np.int32)
-        for elevation in np.arange(LOWEST, HIGHEST, STEP):
+        for elevation in np.arange(MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP):
             target, offset = self._place(x, y, float(elevation))
             sight = world.frame.rotation @ (target + offset - roof)
             distance = mujoco.mj_ray(world.model, world.data, start, sight, SOLID, True, -1, hit)
             if distance < 0.0 or distance > 1.0:  # in lengths of the sight
                 return float(elevation)
-        return HIGHEST
+        return MAX_ELEVATION
 
 
-def _levelled(sight: Floats) -> tuple[Floats, Floats]:
+def _level_axes(sight: Floats) -> tuple[Floats, Floats]:
     """Unit vectors forward and up of a camera that looks along `sight` and keeps the horizon level."""
     forward = sight / np.linalg.norm(sight)
     right = np.cross(forward, [0.0, 0.0, 1.0])
