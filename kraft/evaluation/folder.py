@@ -9,12 +9,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.evaluation import journal, manifest, report
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Journal, read_journal
 from kraft.evaluation.ompl_log import write_benchmark
-from kraft.evaluation.report import Results
+from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, json_content
@@ -51,8 +51,7 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
         InputError: if there is something already, or it cannot be written.
     """
     if path.is_dir():
-        expected = f"expected a new folder, or --out {path} --resume to go on with it"
-        raise InputError.of(str(path), "is there already", expected)
+        raise InputError.of(str(path), "is there already", "expected a new folder, or to go on with it", Code.EXISTS)
     check_writable(path)
     try:
         path.mkdir(parents=True)
@@ -88,7 +87,13 @@ def check_exists(path: Path) -> None:
         raise InputError.of(str(path), "there is no such folder", "expected that of an earlier kraft eval")
 
 
-def write_results(folder: Folder, experiment: Experiment, rows: Mapping[Key, TrialRow], summary: Summary) -> None:
+def write_results(
+    folder: Folder,
+    experiment: Experiment,
+    rows: Mapping[Key, TrialRow],
+    summary: Summary,
+    command_line: CommandLine | None = None,
+) -> None:
     """Write what is made of the trials: the summary, the benchmark log, the database and the report.
 
     Raises:
@@ -96,12 +101,12 @@ def write_results(folder: Folder, experiment: Experiment, rows: Mapping[Key, Tri
     """
     write_whole(folder.path / SUMMARY, summary_text(summary).encode())
     write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
-    results = Results.of(experiment, folder.manifest, rows, summary)
+    results = Results.of(experiment, folder.manifest, rows, summary, command_line)
     write_whole(folder.path / report.NAME, report.page(results).encode())
 
 
 def summary_text(summary: Summary) -> str:
-    """Content of `summary.json`: what ``--json`` prints."""
+    """Content of `summary.json`: a ``kraft.eval/1`` object."""
     content = {"schema": SCHEMA, **json_content(summary)}
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 

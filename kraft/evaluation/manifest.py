@@ -45,7 +45,6 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "trials": experiment.trials,
         "seed": experiment.seed,
         "realtime": experiment.realtime,
-        "trial": experiment.trial,
         "rows": [
             {
                 "scenario": cell.scenario.name,
@@ -111,7 +110,7 @@ def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> No
             Diagnostic(
                 str(path),
                 _difference(key, before, after),
-                "expected the same, or another --out",
+                "expected the same, or another folder",
                 path=key,
             )
             for key, before, after in differing

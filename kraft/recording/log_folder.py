@@ -17,7 +17,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.recording.recorder import Recording
@@ -40,7 +40,7 @@ def check_target(folder: Path) -> None:
         InputError: if it is one of these.
     """
     if os.path.lexists(folder):
-        raise InputError.of(str(folder), "is there already", "expected a new folder for the logs (--out)")
+        raise InputError.of(str(folder), "is there already", "expected a new folder for the logs", Code.EXISTS)
     check_writable(folder)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -95,7 +96,7 @@ def _tell(detail: Callable[[str], None], cell: Cell) -> None:
 def _experiment(request: Request) -> Experiment:
     """The trial as an evaluation of one, with its checks."""
     if not request.method:
-        raise InputError.of("--method", "is empty", "expected the name of a method")
+        raise InputError.of_argument("method", "is empty", "expected the name of a method")
     return experiment_of([request.scenario], [request.method], vehicle=request.vehicle, trials=1, seed=request.seed)
 
 
@@ -149,6 +150,15 @@ def outcome_text(result: TrialResult) -> str:
             return f"collision with {result.obstacle} after {result.time:.2f} s"
         case Outcome.TIMEOUT:
             return f"not at the goal after {result.time:.2f} s"
+
+
+def run_command(scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
+    """The command that drives a trial again, and films it into the file `video`."""
+    words = ["kraft", "run", scenario, "--method", method]
+    words += [] if vehicle is None else ["--vehicle", vehicle]
+    words += ["--seed", str(seed)]
+    words += [] if video is None else ["--video", video]
+    return shlex.join(words)
 
 
 def cycle_line(cycle: Cycle) -> str:

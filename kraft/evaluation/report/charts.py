@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 from xml.etree.ElementTree import Element
 
@@ -47,8 +47,8 @@ def endings(result: Result) -> list[tuple[str, int]]:
     return [(name, count) for name, count in counts.items() if count]
 
 
-def trials(rows: Sequence[TrialRow], seeds: range, repeat: str) -> Element:
-    """A cell for each seed; those that were not run yet are empty.  `repeat` is the command without the seed."""
+def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | None]) -> Element:
+    """A cell for each seed; those that were not run yet are empty.  `commands` repeat the trials, by seed."""
     found = {row.seed: row for row in rows}
     step = WIDTH / min(max(len(seeds), 1), CELLS)
     side = min(step, 10.0)
@@ -56,7 +56,8 @@ def trials(rows: Sequence[TrialRow], seeds: range, repeat: str) -> Element:
     for place, seed in enumerate(seeds):
         x, y = (place % CELLS) * step, (place // CELLS) * side
         row = found.get(seed)
-        title = element("title", f"{told(row)}\n{repeat} --seed {seed}" if row else f"seed {seed}: not run yet")
+        text = f"{told(row)}\n{commands[seed] or f'{row.scenario}, {row.method}'}" if row else None
+        title = element("title", text or f"seed {seed}: not run yet")
         look = row.outcome if row else "missing"
         cells.append(element("rect", title, class_=look, x=x, y=y, width=step - 1.0, height=side - 1.0))
     return svg(WIDTH, side * -(-len(seeds) // CELLS), *cells, class_="trials")
