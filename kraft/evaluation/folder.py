@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,7 +17,7 @@ from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, json_content
-from kraft.files import check_writable, write_whole
+from kraft.files import check_writable, write_json, write_whole
 
 ROOT: Final = Path("results")
 
@@ -99,22 +98,16 @@ def write_results(
     Raises:
         InputError: if there is no room.
     """
-    write_whole(folder.path / SUMMARY, summary_text(summary).encode())
+    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **json_content(summary)})
     write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
     results = Results.of(experiment, folder.manifest, rows, summary, command_line)
     write_whole(folder.path / report.NAME, report.page(results).encode())
 
 
-def summary_text(summary: Summary) -> str:
-    """Content of `summary.json`: a ``kraft.eval/1`` object."""
-    content = {"schema": SCHEMA, **json_content(summary)}
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
 def _begun(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
     content = manifest.manifest_of(experiment, arguments)
     try:
-        manifest.write_manifest(path / manifest.NAME, content)
+        write_json(path / manifest.NAME, content)
     except InputError:
         path.rmdir()  # nothing is in it, and it must not stand in the way
         raise

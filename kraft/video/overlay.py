@@ -14,7 +14,7 @@ from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
 from kraft.driving.messages import Kind
-from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.trial.result import Outcome, TrialResult, TrialSpec, outcome_text
 from kraft.video import palette
 from kraft.video.moment import Moment
 from kraft.video.mp4 import Image
@@ -99,13 +99,8 @@ class Overlay:
 
 def verdict(result: TrialResult) -> tuple[str, str]:
     """How a trial ended, and in which colour to say it."""
-    match result.outcome:
-        case Outcome.SUCCESS:
-            return f"goal reached in {result.time:.1f} s", palette.SUCCESS
-        case Outcome.COLLISION:
-            return f"collision with {result.obstacle} at {result.time:.1f} s", palette.FAILURE
-        case Outcome.TIMEOUT:
-            return f"not at the goal after {result.time:.0f} s", palette.FAILURE
+    text = outcome_text(result.outcome, result.obstacle, result.time, digits=1)
+    return text, palette.SUCCESS if result.outcome is Outcome.SUCCESS else palette.FAILURE
 
 
 def _plate() -> tuple[int, int, int, int]:

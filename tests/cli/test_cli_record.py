@@ -97,7 +97,7 @@ def test_a_run_that_cannot_be_written_leaves_no_part_of_it(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("kraft.recording.log_folder.os.rename", full)
+    monkeypatch.setattr("kraft.files.os.rename", full)
     assert main(["record", "--runs", "1"]) == 2
     assert "logs/run_01: cannot be written: No space left on device; expected" in capsys.readouterr().err
     assert list((folder / "logs").iterdir()) == []

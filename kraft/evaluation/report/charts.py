@@ -11,6 +11,7 @@ from kraft.evaluation.report.elements import element, svg
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import Result
+from kraft.trial.result import outcome_text
 
 WIDTH: Final = 190.0
 PAPER, BAR = 9.0, 14.0  # heights of the line above the bar and of the bar
@@ -65,9 +66,7 @@ def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | 
 
 def told(row: TrialRow) -> str:
     """A trial in words."""
-    text = f"seed {row.seed}: {row.outcome}"
-    text += f" with {row.obstacle}" if row.obstacle else ""
-    text += f" after {row.t_s:.1f} s" if row.t_s is not None else ""
+    text = f"seed {row.seed}: {outcome_text(row.outcome, row.obstacle, row.t_s, digits=1)}"
     return text + (f": {row.error}" if row.error else "")
 
 

@@ -14,9 +14,10 @@ from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import Result
-from kraft.text import counted
+from kraft.text import counted, decimals
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
+NO_VALUE: Final = "–"
 
 
 def page(results: Results) -> str:
@@ -72,7 +73,7 @@ def _overview(results: Results) -> Element | None:
 
 def _rate(result: Result | None) -> Element:
     if result is None or not result.trials:
-        return element("td", "–")
+        return element("td", NO_VALUE)
     rate = result.success / result.trials
     paper = element("small", f"paper {result.paper.success} of {result.paper.trials}") if result.paper else None
     shade = f"background: rgb(0 158 115 / {0.55 * rate:.2f})"
@@ -146,25 +147,21 @@ def _row(results: Results, result: Result, longest: float) -> Element:
         element("td", charts.outcomes(result), charts.trials(rows, results.manifest.seeds, commands), class_="drawing"),
         element("td", counts, element("small", f"{low:.0%} to {high:.0%}"), _small(beside)),
         element("td", charts.times(result, rows, longest), class_="drawing"),
-        element("td", _number(result.t_ex, 2), _small(beside_time), class_="number"),
-        element("td", f"{result.against.p:.2g}" if result.against else "–", class_="number"),
+        element("td", decimals(result.t_ex, 2, NO_VALUE), _small(beside_time), class_="number"),
+        element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number"),
         element("td", str(result.contingencies), _small(f"of {counted(result.cycles, 'cycle')}"), class_="number"),
-        element("td", _number(result.min_clearance, 3), element("small", "least"), class_="number"),
-        element("td", _number(result.planning_p50, 1), _slowest(results, result), class_="number"),
+        element("td", decimals(result.min_clearance, 3, NO_VALUE), element("small", "least"), class_="number"),
+        element("td", decimals(result.planning_p50, 1, NO_VALUE), _slowest(results, result), class_="number"),
     )
 
 
 def _slowest(results: Results, result: Result) -> Element:
     missed = f", {result.missed} missed" if results.summary.realtime else ""
-    return element("small", f"99 %: {_number(result.planning_p99, 1)}{missed}")
+    return element("small", f"99 %: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
 
 
 def _small(text: str | None) -> Element | None:
     return element("small", text) if text else None
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
 
 
 def _unsuccessful(results: Results, name: str) -> Element | None:
