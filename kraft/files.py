@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import os
+import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from kraft.errors import Code, Diagnostic, InputError
 
@@ -119,6 +124,56 @@ def unwritable(path: Path, error: OSError) -> InputError:
 
 def file_mode() -> int:
     """Permissions of a new file; mkstemp makes files that only their owner can read."""
+    return 0o666 & ~_umask()
+
+
+def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
-    return 0o666 & ~mask
+    return mask
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Temporary folder beside `path` that becomes `path` when the block ends; missing folders above it are made.
+
+    If the block raises, the temporary folder is removed.
+
+    Raises:
+        InputError: instead of an OSError of the block or of the renaming.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+        try:
+            yield temporary
+            os.chmod(temporary, 0o777 & ~_umask())
+            os.rename(temporary, path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)  # there only if something went wrong
+    except OSError as error:
+        problem = f"cannot be written: {error.strerror or error}"
+        raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from error
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write one JSON object; NaN and infinities are refused, they are not JSON.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+    write_whole(path, f"{text}\n".encode())
+
+
+def write_csv(path: Path, heading: Sequence[str], rows: Iterable[Iterable[float]]) -> None:
+    """Write a table of numbers so that reading gives back the same doubles.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(heading)
+    writer.writerows(rows)
+    write_whole(path, text.getvalue().encode())

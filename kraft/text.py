@@ -1,7 +1,8 @@
-"""Words for messages: counts of things, and suggestions for misspelt names."""
+"""Words and numbers for messages and files: counts, lengths, suggestions for misspelt names."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -45,3 +46,18 @@ def alternatives(options: Iterable[str]) -> str:
     if len(options) <= 2:
         return " or ".join(options)
     return "one of " + ", ".join(options)
+
+
+def decimals(value: float | None, digits: int, none: str = "-") -> str:
+    """A number with `digits` after the point; `none` where it is None, infinite or not a number."""
+    return none if finite(value) is None else f"{value:.{digits}f}"
+
+
+def metres(value: float | None, none: str = "-") -> str:
+    """``0.123 m``; `none` where there is no finite length."""
+    return none if finite(value) is None else f"{value:.3f} m"
+
+
+def finite(value: float | None) -> float | None:
+    """A number as JSON can hold it: None instead of infinities and NaN."""
+    return float(value) if value is not None and math.isfinite(value) else None

@@ -21,6 +21,9 @@ from ompl_ext.cache_error import CacheError
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What writing fails with when it is the disk's fault."""
 
+POSITIONAL: Final = ("files", "logs", "results", "scenario", "scenarios")
+"""Arguments that the commands take without an option."""
+
 
 def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
     """Run a command; whatever it raises is explained on stderr."""
@@ -95,7 +98,7 @@ def explain(terminal: Terminal, error: Exception) -> ExitStatus:
 
 def _with_option(diagnostic: Diagnostic) -> Diagnostic:
     """The same problem, reported at the command's option instead of at the library's argument."""
-    if not diagnostic.argument:
+    if not diagnostic.argument or diagnostic.file in POSITIONAL:
         return diagnostic
     return replace(diagnostic, file=f"--{diagnostic.file.replace('_', '-')}", argument=False)
 

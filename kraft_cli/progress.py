@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from kraft.evaluation import Experiment, TrialRow, Watch
 from kraft.evaluation.row import Key
 from kraft.text import counted
+from kraft.trial.result import outcome_text
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -137,5 +138,4 @@ class Progress(Watch):
 def _how(row: TrialRow) -> str:
     if row.outcome == "failed":
         return f"failed: {row.error}"
-    hit = f" with {row.obstacle}" if row.obstacle else ""
-    return f"{row.outcome}{hit}, {row.t_s:.2f} s"
+    return outcome_text(row.outcome, row.obstacle, row.t_s)

@@ -37,7 +37,8 @@ class Cluster:
         try:
             import distributed  # noqa: F401
         except ImportError as error:
-            raise MissingDependency("--cluster needs the package distributed: pip install 'kraft[cluster]'") from error
+            told = "a Dask cluster needs the package distributed: pip install 'kraft[cluster]'"
+            raise MissingDependency(told) from error
         self.address = address
         try:
             with ThreadPoolExecutor(1) as pool:  # this thread may have an event loop of its own, as notebooks do
@@ -65,7 +66,7 @@ class Cluster:
 
     def _silent(self, error: Exception) -> InputError:
         problem = f"no Dask scheduler answers at {self.address} ({error})"
-        return InputError.of("--cluster", problem, "expected its address, as in tcp://192.0.2.1:8786")
+        return InputError.of_argument("cluster", problem, "expected its address, as in tcp://192.0.2.1:8786")
 
     def _collected(self, client: Client, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
         """Keep a few trials per thread of the cluster going, so that there is little to wait for when it stops."""
@@ -81,7 +82,7 @@ class Cluster:
                 told = True
             room = 0 if stop() else threads * (1 + AHEAD) - len(running)
             for job in [todo.pop() for _ in range(min(room, len(todo)))]:
-                running[client.submit(_perform, job, here, pure=False)] = job
+                running[client.submit(perform_checked, job, here, pure=False)] = job
             ended = [future for future in running if future.done()]
             for future in ended:
                 yield self._row(future, running.pop(future))
@@ -90,7 +91,7 @@ class Cluster:
 
     def _gone(self) -> InputError:
         expected = "expected it to answer until the last trial"
-        return InputError.of("--cluster", f"the scheduler at {self.address} went away", expected)
+        return InputError.of_argument("cluster", f"the scheduler at {self.address} went away", expected)
 
     def _row(self, future: Future, job: Job) -> TrialRow:
         from distributed import KilledWorker
@@ -111,12 +112,12 @@ async def _called(address: str) -> None:
     connection.abort()
 
 
-def _perform(job: Job, versions_there: Mapping[str, str]) -> TrialRow:
+def perform_checked(job: Job, versions_there: Mapping[str, str]) -> TrialRow:
     """Run a trial on a worker, alone in its process, if that would do what the others do."""
     here = versions(SIMULATION)
     if here != versions_there:
         names = sorted(name for name in {**here, **versions_there} if here.get(name) != versions_there.get(name))
         told = ", ".join(f"{name} {here.get(name)} instead of {versions_there.get(name)}" for name in names)
-        raise InputError.of("--cluster", f"a worker has {told}", "expected the same versions everywhere")
+        raise InputError.of_argument("cluster", f"a worker has {told}", "expected the same versions everywhere")
     with _alone:
         return perform(job)

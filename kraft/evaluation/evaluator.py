@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kraft.errors import Diagnostic, InputError, Unreachable
-from kraft.evaluation import job
+from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment, MethodLike, ScenarioLike, experiment_of
 from kraft.evaluation.folder import Folder, create, reopen, write_results
 from kraft.evaluation.job import Executor
 from kraft.evaluation.processes import Processes
+from kraft.evaluation.report import CommandLine
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import Summary, summarise
 from kraft.planning.compilation import ensure_maps_compiled
@@ -65,7 +65,7 @@ def evaluate(
     cluster: str | None = None,
     watch: Watch | None = None,
     arguments: Mapping[str, Any] | None = None,
-    trial: str | None = None,
+    command_line: CommandLine | None = None,
 ) -> Evaluation:
     """Run every method in every scenario with the seeds `seed`, ... `seed + trials - 1`, the same for all.
 
@@ -85,7 +85,7 @@ def evaluate(
         cluster: address of a Dask scheduler to use instead of processes of this machine.
         watch: is told how it goes and may stop it.
         arguments: what to record as having been asked for.
-        trial: ``module:function`` that runs one trial, by default `kraft.trial.trial.run_trial`.
+        command_line: makes the commands on the report page that repeat a trial; without it there are none.
 
     Raises:
         InputError: with everything that is wrong with what was given; if the folder cannot be written, or if one to go
@@ -97,15 +97,7 @@ def evaluate(
     watch = watch or Watch()
     problems = _problems(jobs, resume, out)
     try:
-        experiment = experiment_of(
-            scenarios,
-            methods,
-            vehicle=vehicle,
-            trials=trials,
-            seed=seed,
-            realtime=realtime,
-            trial=trial or job.TRIAL,
-        )
+        experiment = experiment_of(scenarios, methods, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime)
     except InputError as error:
         raise InputError([*problems, *error.diagnostics]) from error
     if problems:
@@ -114,10 +106,10 @@ def evaluate(
     _check_reachable(experiment)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
-        return _carried_out(experiment, executor, None, watch)
+        return _carried_out(experiment, executor, None, watch, command_line)
     folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
     with closing(folder.journal):
-        return _carried_out(experiment, executor, folder, watch)
+        return _carried_out(experiment, executor, folder, watch, command_line)
 
 
 def usable_cores() -> int:
@@ -139,13 +131,16 @@ def _check_reachable(experiment: Experiment) -> None:
 def _problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
     problems = []
     if jobs is not None and jobs < 1:
-        problems.append(Diagnostic("--jobs", f"is {jobs}", "expected a number of at least 1"))
+        problems.append(Diagnostic("jobs", f"is {jobs}", "expected a number of at least 1", argument=True))
     if resume and out is None:
-        problems.append(Diagnostic("--resume", "is given without --out", "expected the folder to go on with"))
+        expected = "expected the folder to go on with"
+        problems.append(Diagnostic("resume", "is given without a folder", expected, code=Code.MISSING, argument=True))
     return problems
 
 
-def _carried_out(experiment: Experiment, executor: Executor, folder: Folder | None, watch: Watch) -> Evaluation:
+def _carried_out(
+    experiment: Experiment, executor: Executor, folder: Folder | None, watch: Watch, command_line: CommandLine | None
+) -> Evaluation:
     began = time.perf_counter()
     rows = dict(folder.rows) if folder else {}
     if folder and folder.torn:
@@ -162,5 +157,5 @@ def _carried_out(experiment: Experiment, executor: Executor, folder: Folder | No
     summary = summarise(experiment, rows, time.perf_counter() - began)
     complete = len(ordered) == sum(1 for _ in experiment.jobs())
     if folder and complete:
-        write_results(folder, experiment, rows, summary)
+        write_results(folder, experiment, rows, summary, command_line)
     return Evaluation(experiment, folder.path if folder else None, ordered, summary, complete)

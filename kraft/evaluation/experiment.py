@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
 
 from kraft.driving.method import Method, load_method
-from kraft.errors import Diagnostic, InputError
-from kraft.evaluation.job import TRIAL, Job
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.evaluation.job import Job
 from kraft.planning.feasibility import check_placement
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
@@ -59,7 +59,6 @@ class Experiment:
     trials: int
     seed: int
     realtime: bool = False
-    trial: str = TRIAL
 
     @property
     def seeds(self) -> range:
@@ -70,7 +69,7 @@ class Experiment:
         """All trials, row by row."""
         for cell in self.cells:
             for seed in self.seeds:
-                yield Job(cell.scenario, cell.method, cell.reference, seed, self.realtime, self.trial)
+                yield Job(cell.scenario, cell.method, cell.reference, seed, self.realtime)
 
 
 def experiment_of(
@@ -81,7 +80,6 @@ def experiment_of(
     trials: int = TRIALS,
     seed: int = 0,
     realtime: bool = False,
-    trial: str = TRIAL,
 ) -> Experiment:
     """Load everything that is named and check that it can be driven.
 
@@ -108,7 +106,7 @@ def experiment_of(
     cells = tuple(_cells(found_scenarios, found_methods, vehicle, problems))
     if problems:
         raise InputError(problems)
-    return Experiment(cells, trials, seed, realtime, trial)
+    return Experiment(cells, trials, seed, realtime)
 
 
 def _too_little_time(method: Method) -> Iterator[Diagnostic]:
@@ -122,9 +120,9 @@ def _too_little_time(method: Method) -> Iterator[Diagnostic]:
 def _numbers(trials: int, seed: int) -> list[Diagnostic]:
     problems = []
     if trials < 1:
-        problems.append(Diagnostic("--trials", f"is {trials}", "expected a number of at least 1"))
+        problems.append(Diagnostic("trials", f"is {trials}", "expected a number of at least 1", argument=True))
     if seed < 0:
-        problems.append(Diagnostic("--seed", f"is {seed}", "expected a number of at least 0"))
+        problems.append(Diagnostic("seed", f"is {seed}", "expected a number of at least 0", argument=True))
     return problems
 
 
@@ -142,10 +140,13 @@ def _loaded(
     """Load each; what is wrong is added to `problems`."""
     found: list[Loaded] = []
     if not given:
-        problems.append(Diagnostic(_where(kind), "none are given", f"expected at least one {kind}"))
+        expected = f"expected at least one {kind}"
+        problems.append(Diagnostic(f"{kind}s", "none are given", expected, code=Code.MISSING, argument=True))
     for each in given:
         if each == "":
-            problems.append(Diagnostic(_where(kind), "there is an empty name", f"expected names of {kind}s"))
+            problems.append(
+                Diagnostic(f"{kind}s", "there is an empty name", f"expected names of {kind}s", argument=True)
+            )
             continue
         try:
             found.append(load(each))
@@ -153,15 +154,11 @@ def _loaded(
             problems += error.diagnostics
     names = Counter(str(getattr(each, "name", "")) for each in found)
     problems += [
-        Diagnostic(name, f"the {kind} is given {count} times", "expected each name once")
+        Diagnostic(name, f"the {kind} is given {count} times", "expected each name once", code=Code.DUPLICATE)
         for name, count in names.items()
         if count > 1
     ]
     return found
-
-
-def _where(kind: str) -> str:
-    return "--methods" if kind == "method" else f"{kind}s"
 
 
 def _cells(

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.evaluation import journal, manifest, report
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Journal, read_journal
 from kraft.evaluation.ompl_log import write_benchmark
-from kraft.evaluation.report import Results
+from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, json_content
-from kraft.files import check_writable, write_whole
+from kraft.files import check_writable, write_json, write_whole
 
 ROOT: Final = Path("results")
 
@@ -51,8 +50,7 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
         InputError: if there is something already, or it cannot be written.
     """
     if path.is_dir():
-        expected = f"expected a new folder, or --out {path} --resume to go on with it"
-        raise InputError.of(str(path), "is there already", expected)
+        raise InputError.of(str(path), "is there already", "expected a new folder, or to go on with it", Code.EXISTS)
     check_writable(path)
     try:
         path.mkdir(parents=True)
@@ -88,28 +86,28 @@ def check_exists(path: Path) -> None:
         raise InputError.of(str(path), "there is no such folder", "expected that of an earlier kraft eval")
 
 
-def write_results(folder: Folder, experiment: Experiment, rows: Mapping[Key, TrialRow], summary: Summary) -> None:
+def write_results(
+    folder: Folder,
+    experiment: Experiment,
+    rows: Mapping[Key, TrialRow],
+    summary: Summary,
+    command_line: CommandLine | None = None,
+) -> None:
     """Write what is made of the trials: the summary, the benchmark log, the database and the report.
 
     Raises:
         InputError: if there is no room.
     """
-    write_whole(folder.path / SUMMARY, summary_text(summary).encode())
+    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **json_content(summary)})
     write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
-    results = Results.of(experiment, folder.manifest, rows, summary)
+    results = Results.of(experiment, folder.manifest, rows, summary, command_line)
     write_whole(folder.path / report.NAME, report.page(results).encode())
-
-
-def summary_text(summary: Summary) -> str:
-    """Content of `summary.json`: what ``--json`` prints."""
-    content = {"schema": SCHEMA, **json_content(summary)}
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _begun(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
     content = manifest.manifest_of(experiment, arguments)
     try:
-        manifest.write_manifest(path / manifest.NAME, content)
+        write_json(path / manifest.NAME, content)
     except InputError:
         path.rmdir()  # nothing is in it, and it must not stand in the way
         raise

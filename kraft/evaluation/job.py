@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -18,16 +17,12 @@ from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 
-TRIAL: Final = "kraft.trial.trial:run_trial"
-TrialFunction: TypeAlias = Callable[[TrialSpec], TrialResult]
-
 
 @dataclass(frozen=True)
 class Job:
     """A trial to run.
 
-    `vehicle` is a resolved reference (its functions are compiled where they run), `trial` names the function that
-    drives: ``module:function``.
+    `vehicle` is a resolved reference: its functions are compiled where they run.
     """
 
     scenario: Scenario
@@ -35,7 +30,6 @@ class Job:
     vehicle: str
     seed: int
     realtime: bool = False
-    trial: str = TRIAL
 
     @property
     def key(self) -> Key:
@@ -52,8 +46,7 @@ def perform(job: Job) -> TrialRow:
     """
     began = time.perf_counter()
     try:
-        drive = _function(job.trial)
-        result = drive(TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime))
+        result = run_trial(TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime))
         return reduced(job.key, result, time.perf_counter() - began)
     except (InputError, MissingError):
         raise
@@ -67,14 +60,17 @@ def failed(job: Job, error: str) -> TrialRow:
     return TrialRow(scenario=job.scenario.name, method=job.method.name, seed=job.seed, outcome="failed", error=error)
 
 
-@cache
-def _function(name: str) -> TrialFunction:
-    module, _, attribute = name.partition(":")
+def run_trial(spec: TrialSpec) -> TrialResult:
+    """Run `kraft.trial.run_trial`, imported with the first trial because it loads the simulator.
+
+    Raises:
+        MissingDependency: if the simulator does not load.
+    """
     try:
-        found: TrialFunction = getattr(importlib.import_module(module), attribute)
+        from kraft.trial.trial import run_trial
     except (ImportError, OSError) as error:  # OSError: a shared library does not load
-        raise MissingDependency(f"{module} does not load") from error
-    return found
+        raise MissingDependency("the simulator (kraft.trial.trial) does not load") from error
+    return run_trial(spec)
 
 
 @cache

@@ -13,7 +13,6 @@ from typing import Any, Final
 from kraft.driving.method import Method
 from kraft.errors import Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
-from kraft.files import write_whole
 from kraft.planning.plan_file import vehicle_content
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.scenario import Scenario
@@ -45,7 +44,6 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "trials": experiment.trials,
         "seed": experiment.seed,
         "realtime": experiment.realtime,
-        "trial": experiment.trial,
         "rows": [
             {
                 "scenario": cell.scenario.name,
@@ -66,15 +64,6 @@ def scenario_entry(scenario: Scenario) -> dict[str, Any]:
     """A scenario without its vehicle, which has a section of its own: `content`, and its hash `sha256`."""
     names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *WORDS))
     return _hashed({name: plain(getattr(scenario, name)) for name in names})
-
-
-def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a manifest.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
-    write_whole(path, (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
@@ -111,7 +100,7 @@ def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> No
             Diagnostic(
                 str(path),
                 _difference(key, before, after),
-                "expected the same, or another --out",
+                "expected the same, or another folder",
                 path=key,
             )
             for key, before, after in differing

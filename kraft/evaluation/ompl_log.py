@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.evaluation.experiment import Cell, Experiment
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.statistics import percentile
-from kraft.files import EXPECTED, write_whole
+from kraft.files import EXPECTED, Replacement, write_whole
 
 DATABASE: Final = "benchmark.db"
 OUTCOMES: Final = ("success", "collision", "timeout", "failed")
@@ -140,15 +139,10 @@ def make_database(database: Path, logs: Sequence[Path]) -> None:
     Raises:
         InputError: if it cannot be written; what was there before is still there then.
     """
-    part = database.with_name(f".{database.name}.part")
-    command = [sys.executable, "-P", "-m", "ompl.ompl_benchmark_statistics", "--database", str(part)]
-    try:
+    with Replacement(database) as new:
+        command = [sys.executable, "-P", "-m", "ompl.ompl_benchmark_statistics", "--database", str(new.temporary)]
         done = subprocess.run([*command, *map(str, logs)], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             reason = done.stderr.strip().splitlines()[-1:] or [f"OMPL's tool ended with {done.returncode}"]
-            raise InputError.of(str(database), f"cannot be written: {reason[0]}", EXPECTED)
-        os.replace(part, database)
-    except OSError as error:
-        raise InputError.of(str(database), f"cannot be written: {error.strerror}", EXPECTED) from error
-    finally:
-        part.unlink(missing_ok=True)
+            raise InputError.of(str(database), f"cannot be written: {reason[0]}", EXPECTED, Code.UNWRITABLE)
+        new.commit()

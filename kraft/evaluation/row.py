@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from typing import Literal, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from kraft.text import finite
 from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
@@ -74,7 +74,7 @@ def reduced(key: Key, result: TrialResult, wall: float) -> TrialRow:
         outcome=result.outcome.value,
         t_s=float(result.time),
         obstacle=result.obstacle,
-        min_clearance_m=float(result.min_clearance) if math.isfinite(result.min_clearance) else None,
+        min_clearance_m=finite(result.min_clearance),
         cycles=len(result.cycles),
         contingencies=result.contingencies,
         iterations=sum(cycle.iterations for cycle in result.cycles),

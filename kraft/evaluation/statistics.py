@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
-Z95: Final = 1.959963984540054
-"""97.5 % quantile of the normal distribution"""
+import numpy as np
 
 
-def wilson(successes: int, trials: int, z: float = Z95) -> tuple[float, float]:
-    """Wilson's score interval of a success rate, by default with 95 % confidence; (0, 1) without trials.
+def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Wilson's score interval of a success rate; (0, 1) without trials.
 
     Raises:
         ValueError: if there are fewer trials than successes, or a number is negative.
     """
-    if not 0 <= successes <= trials:
-        raise ValueError(f"{successes} successes in {trials} trials")
-    if trials == 0:
+    from scipy.stats import binomtest
+
+    if successes == trials == 0:
         return 0.0, 1.0
-    rate, weight = successes / trials, z * z / trials
-    middle = (rate + weight / 2) / (1 + weight)
-    half = z / (1 + weight) * math.sqrt(rate * (1 - rate) / trials + weight / (4 * trials))
-    low = 0.0 if successes == 0 else max(0.0, middle - half)  # rounding must not move what is exact
-    high = 1.0 if successes == trials else min(1.0, middle + half)
-    return low, high
+    interval = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 @dataclass(frozen=True)
@@ -55,8 +48,6 @@ def mcnemar(successes: Mapping[int, bool], reference: Mapping[int, bool]) -> McN
     return McNemar(gained, lost, float(binomtest(gained, discordant, 0.5).pvalue) if discordant else 1.0)
 
 
-def percentile(values: list[float], share: float) -> float | None:
-    """The smallest value that at least `share` of the values do not exceed; None without values."""
-    if not values:
-        return None
-    return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
+def percentile(values: Sequence[float], share: float) -> float | None:
+    """Smallest value that at least `share` of the values do not exceed; None without values."""
+    return float(np.quantile(values, share, method="inverted_cdf")) if values else None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from kraft.evaluation.summary import Result, Summary
+from kraft.text import decimals
 
 
 @dataclass(frozen=True)
@@ -86,17 +87,13 @@ def _cells(result: Result) -> dict[str, str]:
         "coll": str(result.collision),
         "timeout": str(result.timeout),
         "failed": str(result.failed),
-        "T_ex s": _number(result.t_ex, 2),
+        "T_ex s": decimals(result.t_ex, 2),
         "95 % CI": f"{low:.0%}-{high:.0%}".replace("%-", "-"),
         "paper S/C/T": f"{paper.success}/{paper.collision}/{paper.timeout}" if paper else "-",
-        "paper T_ex": _number(paper.t_ex if paper else None, 2),
+        "paper T_ex": decimals(paper.t_ex if paper else None, 2),
         "p": f"{against.p:.2g}" if against else "-",
         "cont": str(result.contingencies),
-        "clear m": _number(result.min_clearance, 3),
-        "plan ms p50/p99": f"{_number(result.planning_p50, 1)}/{_number(result.planning_p99, 1)}",
+        "clear m": decimals(result.min_clearance, 3),
+        "plan ms p50/p99": f"{decimals(result.planning_p50, 1)}/{decimals(result.planning_p99, 1)}",
         "missed": str(result.missed),
     }
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

@@ -37,7 +37,7 @@ from kraft.plot.traces import (
 )
 from kraft.scenario import Task
 from kraft.simulation.hidden import HiddenFeature
-from kraft.trial.result import Outcome, TrialResult
+from kraft.trial.result import Outcome, TrialResult, outcome_text
 from ompl_ext.vehicle import Vehicle
 
 
@@ -103,13 +103,7 @@ def _compose(
 
 def _failure(result: TrialResult) -> str | None:
     """What went wrong, if anything did."""
-    match result.outcome:
-        case Outcome.COLLISION:
-            return f"collision with {result.obstacle}"
-        case Outcome.TIMEOUT:
-            return "time limit"
-        case Outcome.SUCCESS:
-            return None
+    return None if result.outcome is Outcome.SUCCESS else outcome_text(result.outcome, result.obstacle)
 
 
 def _draw_map(

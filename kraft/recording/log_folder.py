@@ -8,21 +8,17 @@ LOGS/run_01/manifest.json   manoeuvre, start, scenario, seed, versions
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import InputError
-from kraft.files import check_writable, write_whole
+from kraft.errors import Code, InputError
+from kraft.files import check_writable, new_folder, write_csv, write_json
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.recording.recorder import Recording
 from kraft.scenario import Scenario
-from ompl_ext.arrays import Matrix
 
 SCHEMA: Final = "kraft.record/1"
 COMMANDS: Final = ("t", "throttle", "steering")
@@ -40,7 +36,7 @@ def check_target(folder: Path) -> None:
         InputError: if it is one of these.
     """
     if os.path.lexists(folder):
-        raise InputError.of(str(folder), "is there already", "expected a new folder for the logs (--out)")
+        raise InputError.of(str(folder), "is there already", "expected a new folder for the logs", Code.EXISTS)
     check_writable(folder)
 
 
@@ -51,33 +47,12 @@ def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, An
         InputError: if it cannot be written.
     """
     final = folder / f"run_{recording.number:02d}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".part", dir=folder))
-    except OSError as error:
-        raise InputError.of(str(final), f"cannot be written: {error.strerror}", "expected a place for it") from error
-    try:
-        for name, heading, rows in (
-            ("commands.csv", COMMANDS, recording.commands),
-            ("poses.csv", POSES, recording.poses),
-            ("truth.csv", TRUTH, recording.truth),
-        ):
-            write_whole(part / name, _csv(heading, rows))
-        content = _manifest(scenario, arguments, recording)
-        write_whole(part / "manifest.json", (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
-        os.chmod(part, 0o777 & ~_umask())
-        os.rename(part, final)
-    except OSError as error:
-        raise InputError.of(str(final), f"cannot be written: {error.strerror}", "expected room for it") from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)  # there only if something went wrong
+    with new_folder(final) as temporary:
+        write_csv(temporary / "commands.csv", COMMANDS, recording.commands.tolist())
+        write_csv(temporary / "poses.csv", POSES, recording.poses.tolist())
+        write_csv(temporary / "truth.csv", TRUTH, recording.truth.tolist())
+        write_json(temporary / "manifest.json", _manifest(scenario, arguments, recording))
     return final
-
-
-def _csv(heading: Sequence[str], rows: Matrix) -> bytes:
-    """Numbers as short as they can be written, so that reading gives back the same doubles."""
-    lines = [",".join(heading), *(",".join(repr(float(value)) for value in row) for row in rows)]
-    return ("\n".join(lines) + "\n").encode()
 
 
 def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
@@ -99,9 +74,3 @@ def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recor
         "scenario": {"sha256": plain_hash(described), "content": described},
         "versions": versions(SIMULATION),
     }
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,9 +12,8 @@ from kraft.errors import InputError
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
 from kraft.recording.room import Place, Room, predicted
 from kraft.scenario import Scenario
-from kraft.simulation.camera import MarkerCamera
-from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.world import Ticks, World, steps_of
+from kraft.simulation.world import World
+from kraft.trial.plant import Plant
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -88,22 +86,17 @@ class Recorder:
             name = self._scenario.name
             problem = f"has no room for a run of {SHORTEST:g} s (manoeuvre {wanted.name!r})"
             raise InputError.of(name, problem, "expected more free floor, as in the scenario training")
-        camera = MarkerCamera(self._scenario.sensing, MARKER_HEIGHT, int(generator.integers(2**62)))
-        return _Run(self._scenario, self._world, camera, self._room, wanted, place).driven(number)
+        self._world.reset(place.start)
+        plant = Plant(self._world, self._scenario.sensing, int(generator.integers(2**62)), COMMAND_RATE)
+        return _Run(plant, self._room, wanted, place).driven(number)
 
 
 class _Run:
     """One run while it is driven."""
 
-    def __init__(
-        self, scenario: Scenario, world: World, camera: MarkerCamera, room: Room, wanted: Manoeuvre, place: Place
-    ) -> None:
-        world.reset(place.start)
-        self._world, self._camera, self._room = world, camera, room
+    def __init__(self, plant: Plant, room: Room, wanted: Manoeuvre, place: Place) -> None:
+        self._plant, self._world, self._room = plant, plant.world, room
         self._manoeuvre, self._place = wanted, place
-        self._ticks, self._frames = Ticks(COMMAND_RATE, world.dt), Ticks(scenario.sensing.rate_hz, world.dt)
-        self._delay = steps_of(scenario.sensing.command_delay, world.dt)
-        self._under_way: deque[tuple[int, float, float]] = deque()
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
         self._truth: list[tuple[float, ...]] = []
@@ -115,46 +108,32 @@ class _Run:
         while not note:
             self._see()
             self._command()
-            self._deliver()
             if world.steps >= end:
                 break
-            world.step(min(self._next, end) - world.steps)
+            self._plant.advance(end)
             note = self._danger()
         return Recording(
             number, self._manoeuvre, self._place, np.array(self._commands), np.array(self._poses).reshape(-1, 4),
             np.array(self._truth), world.time, note,
         )  # fmt: skip
 
-    @property
-    def _next(self) -> int:
-        """Physics step of the next event."""
-        arrivals = [step for step, *_ in self._under_way]
-        return max(min(self._ticks.due, self._frames.due, *arrivals), self._world.steps + 1)
-
     def _see(self) -> None:
         world = self._world
-        if world.steps < self._frames.due:
+        if not self._plant.frame_due:
             return
-        self._frames.number += 1
         x, y, theta = map(float, world.pose)
         self._truth.append((world.time, x, y, theta, world.speed))
-        seen = self._camera.expose(world.time, *world.marker)
+        seen = self._plant.expose()
         if seen is not None:
             self._poses.append((seen.time, seen.x, seen.y, seen.theta))
 
     def _command(self) -> None:
         world = self._world
-        if world.steps < self._ticks.due:
+        if not self._plant.command_due:
             return
-        self._ticks.number += 1
         throttle, steering = self._manoeuvre.control_at(world.time)
         self._commands.append((world.time, throttle, steering))
-        self._under_way.append((world.steps + self._delay, throttle, steering))
-
-    def _deliver(self) -> None:
-        while self._under_way and self._under_way[0][0] <= self._world.steps:
-            _, throttle, steering = self._under_way.popleft()
-            self._world.apply(throttle, steering)
+        self._plant.send(throttle, steering)
 
     def _danger(self) -> str:
         """Why the run has to end here, or nothing."""

@@ -25,6 +25,13 @@ class Outcome(StrEnum):
     TIMEOUT = "timeout"
 
 
+def outcome_text(outcome: str, obstacle: str | None = None, time: float | None = None, digits: int = 2) -> str:
+    """How a trial ended: ``collision with first box after 3.21 s``, without `time` (s) ``collision with first box``."""
+    text = str(outcome)
+    text += f" with {obstacle}" if obstacle else ""
+    return text + (f" after {time:.{digits}f} s" if time is not None else "")
+
+
 @dataclass(frozen=True)
 class TrialSpec:
     """One trial; the same spec gives the same result, byte for byte, in any process.

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -18,12 +17,10 @@ from kraft.driving.messages import Cycle, Observation, Reference
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
-from kraft.simulation.camera import MarkerCamera
-from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.world import Ticks, World, steps_of
+from kraft.simulation.world import World
 from kraft.trial.closest_approach import ClosestApproach
+from kraft.trial.plant import Plant
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
-from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
@@ -52,8 +49,7 @@ def run_trial(
         trial.receive()
         trial.replan(log)
         trial.control(log)
-        trial.deliver()
-        trial.world.step(trial.next_event - trial.world.steps)
+        trial.advance()
     world = trial.world
     return TrialResult(
         scenario=spec.scenario.name,
@@ -86,7 +82,7 @@ class _Trial:
     def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
         scenario, method, vehicle = spec.scenario, spec.method, spec.vehicle
         self.world = World(scenario)
-        self._camera = MarkerCamera(scenario.sensing, MARKER_HEIGHT, spec.seed)
+        self._plant = Plant(self.world, scenario.sensing, spec.seed, method.controller.rate_hz)
         model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
         self._estimator = make_estimator(method.estimator, model, start)
         self._controller = make_controller(method.controller, model)
@@ -98,10 +94,6 @@ class _Trial:
         self._reference = self._replanner.begin(start)
         self._sent: list[tuple[float, Reference]] = []
         self._in_flight: list[Observation] = []
-        self._commands: deque[tuple[int, Floats]] = deque()
-        self._command_delay = steps_of(scenario.sensing.command_delay, self.world.dt)
-        self._ticks = Ticks(method.controller.rate_hz, self.world.dt)
-        self._frames = Ticks(scenario.sensing.rate_hz, self.world.dt)
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
         exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
@@ -116,20 +108,11 @@ class _Trial:
             return Outcome.SUCCESS
         return Outcome.TIMEOUT if self.world.time >= self._limit - 1e-9 else None
 
-    @property
-    def next_event(self) -> int:
-        """Physics step at which somebody is due next."""
-        times = min(self._replanner.next_step, self._limit)
-        due = min(self._ticks.due, self._frames.due, math.ceil(times / self.world.dt - 1e-6))
-        due = min(due, self._commands[0][0]) if self._commands else due
-        return max(due, self.world.steps + 1)
-
     def see(self, log: _Log) -> None:
         """Expose a frame if one is due, and take in what has arrived."""
         now = self.world.time
-        if self.world.steps >= self._frames.due:
-            self._frames.number += 1
-            observation = self._camera.expose(now, *self.world.marker)
+        if self._plant.frame_due:
+            observation = self._plant.expose()
             if observation is not None:
                 self._in_flight.append(observation)
                 log.observations.append(observation)
@@ -158,12 +141,11 @@ class _Trial:
     def control(self, log: _Log) -> None:
         """Send a command if one is due."""
         now, world = self.world.time, self.world
-        if world.steps < self._ticks.due:
+        if not self._plant.command_due:
             return
-        self._ticks.number += 1
         estimate = self._estimator.estimate(now)
         command = self._controller.command(estimate, self._reference)
-        self._commands.append((world.steps + self._command_delay, command))
+        self._plant.send(float(command[0]), float(command[1]))
         self._estimator.commanded(now, command)
         x, y, theta = map(float, world.pose)
         self.approach.show(x, y, theta)
@@ -172,8 +154,7 @@ class _Trial:
         if log.on_step is not None:
             log.on_step(world, step)
 
-    def deliver(self) -> None:
-        """Let the commands that have arrived take effect."""
-        while self._commands and self._commands[0][0] <= self.world.steps:
-            _, command = self._commands.popleft()
-            self.world.apply(float(command[0]), float(command[1]))
+    def advance(self) -> None:
+        """Let commands take effect and time pass, to the next event."""
+        until = min(self._replanner.next_step, self._limit)
+        self._plant.advance(math.ceil(until / self.world.dt - 1e-6))

@@ -14,7 +14,7 @@ from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
 from kraft.driving.messages import ReferenceKind
-from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.trial.result import Outcome, TrialResult, TrialSpec, outcome_text
 from kraft.video import palette
 from kraft.video.mp4 import Image
 from kraft.video.snapshot import Snapshot
@@ -90,22 +90,17 @@ class Overlay:
             draw.text((x + 2, foot + 58 + 16 * row), line, palette.TEXT, font(13), "ls")
 
     def _outcome(self, draw: ImageDraw.ImageDraw, result: TrialResult) -> None:
-        text, fill = outcome_text(result)
+        text, fill = outcome_caption(result)
         middle, top = self._width / 2, 0.24 * self._height
         half = font(34, bold=True).getlength(text) / 2 + 30
         draw.rounded_rectangle((middle - half, top, middle + half, top + 70), 12, fill=fill)
         draw.text((middle, top + 35), text, palette.TEXT, font(34, bold=True), "mm")
 
 
-def outcome_text(result: TrialResult) -> tuple[str, str]:
+def outcome_caption(result: TrialResult) -> tuple[str, str]:
     """How a trial ended, and in which colour to say it."""
-    match result.outcome:
-        case Outcome.SUCCESS:
-            return f"goal reached in {result.time:.1f} s", palette.SUCCESS
-        case Outcome.COLLISION:
-            return f"collision with {result.obstacle} at {result.time:.1f} s", palette.FAILURE
-        case Outcome.TIMEOUT:
-            return f"not at the goal after {result.time:.0f} s", palette.FAILURE
+    text = outcome_text(result.outcome, result.obstacle, result.time, digits=1)
+    return text, palette.SUCCESS if result.outcome is Outcome.SUCCESS else palette.FAILURE
 
 
 def _background() -> tuple[int, int, int, int]:

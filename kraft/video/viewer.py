@@ -18,7 +18,7 @@ from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
 from kraft.video.drawing import draw_cycle, draw_snapshot
 from kraft.video.gl import check_view
-from kraft.video.overlay import outcome_text
+from kraft.video.overlay import outcome_caption
 from kraft.video.pen import Pen
 from kraft.video.renderer import AHEAD, DISTANCE, MIN_ELEVATION
 from kraft.video.snapshot import Snapshot, SnapshotRecorder
@@ -80,7 +80,7 @@ class LiveView:
     def finish(self, result: TrialResult) -> None:
         """Show for a moment how it ended."""
         if self._window is not None and self._window.is_running():
-            self._window.set_texts(_text(outcome_text(result)[0], ""))
+            self._window.set_texts(_text(outcome_caption(result)[0], ""))
             self._window.sync()
             clock.sleep(HOLD)
 

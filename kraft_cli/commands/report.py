@@ -18,9 +18,10 @@ def report(context: typer.Context, results: Folder, out: Out = None) -> ExitStat
     """Make a page for a browser of what kraft eval found, also while it runs or after it was stopped."""
     from kraft.evaluation.report import write_report
     from kraft.text import counted
+    from kraft_cli.work.run import run_command
 
     terminal: Terminal = context.obj
-    found, path = write_report(results, out)
+    found, path = write_report(results, out, run_command)
     terminal.data(str(path))
     missing = found.expected - len(found.rows)
     if missing:

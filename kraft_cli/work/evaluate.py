@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.evaluator import Evaluation, Watch, evaluate
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS
 from kraft.evaluation.folder import check_exists, default_path
+from kraft_cli.work.run import run_command
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def complete(request: Request) -> Request:
     """
     if request.resume:
         if request.out is None:
-            raise InputError.of("--resume", "is given without --out", "expected the folder to go on with")
+            raise InputError.of("--resume", "is given without --out", "expected the folder to go on with", Code.MISSING)
         check_exists(request.out)
         return _recorded(request, request.out / manifest.NAME)
     return replace(request, out=request.out or default_path(request.seed or 0))
@@ -62,20 +63,31 @@ def complete(request: Request) -> Request:
 def carry_out(request: Request, watch: Watch) -> Evaluation:
     """Run what is asked for; see `evaluate` for what is raised."""
     arguments = arguments_of(request)
-    return evaluate(
-        arguments["scenarios"],
-        arguments["methods"],
-        arguments["trials"],
-        arguments["seed"],
-        request.jobs,
-        request.out,
-        vehicle=request.vehicle,
-        resume=request.resume,
-        realtime=request.realtime,
-        cluster=request.cluster,
-        watch=watch,
-        arguments=arguments,
-    )
+    try:
+        return evaluate(
+            arguments["scenarios"],
+            arguments["methods"],
+            arguments["trials"],
+            arguments["seed"],
+            request.jobs,
+            request.out,
+            vehicle=request.vehicle,
+            resume=request.resume,
+            realtime=request.realtime,
+            cluster=request.cluster,
+            watch=watch,
+            arguments=arguments,
+            command_line=run_command,
+        )
+    except InputError as error:
+        raise InputError(_with_resume(diagnostic, request) for diagnostic in error.diagnostics) from error
+
+
+def _with_resume(diagnostic: Diagnostic, request: Request) -> Diagnostic:
+    """The same problem; where it is that the folder exists, with the options that go on with it."""
+    if diagnostic.code is not Code.EXISTS or diagnostic.file != str(request.out):
+        return diagnostic
+    return replace(diagnostic, expected=f"expected a new folder, or --out {request.out} --resume to go on with it")
 
 
 def arguments_of(request: Request) -> dict[str, Any]:

@@ -48,9 +48,9 @@ def carry_out(
     """
     problems = []
     if request.runs < 1:
-        problems.append(Diagnostic("--runs", f"is {request.runs}", "expected a number of at least 1"))
+        problems.append(Diagnostic("runs", f"is {request.runs}", "expected a number of at least 1", argument=True))
     if request.seed < 0:
-        problems.append(Diagnostic("--seed", f"is {request.seed}", "expected a number of at least 0"))
+        problems.append(Diagnostic("seed", f"is {request.seed}", "expected a number of at least 0", argument=True))
     if problems:
         raise InputError(problems)
     scenario = load_scenario(request.scenario)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,8 @@ from kraft.evaluation.statistics import percentile
 from kraft.files import check_all
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
-from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.text import finite, metres
+from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft_cli.work.run_folder import check_target, write_run
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 from kraft_cli.work.watching import NOTHING, Wanted, Watchers
@@ -95,7 +97,7 @@ def _tell(detail: Callable[[str], None], cell: Cell) -> None:
 def _experiment(request: Request) -> Experiment:
     """The trial as an evaluation of one, with its checks."""
     if not request.method:
-        raise InputError.of("--method", "is empty", "expected the name of a method")
+        raise InputError.of_argument("method", "is empty", "expected the name of a method")
     return experiment_of([request.scenario], [request.method], vehicle=request.vehicle, trials=1, seed=request.seed)
 
 
@@ -113,7 +115,7 @@ def json_content(run: Run) -> dict[str, Any]:
         "t_ex_s": float(result.time),
         "cycles": len(result.cycles),
         "contingencies": result.contingencies,
-        "min_clearance_m": float(result.min_clearance) if math.isfinite(result.min_clearance) else None,
+        "min_clearance_m": finite(result.min_clearance),
         "planning_ms_p50": percentile(planning, 0.5),
         "planning_ms_p99": percentile(planning, 0.99),
         "missed_deadlines": result.missed,
@@ -128,8 +130,8 @@ def table_rows(run: Run) -> list[tuple[str, str]]:
         ("scenario", result.scenario),
         ("method", run.spec.method.title),
         ("vehicle", run.spec.vehicle.name),
-        ("result", outcome_text(result)),
-        ("clearance", f"{_metres(result.min_clearance)} at least"),
+        ("result", outcome_text(result.outcome, result.obstacle, result.time)),
+        ("clearance", f"{metres(result.min_clearance)} at least"),
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
     ]
     if planning:
@@ -140,15 +142,13 @@ def table_rows(run: Run) -> list[tuple[str, str]]:
     return rows + [(name, str(path)) for name, path in made if path is not None]
 
 
-def outcome_text(result: TrialResult) -> str:
-    """How a trial ended, for a sentence."""
-    match result.outcome:
-        case Outcome.SUCCESS:
-            return f"reached the goal after {result.time:.2f} s"
-        case Outcome.COLLISION:
-            return f"collision with {result.obstacle} after {result.time:.2f} s"
-        case Outcome.TIMEOUT:
-            return f"not at the goal after {result.time:.2f} s"
+def run_command(scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
+    """The command that drives a trial again, and films it into the file `video`."""
+    words = ["kraft", "run", scenario, "--method", method]
+    words += [] if vehicle is None else ["--vehicle", vehicle]
+    words += ["--seed", str(seed)]
+    words += [] if video is None else ["--video", video]
+    return shlex.join(words)
 
 
 def cycle_line(cycle: Cycle) -> str:
@@ -156,14 +156,10 @@ def cycle_line(cycle: Cycle) -> str:
     to_goal = f"{cycle.cost_to_goal:5.2f} s" if math.isfinite(cycle.cost_to_goal) else "  -    "
     reason = f": {cycle.reason}" if cycle.reason else ""
     return (
-        f"{cycle.time:6.2f} s  {cycle.speed:5.2f} m/s  to goal {to_goal}  clearance {_metres(cycle.clearance)}  "
+        f"{cycle.time:6.2f} s  {cycle.speed:5.2f} m/s  to goal {to_goal}  clearance {metres(cycle.clearance)}  "
         f"{cycle.kind}{reason}"
     )
 
 
 def _planning(result: TrialResult) -> list[float]:
     return [cycle.planning_ms for cycle in result.cycles]
-
-
-def _metres(value: float) -> str:
-    return f"{value:.3f} m" if math.isfinite(value) else "-"

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +11,8 @@ from kraft.driving.messages import Cycle, Reference
 from kraft.errors import InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.experiment import Experiment
-from kraft.files import check_writable, write_whole
+from kraft.files import check_writable, write_csv, write_json, write_whole
+from kraft.text import finite
 from kraft.trial.result import TrialResult
 from ompl_ext.vehicle import Vehicle
 
@@ -47,26 +45,15 @@ def write_run(
         InputError: if it cannot be written.
     """
     recorded = {**manifest.manifest_of(experiment, arguments), "schema": MANIFEST_SCHEMA}
-    write_whole(folder / "steps.csv", _csv(_step_heading(vehicle), _steps(result)))
-    write_whole(folder / "observations.csv", _csv(("time", "arrival", "x", "y", "theta"), _observations(result)))
-    write_whole(folder / "cycles.jsonl", "".join(json.dumps(c) + "\n" for c in _cycles(result)).encode())
-    write_whole(folder / "result.json", _json({"schema": SCHEMA, **content}))
-    write_whole(folder / manifest.NAME, _json(recorded))
+    write_csv(folder / "steps.csv", step_heading(vehicle), _steps(result))
+    write_csv(folder / "observations.csv", ("time", "arrival", "x", "y", "theta"), _observations(result))
+    write_whole(folder / "cycles.jsonl", "".join(json.dumps(cycle_content(c)) + "\n" for c in result.cycles).encode())
+    write_json(folder / "result.json", {"schema": SCHEMA, **content})
+    write_json(folder / manifest.NAME, recorded)
 
 
-def _json(content: Mapping[str, Any]) -> bytes:
-    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
-
-
-def _csv(heading: Sequence[str], rows: Iterable[Sequence[float]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(heading)
-    writer.writerows(rows)
-    return text.getvalue().encode()
-
-
-def _step_heading(vehicle: Vehicle) -> tuple[str, ...]:
+def step_heading(vehicle: Vehicle) -> tuple[str, ...]:
+    """Names of the columns of `steps.csv`."""
     estimate = (f"estimate_{name}" for name in vehicle.state)
     command = (f"command_{name}" for name in vehicle.controls)
     return ("time", "x", "y", "theta", "speed", *estimate, *command, "cycle")
@@ -83,11 +70,6 @@ def _observations(result: TrialResult) -> Iterator[list[float]]:
         yield [float(value) for value in (seen.time, seen.arrival, seen.x, seen.y, seen.theta)]
 
 
-def _cycles(result: TrialResult) -> Iterator[dict[str, Any]]:
-    for cycle in result.cycles:
-        yield cycle_content(cycle)
-
-
 def cycle_content(cycle: Cycle) -> dict[str, Any]:
     """A cycle as one JSON object; what is infinite is null."""
     return {
@@ -96,8 +78,8 @@ def cycle_content(cycle: Cycle) -> dict[str, Any]:
         "speed": float(cycle.speed),
         "kind": str(cycle.kind),
         "reason": cycle.reason,
-        "cost_to_goal": _finite(cycle.cost_to_goal),
-        "clearance": _finite(cycle.clearance),
+        "cost_to_goal": finite(cycle.cost_to_goal),
+        "clearance": finite(cycle.clearance),
         "iterations": cycle.iterations,
         "nodes": cycle.nodes,
         "retained": cycle.retained,
@@ -118,7 +100,3 @@ def _reference(reference: Reference | None) -> dict[str, Any] | None:
         "controls": reference.controls.tolist(),
         "rest": reference.rest.tolist(),
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

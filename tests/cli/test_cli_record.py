@@ -70,7 +70,7 @@ def test_logs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixture
     before = contents(folder)
     capsys.readouterr()
     assert main(["record", "--runs", "1", "--seed", "1"]) == 2
-    assert capsys.readouterr().err == "logs: is there already; expected a new folder for the logs (--out)\n"
+    assert capsys.readouterr().err == "logs: is there already; expected a new folder for the logs\n"
     assert contents(folder) == before
 
 
@@ -97,7 +97,7 @@ def test_a_run_that_cannot_be_written_leaves_no_part_of_it(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("kraft.recording.log_folder.os.rename", full)
+    monkeypatch.setattr("kraft.files.os.rename", full)
     assert main(["record", "--runs", "1"]) == 2
     assert "logs/run_01: cannot be written: No space left on device; expected" in capsys.readouterr().err
     assert list((folder / "logs").iterdir()) == []
@@ -118,7 +118,7 @@ def test_a_run_that_ends_early_says_so(capsys: pytest.CaptureFixture[str]) -> No
         (["trainin"], "trainin: there is no scenario of this name; did you mean 'training'?"),
         (["--runs", "0"], "--runs: is 0; expected a number of at least 1"),
         (["--seed", "-1"], "--seed: is -1; expected a number of at least 0"),
-        (["--out", "."], ".: is there already; expected a new folder for the logs (--out)"),
+        (["--out", "."], ".: is there already; expected a new folder for the logs"),
         (["--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
     ],
 )

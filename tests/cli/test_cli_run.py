@@ -18,7 +18,7 @@ from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from kraft_cli.work.run import Request, carry_out, cycle_line, outcome_text
+from kraft_cli.work.run import Request, carry_out, cycle_line, table_rows
 
 KEYS = {
     "scenario", "method", "seed", "outcome", "t_ex_s", "cycles", "contingencies", "min_clearance_m", "planning_ms_p50",
@@ -63,7 +63,7 @@ def test_a_person_gets_a_table_and_quiet_leaves_only_that(capsys: pytest.Capture
     out, err = capsys.readouterr()
     rows = {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in out.splitlines()}
     assert (rows["scenario"], rows["method"], rows["vehicle"]) == ("short", "KRAFT", "mushr-drive")
-    assert re.fullmatch(r"reached the goal after \d\.\d\d s", rows["result"])
+    assert re.fullmatch(r"success after \d\.\d\d s", rows["result"])
     assert err == ""
 
 
@@ -123,7 +123,7 @@ def test_a_collision_names_what_was_hit(short: Path) -> None:
     short.write_text(text + "truth: {vehicle: {steering_offset_deg: 12}}\n")
     run = carry_out(Request("short.yaml", "oneshot-openloop"), lambda _: None)
     assert run.result.outcome == "collision"
-    assert outcome_text(run.result).startswith("collision with pillar after ")
+    assert dict(table_rows(run))["result"].startswith("collision with pillar after ")
 
 
 @pytest.mark.parametrize(

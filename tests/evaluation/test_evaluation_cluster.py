@@ -91,21 +91,23 @@ class Killing(Stopping):
             self._process.kill()
 
 
-def run(dask: Dask, trial: str, trials: int, **options: Any) -> evaluator.Evaluation:
-    return evaluate(*CELLS, trials, 0, cluster=dask.address, trial=f"support.fake_trials:{trial}", **options)
+def run(dask: Dask, trial: fake_trials.Trial, trials: int, **options: Any) -> evaluator.Evaluation:
+    with pytest.MonkeyPatch.context() as patch:
+        fake_trials.use(patch, trial)
+        return evaluate(*CELLS, trials, 0, cluster=dask.address, **options)
 
 
 def test_with_a_worker_killed_every_trial_arrives_once_and_the_same(
     dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     watch = Killing(dask.workers[0], 4)
-    found = run(dask, "slow", 4, out=tmp_path / "out", watch=watch)
+    found = run(dask, fake_trials.slow, 4, out=tmp_path / "out", watch=watch)
     assert found.complete
     assert dask.workers[0].poll() is not None
     keys = [row.key for row in watch.rows]
     assert len(keys) == len(set(keys)) == 16
-    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
-    evaluate(*CELLS, 4, 0, out=tmp_path / "here", trial="support.fake_trials:quick")
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    evaluate(*CELLS, 4, 0, out=tmp_path / "here")
     assert kept(tmp_path / "out") == kept(tmp_path / "here")
 
 
@@ -113,32 +115,30 @@ def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
     dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     watch = Killing(dask.scheduler, 3)
-    with pytest.raises(InputError, match=r"--cluster: the scheduler at tcp://.* went away"):
-        run(dask, "slow", 4, out=tmp_path / "out", watch=watch)
-    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
+    with pytest.raises(InputError, match=r"cluster: the scheduler at tcp://.* went away"):
+        run(dask, fake_trials.slow, 4, out=tmp_path / "out", watch=watch)
+    fake_trials.use(monkeypatch, fake_trials.slow, inline=True)
     rest = Stopping()
-    assert evaluate(
-        *CELLS, 4, 0, out=tmp_path / "out", trial="support.fake_trials:slow", resume=True, watch=rest
-    ).complete  # fmt: skip
+    assert evaluate(*CELLS, 4, 0, out=tmp_path / "out", resume=True, watch=rest).complete
     assert len(watch.rows) + len(rest.rows) == 16
 
 
 def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused(
     dask: Dask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stopped = run(dask, "slow", 6, watch=Stopping(3))
+    stopped = run(dask, fake_trials.slow, 6, watch=Stopping(3))
     assert not stopped.complete
     assert 3 <= len(stopped.rows) <= 3 + 4
-    monkeypatch.setattr(cluster, "versions", lambda: {"kraft": "99"})
+    monkeypatch.setattr(cluster, "versions", lambda _: {"kraft": "99"})
     with pytest.raises(InputError, match=r"a worker has kraft 0.1.0 instead of 99, .*; expected the same versions"):
-        run(dask, "quick", 1)
+        run(dask, fake_trials.quick, 1)
 
 
 def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
-    with pytest.raises(InputError, match=r"--cluster: no Dask scheduler answers at tcp://127.0.0.1:9 "):
+    with pytest.raises(InputError, match=r"cluster: no Dask scheduler answers at tcp://127.0.0.1:9 "):
         evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
-    with pytest.raises(InputError, match=r"--cluster: no Dask scheduler answers at nowhere"):
+    with pytest.raises(InputError, match=r"cluster: no Dask scheduler answers at nowhere"):
         evaluate(["turns"], ["kraft"], 1, cluster="nowhere")
 
 
@@ -162,5 +162,5 @@ def test_without_the_extra_it_ends_with_3_and_says_what_to_install(
     with pytest.raises(MissingDependency):
         cluster.Cluster("tcp://127.0.0.1:9")
     assert main(["eval", "turns", "--cluster", "tcp://127.0.0.1:9", "--out", str(tmp_path / "out")]) == 3
-    assert "--cluster needs the package distributed: pip install 'kraft[cluster]'" in capsys.readouterr().err
+    assert "a Dask cluster needs the package distributed: pip install 'kraft[cluster]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

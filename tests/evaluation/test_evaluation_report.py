@@ -25,19 +25,20 @@ from kraft.evaluation.report.elements import document, element
 from kraft.evaluation.report.floor import floor_plan
 from kraft.scenario import OccupancyMap, load_scenario
 from kraft_cli.main import main
+from kraft_cli.work.run import run_command
 
 METHODS = ("oneshot-openloop", "kraft")
 
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("kraft.evaluation.evaluator.Processes", fake_trials.Inline)
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
     monkeypatch.chdir(tmp_path)
 
 
 def run(out: str = "out", *, trials: int = 3, **options: Any) -> Evaluation:
-    arguments = {"scenarios": ("turns", "slip"), "methods": METHODS, "trial": "support.fake_trials:quick", **options}
-    return evaluate(trials=trials, seed=5, out=out, **arguments)
+    arguments = {"scenarios": ("turns", "slip"), "methods": METHODS, **options}
+    return evaluate(trials=trials, seed=5, out=out, command_line=run_command, **arguments)
 
 
 class Tags(HTMLParser):
@@ -86,7 +87,7 @@ def test_an_evaluation_ends_with_a_page_that_needs_nothing_else() -> None:
 
 def test_every_trial_is_a_cell_that_says_how_it_ended_and_how_to_drive_it_again() -> None:
     found = run()
-    tags = Tags(page(read_results(Path("out"))))
+    tags = Tags(page(read_results(Path("out"), run_command)))
     text = text_of(tags)
     for row in found.rows:
         where = f" with {row.obstacle}" if row.obstacle else ""
@@ -117,9 +118,19 @@ def test_the_same_page_comes_from_the_folder_alone() -> None:
     run()
     written = Path("out/report.html").read_bytes()
     Path("out/report.html").unlink()
-    _, path = write_report(Path("out"))
+    _, path = write_report(Path("out"), command_line=run_command)
     assert path == Path("out/report.html")
     assert path.read_bytes() == written
+
+
+def test_without_a_command_line_a_page_names_scenario_method_and_seed_only() -> None:
+    found = run()
+    text = text_of(Tags(page(read_results(Path("out")))))
+    assert "kraft run" not in text
+    assert "--method" not in text
+    for row in found.rows:
+        assert f"seed {row.seed}: {row.outcome}" in text
+        assert f"{row.scenario}, {row.method}" in text
 
 
 def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -134,8 +145,9 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
     assert tags.classes("rect")["missing"] == 8
 
 
-def test_failed_trials_are_told() -> None:
-    evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out", trial="support.fake_trials:raises")
+def test_failed_trials_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_trials.use(monkeypatch, fake_trials.raises, inline=True)
+    evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out")
     text = text_of(Tags(Path("out/report.html").read_text()))
     assert "1 trial failed, which is a defect in kraft" in text
     assert "seed 1: failed: ZeroDivisionError: no speed at all" in text
@@ -155,13 +167,13 @@ def test_what_did_not_succeed_is_listed_with_the_command_that_films_it() -> None
 def test_commands_name_the_files_that_were_given(tmp_path: Path) -> None:
     Path("my scene.yaml").write_text((ROOT / "scenarios/turns.yaml").read_text())
     arguments = {"scenarios": ["my scene.yaml"], "methods": ["kraft"]}
-    evaluate(["my scene.yaml"], ["kraft"], trials=1, out="out", trial="support.fake_trials:quick", arguments=arguments)
+    evaluate(["my scene.yaml"], ["kraft"], trials=1, out="out", arguments=arguments, command_line=run_command)
     assert "kraft run 'my scene.yaml' --method kraft --seed 0" in text_of(Tags(Path("out/report.html").read_text()))
 
 
 def test_a_scenario_that_changed_has_no_picture_and_the_page_says_so() -> None:
     changed = replace(load_scenario("turns"), obstacles=())
-    evaluate([changed], ["kraft"], trials=1, out="out", trial="support.fake_trials:quick")
+    evaluate([changed], ["kraft"], trials=1, out="out")
     assert "No picture" not in Path("out/report.html").read_text()
     text = write_report(Path("out"))[1].read_text()
     assert "No picture: the scenario is not there any more, or another." in text

@@ -17,15 +17,8 @@ from support.evaluation import Stopping, kept
 from support.paths import ROOT
 
 from kraft.errors import Defect, InputError, MissingDependency
-from kraft.evaluation import Evaluation, evaluate, evaluator, job, processes
+from kraft.evaluation import Evaluation, evaluate, evaluator, processes
 from kraft_cli.main import main
-
-KRAFT = """import sys
-from kraft.evaluation import job
-job.TRIAL = sys.argv.pop(1)
-from kraft_cli.main import main
-sys.exit(main(sys.argv[1:]))"""
-"""the command line with another trial"""
 
 
 @pytest.fixture(autouse=True)
@@ -37,26 +30,22 @@ def left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def run(trial: str, jobs: int = 2, trials: int = 4, **options: Any) -> Evaluation:
-    return evaluate(["turns"], ["kraft"], trials, 0, jobs, trial=f"support.fake_trials:{trial}", **options)
+def run(trial: fake_trials.Trial, jobs: int = 2, trials: int = 4, **options: Any) -> Evaluation:
+    with pytest.MonkeyPatch.context() as patch:
+        fake_trials.use(patch, trial)
+        return evaluate(["turns"], ["kraft"], trials, 0, jobs, **options)
 
 
 def outcomes(found: Evaluation) -> list[tuple[int, str]]:
     return [(row.seed, row.outcome) for row in found.rows]
 
 
-def kraft(trial: str, *arguments: str) -> subprocess.Popen[str]:
+def kraft(trial: fake_trials.Trial, *arguments: str) -> subprocess.Popen[str]:
     """Start `kraft` in a process group of its own."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT)])}
-    command = [sys.executable, "-c", KRAFT, f"support.fake_trials:{trial}", *arguments]
+    command = [sys.executable, "-m", "support.kraft_command", trial.__name__, *arguments]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, env=environment, text=True, start_new_session=True, **pipes)  # type: ignore[call-overload, no-any-return]
-
-
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let trials run in this process, with what `kraft("slow")` runs."""
-    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
-    monkeypatch.setattr(job, "TRIAL", "support.fake_trials:slow")
 
 
 def until_lines(path: Path, count: int) -> None:
@@ -71,10 +60,8 @@ def until_lines(path: Path, count: int) -> None:
 def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder of an evaluation of two rows of six trials that nothing happened to."""
     with monkeypatch.context() as patched:
-        patched.setattr(evaluator, "Processes", fake_trials.Inline)
-        evaluate(
-            ["turns"], ["kraft", "oneshot-openloop"], 6, 0, out=tmp_path / "whole", trial="support.fake_trials:quick"
-        )
+        fake_trials.use(patched, fake_trials.quick, inline=True)
+        evaluate(["turns"], ["kraft", "oneshot-openloop"], 6, 0, out=tmp_path / "whole")
     return tmp_path / "whole"
 
 
@@ -82,8 +69,8 @@ COMMAND = ("eval", "turns", "--methods", "kraft,oneshot-openloop", "--trials", "
 
 
 def test_one_and_two_workers_give_the_same_whatever_ends_first(tmp_path: Path) -> None:
-    one = run("uneven", 1, out=tmp_path / "one")
-    two = run("uneven", 2, out=tmp_path / "two")
+    one = run(fake_trials.quick, 1, out=tmp_path / "one")
+    two = run(fake_trials.uneven, 2, out=tmp_path / "two")
     assert outcomes(one) == outcomes(two)
     assert kept(tmp_path / "one") == kept(tmp_path / "two")
     order = [json.loads(line)["seed"] for line in (tmp_path / "two/trials.jsonl").read_text().splitlines()]
@@ -92,7 +79,7 @@ def test_one_and_two_workers_give_the_same_whatever_ends_first(tmp_path: Path) -
 
 def test_a_worker_that_dies_is_replaced_and_its_trial_repeated(left: Path) -> None:
     watch = Stopping()
-    assert outcomes(run("dies_once", watch=watch)) == outcomes(run("quick", 1))
+    assert outcomes(run(fake_trials.dies_once, watch=watch)) == outcomes(run(fake_trials.quick, 1))
     assert len(list(left.glob("*-1-died-*"))) == 2
     assert watch.said == [
         "the worker of turns, kraft, seed 1 died (killed by SIGKILL); the trial is repeated on a fresh one"
@@ -100,7 +87,7 @@ def test_a_worker_that_dies_is_replaced_and_its_trial_repeated(left: Path) -> No
 
 
 def test_a_trial_that_kills_its_worker_twice_has_failed_and_the_others_go_on(left: Path) -> None:
-    found = run("dies", trials=6)
+    found = run(fake_trials.dies, trials=6)
     failed = [row for row in found.rows if row.outcome == "failed"]
     assert [(row.seed, row.error) for row in failed] == [(1, "its worker process died 2 times (exit code 7)")]
     assert len(found.rows) == 6
@@ -108,42 +95,49 @@ def test_a_trial_that_kills_its_worker_twice_has_failed_and_the_others_go_on(lef
 
 
 def test_a_defect_in_a_trial_fails_that_trial_only() -> None:
-    found = run("raises", 1)
+    found = run(fake_trials.raises, 1)
     assert [row.seed for row in found.rows if row.outcome == "failed"] == [1]
     assert (found.rows[1].error or "").startswith("ZeroDivisionError: no speed at all (")
 
 
 def test_workers_have_one_numeric_thread_each_and_this_process_keeps_its_environment() -> None:
     before = dict(os.environ)
-    assert run("threads", 1, 1).summary.failed == 0
+    assert run(fake_trials.threads, 1, 1).summary.failed == 0
     assert dict(os.environ) == before
 
 
 @pytest.mark.parametrize(
     ("trial", "error", "told"),
-    [("refuses", InputError, "the car: does not fit"), ("missing", MissingDependency, "no simulator")],
+    [
+        (fake_trials.refuses, InputError, "the car: does not fit"),
+        (fake_trials.missing, MissingDependency, "no simulator"),
+    ],
 )
-def test_what_concerns_every_trial_ends_the_evaluation(trial: str, error: type[Exception], told: str) -> None:
+def test_what_concerns_every_trial_ends_the_evaluation(
+    trial: fake_trials.Trial, error: type[Exception], told: str
+) -> None:
     with pytest.raises(error, match=told):
         run(trial, 1)
 
 
-def test_a_trial_function_that_does_not_load_is_a_missing_dependency() -> None:
-    with pytest.raises(MissingDependency, match="no_such_module does not load"):
-        evaluate(["turns"], ["kraft"], 1, jobs=1, trial="no_such_module:trial")
+def test_a_simulator_that_does_not_load_is_a_missing_dependency(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
+    monkeypatch.setitem(sys.modules, "kraft.trial.trial", None)
+    with pytest.raises(MissingDependency):
+        evaluate(["turns"], ["kraft"], 1)
 
 
 def test_workers_that_do_not_start_are_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "serve", fake_trials.ends)
     with pytest.raises(Defect, match=r"worker processes do not start \(exit code 9\)"):
-        run("quick", 1)
+        evaluate(["turns"], ["kraft"], 1, 0, 1)
 
 
 def test_after_kill_9_of_everything_it_goes_on_to_the_same_result(
     tmp_path: Path, left: Path, whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    process = kraft("slow", *COMMAND, "--jobs", "2", "--out", str(out))
+    process = kraft(fake_trials.slow, *COMMAND, "--jobs", "2", "--out", str(out))
     until_lines(out / "trials.jsonl", 4)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
@@ -151,7 +145,7 @@ def test_after_kill_9_of_everything_it_goes_on_to_the_same_result(
         file.write(b'{"scenario":"turns","meth')
     there = (out / "trials.jsonl").read_bytes().count(b"\n")
     begun = len(list(left.iterdir()))
-    inline(monkeypatch)
+    fake_trials.use(monkeypatch, fake_trials.slow, inline=True)
     assert main([*COMMAND, "--out", str(out), "--resume"]) == 0
     err = capsys.readouterr().err
     assert "trials.jsonl: the last line is torn; its trial is repeated" in err
@@ -161,7 +155,7 @@ def test_after_kill_9_of_everything_it_goes_on_to_the_same_result(
 
 
 def test_workers_end_when_the_process_that_gave_the_jobs_is_killed(tmp_path: Path, left: Path) -> None:
-    process = kraft("slow", *COMMAND, "--trials", "60", "--jobs", "2", "--out", str(tmp_path / "out"))
+    process = kraft(fake_trials.slow, *COMMAND, "--trials", "60", "--jobs", "2", "--out", str(tmp_path / "out"))
     until_lines(tmp_path / "out/trials.jsonl", 1)
     process.kill()
     process.communicate()  # until nobody holds its streams any more
@@ -174,7 +168,7 @@ def test_an_interrupt_finishes_what_runs_and_tells_how_to_go_on(
     tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    process = kraft("slow", *COMMAND, "--jobs", "2", "--out", str(out), "--json")
+    process = kraft(fake_trials.slow, *COMMAND, "--jobs", "2", "--out", str(out), "--json")
     until_lines(out / "trials.jsonl", 2)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to everybody in the group
     stdout, err = process.communicate(timeout=60)
@@ -197,14 +191,14 @@ def test_an_interrupt_finishes_what_runs_and_tells_how_to_go_on(
         str(out),
         "--resume",
     ]
-    inline(monkeypatch)
+    fake_trials.use(monkeypatch, fake_trials.slow, inline=True)
     assert main(command[1:]) == 0
     assert kept(out) == kept(whole)
 
 
 def test_a_second_interrupt_stops_at_once(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    process = kraft("endless", *COMMAND, "--jobs", "2", "--out", str(out))
+    process = kraft(fake_trials.endless, *COMMAND, "--jobs", "2", "--out", str(out))
     until_lines(out / "trials.jsonl", 1)
     for _ in range(2):
         process.send_signal(signal.SIGINT)
@@ -218,7 +212,7 @@ def test_a_second_interrupt_stops_at_once(tmp_path: Path) -> None:
 def test_what_trials_print_does_not_reach_stdout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(job, "TRIAL", "support.fake_trials:prints")
+    fake_trials.use(monkeypatch, fake_trials.prints)
     assert main([*COMMAND, "--jobs", "1", "--json", "--out", str(tmp_path / "out")]) == 0
     out, err = capfd.readouterr()
     assert json.loads(out)["schema"] == "kraft.eval/1"

@@ -17,7 +17,7 @@ from kraft.logs.log import Log
 from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
 from kraft.logs.reader import read_logs
 from kraft.vehicles.load import load_vehicle
-from kraft_cli.work.run_folder import _step_heading
+from kraft_cli.work.run_folder import step_heading
 
 MADE = drive()
 WIDE = wide_columns(np.arange(0.025, 5.9, 0.025), MADE)
@@ -103,7 +103,7 @@ def test_a_pair_may_be_given_as_two_files(tmp_path: Path) -> None:
 
 
 def test_a_run_folder_gives_what_was_seen_and_not_what_is_true(tmp_path: Path) -> None:
-    heading = _step_heading(load_vehicle("mushr"))
+    heading = step_heading(load_vehicle("mushr"))
     assert {"time", "x", "command_throttle", "command_steering"} <= set(heading)
     columns = dict.fromkeys(heading, np.full(len(MADE.command_times), 77.0))
     columns |= {

@@ -63,7 +63,7 @@ def test_every_ending_is_told(outcome: Outcome, driven: TrialResult) -> None:
         found = texts(_compose(DrivenTrajectory.of(result), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()))
     assert ("collision with left wall" in found) == crashed
     assert ("collision with\nleft wall" in found) == crashed
-    assert ("time limit" in found) == (outcome is Outcome.TIMEOUT)
+    assert ("timeout" in found) == (outcome is Outcome.TIMEOUT)
 
 
 def test_what_the_planner_did_not_know_is_said() -> None:

@@ -1,4 +1,4 @@
-"""Trials that need no simulator: what they return is decided by scenario, method and seed alone."""
+"""Trials that need no simulator, decided by scenario, method and seed alone, and how workers run them."""
 
 from __future__ import annotations
 
@@ -6,20 +6,47 @@ import math
 import os
 import random
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+import pytest
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.errors import InputError, MissingDependency
+from kraft.evaluation import cluster, evaluator, job, processes
 from kraft.evaluation.job import Job, Say, Stop, perform
 from kraft.evaluation.row import TrialRow
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 
 LEFT = "KRAFT_TEST_FOLDER"
 """environment variable: folder in which trials leave what the next ones find"""
+
+Trial: TypeAlias = Callable[[TrialSpec], TrialResult]
+
+
+def use(patch: pytest.MonkeyPatch, trial: Trial, *, inline: bool = False) -> None:
+    """Run `trial` instead of the simulator: in worker processes, on a Dask cluster, or all `inline` in this process."""
+    patch.setattr(job, "run_trial", trial)
+    patch.setattr(processes, "serve", partial(serve, trial))
+    patch.setattr(cluster, "perform_checked", partial(perform_checked, trial))
+    if inline:
+        patch.setattr(evaluator, "Processes", Inline)
+
+
+def serve(trial: Trial, pipe: Connection) -> None:
+    """Entry of a worker process; what is patched in the process that starts it is not patched here."""
+    job.run_trial = trial
+    processes.serve(pipe)
+
+
+def perform_checked(trial: Trial, task: Job, versions_there: Mapping[str, str]) -> TrialRow:
+    """Run one trial on a Dask worker."""
+    job.run_trial = trial
+    return cluster.perform_checked(task, versions_there)
 
 
 def quick(spec: TrialSpec) -> TrialResult:
@@ -46,8 +73,13 @@ def slow(spec: TrialSpec) -> TrialResult:
 
 
 def uneven(spec: TrialSpec) -> TrialResult:
-    """The same, sooner for later seeds."""
-    time.sleep(0.1 * (3 - spec.seed % 4))
+    """The same; seed 0 ends after seed 1, which another worker has to run."""
+    if spec.seed == 1:
+        leave(spec, "ended")
+    limit = time.monotonic() + 60
+    while spec.seed == 0 and not list(Path(os.environ[LEFT]).glob("*-1-ended-*")):
+        assert time.monotonic() < limit
+        time.sleep(0.02)
     return quick(spec)
 
 
@@ -143,12 +175,7 @@ class Inline:
     def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
         order = list(jobs)
         self._shuffle(order)
-        for job in order:
+        for task in order:
             if stop():
                 return
-            yield perform(job)
-
-
-def name_of(function: Callable[[TrialSpec], TrialResult]) -> str:
-    """How `evaluate` is told of one of these."""
-    return f"{__name__}:{function.__name__}"
+            yield perform(task)

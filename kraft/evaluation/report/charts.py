@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 from xml.etree.ElementTree import Element
 
@@ -11,6 +11,7 @@ from kraft.evaluation.report.elements import element, svg
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import Result
+from kraft.trial.result import outcome_text
 
 WIDTH: Final = 190.0
 PAPER, BAR = 9.0, 14.0  # heights of the line above the bar and of the bar
@@ -47,8 +48,8 @@ def endings(result: Result) -> list[tuple[str, int]]:
     return [(name, count) for name, count in counts.items() if count]
 
 
-def trials(rows: Sequence[TrialRow], seeds: range, repeat: str) -> Element:
-    """A cell for each seed; those that were not run yet are empty.  `repeat` is the command without the seed."""
+def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | None]) -> Element:
+    """A cell for each seed; those that were not run yet are empty.  `commands` repeat the trials, by seed."""
     found = {row.seed: row for row in rows}
     step = WIDTH / min(max(len(seeds), 1), CELLS)
     side = min(step, 10.0)
@@ -56,7 +57,8 @@ def trials(rows: Sequence[TrialRow], seeds: range, repeat: str) -> Element:
     for place, seed in enumerate(seeds):
         x, y = (place % CELLS) * step, (place // CELLS) * side
         row = found.get(seed)
-        title = element("title", f"{told(row)}\n{repeat} --seed {seed}" if row else f"seed {seed}: not run yet")
+        text = f"{told(row)}\n{commands[seed] or f'{row.scenario}, {row.method}'}" if row else None
+        title = element("title", text or f"seed {seed}: not run yet")
         look = row.outcome if row else "missing"
         cells.append(element("rect", title, class_=look, x=x, y=y, width=step - 1.0, height=side - 1.0))
     return svg(WIDTH, side * -(-len(seeds) // CELLS), *cells, class_="trials")
@@ -64,9 +66,7 @@ def trials(rows: Sequence[TrialRow], seeds: range, repeat: str) -> Element:
 
 def told(row: TrialRow) -> str:
     """A trial in words."""
-    text = f"seed {row.seed}: {row.outcome}"
-    text += f" with {row.obstacle}" if row.obstacle else ""
-    text += f" after {row.t_s:.1f} s" if row.t_s is not None else ""
+    text = f"seed {row.seed}: {outcome_text(row.outcome, row.obstacle, row.t_s, digits=1)}"
     return text + (f": {row.error}" if row.error else "")
 
 

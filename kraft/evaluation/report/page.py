@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator
 from importlib.resources import files
@@ -15,9 +14,10 @@ from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import Result
-from kraft.text import counted
+from kraft.text import counted, decimals
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
+NO_VALUE: Final = "–"
 
 
 def page(results: Results) -> str:
@@ -73,7 +73,7 @@ def _overview(results: Results) -> Element | None:
 
 def _rate(result: Result | None) -> Element:
     if result is None or not result.trials:
-        return element("td", "–")
+        return element("td", NO_VALUE)
     rate = result.success / result.trials
     paper = element("small", f"paper {result.paper.success} of {result.paper.trials}") if result.paper else None
     shade = f"background: rgb(0 158 115 / {0.55 * rate:.2f})"
@@ -134,7 +134,7 @@ def _times(count: int) -> str:
 
 def _row(results: Results, result: Result, longest: float) -> Element:
     rows = results.of_cell(result.scenario, result.method)
-    command = repeat(results, result.scenario, result.method)
+    commands = {row.seed: results.command(row) for row in rows}
     paper = result.paper
     beside = f"paper {paper.success} / {paper.collision} / {paper.timeout}" if paper else None
     beside_time = f"paper {paper.t_ex:.1f}" if paper and paper.t_ex is not None else None
@@ -144,40 +144,36 @@ def _row(results: Results, result: Result, longest: float) -> Element:
     return element(
         "tr",
         element("th", result.title, scope="row"),
-        element("td", charts.outcomes(result), charts.trials(rows, results.manifest.seeds, command), class_="drawing"),
+        element("td", charts.outcomes(result), charts.trials(rows, results.manifest.seeds, commands), class_="drawing"),
         element("td", counts, element("small", f"{low:.0%} to {high:.0%}"), _small(beside)),
         element("td", charts.times(result, rows, longest), class_="drawing"),
-        element("td", _number(result.t_ex, 2), _small(beside_time), class_="number"),
-        element("td", f"{result.against.p:.2g}" if result.against else "–", class_="number"),
+        element("td", decimals(result.t_ex, 2, NO_VALUE), _small(beside_time), class_="number"),
+        element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number"),
         element("td", str(result.contingencies), _small(f"of {counted(result.cycles, 'cycle')}"), class_="number"),
-        element("td", _number(result.min_clearance, 3), element("small", "least"), class_="number"),
-        element("td", _number(result.planning_p50, 1), _slowest(results, result), class_="number"),
+        element("td", decimals(result.min_clearance, 3, NO_VALUE), element("small", "least"), class_="number"),
+        element("td", decimals(result.planning_p50, 1, NO_VALUE), _slowest(results, result), class_="number"),
     )
 
 
 def _slowest(results: Results, result: Result) -> Element:
     missed = f", {result.missed} missed" if results.summary.realtime else ""
-    return element("small", f"99 %: {_number(result.planning_p99, 1)}{missed}")
+    return element("small", f"99 %: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
 
 
 def _small(text: str | None) -> Element | None:
     return element("small", text) if text else None
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
 def _unsuccessful(results: Results, name: str) -> Element | None:
-    """Every trial that did not succeed, with the command that films it."""
+    """Every trial that did not succeed, with the command that films it where there is one."""
     found = [row for row in results.of_cell(name) if row.outcome != "success"]
     if not found:
         return None
     counts = Counter(row.method for row in found)
     found.sort(key=lambda row: counts[row.method])  # the failures of methods that seldom fail are worth most
     rows = [_listed(results, row) for row in found[:LISTED]]
-    columns = ("method", "seed", "ended", "drive it again, and film it")
-    heading = element("tr", *(element("th", text) for text in columns))
+    columns = ("method", "seed", "ended", "drive it again, and film it" if results.command_line else None)
+    heading = element("tr", *(element("th", text) for text in columns if text))
     more = len(found) - LISTED
     rest = element("p", f"and {more} more, in trials.jsonl") if more > 0 else None
     title = element("summary", f"The {len(found) if len(found) > 1 else 'one'} that did not succeed")
@@ -185,24 +181,15 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
 
 
 def _listed(results: Results, row: TrialRow) -> Element:
-    film = f"{row.scenario}-{row.method}-{row.seed}.mp4"
-    command = f"{repeat(results, row.scenario, row.method)} --seed {row.seed} --video {shlex.quote(film)}"
+    command = results.command(row, video=f"{row.scenario}-{row.method}-{row.seed}.mp4")
     ended = charts.told(row).split(": ", 1)[1]
     return element(
         "tr",
         element("td", results.methods[row.method]),
         element("td", str(row.seed), class_="number"),
         element("td", element("i", class_=f"swatch {row.outcome}"), f" {ended}"),
-        element("td", element("code", command)),
+        element("td", element("code", command)) if command else None,
     )
-
-
-def repeat(results: Results, scenario: str, method: str) -> str:
-    """The command that drives a trial again, without its seed."""
-    words = ["kraft", "run", results.reference("scenarios", scenario)]
-    words += ["--method", results.reference("methods", method)]
-    vehicle = results.manifest.arguments.get("vehicle")
-    return shlex.join([*words, *(["--vehicle", str(vehicle)] if vehicle else [])])
 
 
 def _foot() -> Element:

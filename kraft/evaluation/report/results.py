@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -64,25 +64,40 @@ class Manifest(_Part):
         return [(cell.scenario, cell.method, cell.title or cell.method) for cell in self.rows]
 
 
+class CommandLine(Protocol):
+    """Makes the command that repeats a trial."""
+
+    def __call__(self, scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
+        """The command; `scenario`, `method` and `vehicle` are names or paths, `video` is a file for its film."""
+        ...
+
+
 @dataclass(frozen=True)
 class Results:
     """An evaluation that was run, or a part of it.
 
     `known` are the scenarios as they were driven; one that changed since then, or is gone, is not among them.
+    With `command_line` the page has commands that repeat the trials.
     """
 
     manifest: Manifest
     rows: Mapping[Key, TrialRow]
     summary: Summary
     known: Mapping[str, Scenario]
+    command_line: CommandLine | None = None
 
     @classmethod
     def of(
-        cls, experiment: Experiment, content: Mapping[str, Any], rows: Mapping[Key, TrialRow], summary: Summary
+        cls,
+        experiment: Experiment,
+        content: Mapping[str, Any],
+        rows: Mapping[Key, TrialRow],
+        summary: Summary,
+        command_line: CommandLine | None = None,
     ) -> Results:
         """Of an experiment that was just run; `content` is its manifest."""
         known = {cell.scenario.name: cell.scenario for cell in experiment.cells}
-        return cls(Manifest.model_validate(content), rows, summary, known)
+        return cls(Manifest.model_validate(content), rows, summary, known, command_line)
 
     @property
     def scenarios(self) -> list[str]:
@@ -111,13 +126,17 @@ class Results:
         keys = ((scenario, name, seed) for name in methods for seed in self.manifest.seeds)
         return [self.rows[key] for key in keys if key in self.rows]
 
-    def reference(self, kind: str, name: str) -> str:
-        """The name or the path that was written for a scenario or a method (`kind` "scenarios" or "methods")."""
-        names = self.scenarios if kind == "scenarios" else list(self.methods)
-        return _references(self.manifest, kind, names).get(name, name)
+    def command(self, row: TrialRow, video: str | None = None) -> str | None:
+        """The command that repeats a trial, and films it into `video`; None without `command_line`."""
+        if self.command_line is None:
+            return None
+        scenario = _references(self.manifest, "scenarios", self.scenarios).get(row.scenario, row.scenario)
+        method = _references(self.manifest, "methods", list(self.methods)).get(row.method, row.method)
+        vehicle = self.manifest.arguments.get("vehicle")
+        return self.command_line(scenario, method, str(vehicle) if vehicle else None, row.seed, video)
 
 
-def read_results(folder: Path) -> Results:
+def read_results(folder: Path, command_line: CommandLine | None = None) -> Results:
     """Read a results folder, whether or not the evaluation came to its end.
 
     Raises:
@@ -140,7 +159,7 @@ def read_results(folder: Path) -> Results:
     expected = {(cell.scenario, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, expected).rows
     summary = tabulate(found.names, found.seeds, rows, _wall(folder), realtime=found.realtime)
-    return Results(found, rows, summary, _unchanged(found))
+    return Results(found, rows, summary, _unchanged(found), command_line)
 
 
 def _wall(folder: Path) -> float:
@@ -150,7 +169,7 @@ def _wall(folder: Path) -> float:
     except FileNotFoundError:
         return 0.0
     except (OSError, ValueError, KeyError, TypeError):
-        expected = "expected what kraft eval writes there; kraft eval --resume makes it again"
+        expected = "expected what kraft eval writes there; going on with the evaluation makes it again"
         raise InputError.of(str(folder / SUMMARY), "is damaged", expected) from None
 
 

@@ -1,0 +1,63 @@
+"""What a controller is connected to: the simulated world, its camera, and commands that take effect after a delay."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from kraft.driving.messages import Observation
+from kraft.scenario import Sensing
+from kraft.simulation.camera import MarkerCamera
+from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.world import Ticks, World, steps_of
+
+
+class Plant:
+    """A world with the clocks of its camera and of the controller.
+
+    The loop of a drive is: while it goes on, `expose` if `frame_due`, `send` if `command_due`, then `advance`.
+    """
+
+    def __init__(self, world: World, sensing: Sensing, seed: int, command_rate: float) -> None:
+        """Connect to a world.
+
+        Args:
+            world: the world, at time 0.
+            sensing: rate and errors of the camera, delay of the commands.
+            seed: of the camera's errors.
+            command_rate: commands per second.
+        """
+        self.world = world
+        self._camera = MarkerCamera(sensing, MARKER_HEIGHT, seed)
+        self._frames, self._ticks = Ticks(sensing.rate_hz, world.dt), Ticks(command_rate, world.dt)
+        self._delay = steps_of(sensing.command_delay, world.dt)
+        self._commands: deque[tuple[int, float, float]] = deque()
+
+    @property
+    def frame_due(self) -> bool:
+        """Whether the camera takes a frame now."""
+        return self.world.steps >= self._frames.due
+
+    @property
+    def command_due(self) -> bool:
+        """Whether the controller sends a command now."""
+        return self.world.steps >= self._ticks.due
+
+    def expose(self) -> Observation | None:
+        """Take the frame that is due; None if the marker is not detected in it."""
+        self._frames.number += 1
+        return self._camera.expose(self.world.time, *self.world.marker)
+
+    def send(self, throttle: float, steering: float) -> None:
+        """Send the command that is due; it takes effect after the scenario's command delay."""
+        self._ticks.number += 1
+        self._commands.append((self.world.steps + self._delay, throttle, steering))
+
+    def advance(self, until: int) -> None:
+        """Apply the commands that have arrived and step to the next event, at the latest to physics step `until`."""
+        world, commands = self.world, self._commands
+        while commands and commands[0][0] <= world.steps:
+            _, throttle, steering = commands.popleft()
+            world.apply(throttle, steering)
+        arrival = commands[0][0] if commands else until
+        due = min(until, arrival, self._ticks.due, self._frames.due)
+        world.step(max(due - world.steps, 1))
