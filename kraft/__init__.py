@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from kraft.evaluation.evaluator import evaluate as evaluate
     from kraft.logs.log import LogSet as LogSet
     from kraft.logs.reader import read_logs as read_logs
-    from kraft.planning.plan_task import PlanResult as PlanResult
-    from kraft.planning.plan_task import plan as plan
+    from kraft.planning.plan import PlanResult as PlanResult
+    from kraft.planning.plan import plan as plan
     from kraft.scenario.loader import load_scenario as load_scenario
     from kraft.scenario.model import Scenario as Scenario
     from kraft.sysid.identify import identify as identify
@@ -46,7 +46,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "evaluation.evaluator": ["Evaluation", "evaluate"],
         "logs.log": ["LogSet"],
         "logs.reader": ["read_logs"],
-        "planning.plan_task": ["PlanResult", "plan"],
+        "planning.plan": ["PlanResult", "plan"],
         "scenario.loader": ["load_scenario"],
         "scenario.model": ["Scenario"],
         "sysid.identify": ["identify"],

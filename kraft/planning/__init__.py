@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kraft.planning.plan_task import PlanResult, plan_task
+from kraft.planning.plan import PlanResult, plan_task
 from kraft.planning.search import Budget
 
 __all__ = ["Budget", "PlanResult", "plan_task"]

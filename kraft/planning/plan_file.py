@@ -25,7 +25,7 @@ from kraft.config.validation import check, describe
 from kraft.config.yaml_reader import Document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
-from kraft.planning.plan_task import PlanResult
+from kraft.planning.plan import PlanResult
 from kraft.planning.search import Previous
 from kraft.planning.workspace import settings_of
 from kraft.provenance import PLANNING, plain_hash, versions

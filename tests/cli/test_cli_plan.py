@@ -158,7 +158,7 @@ def test_a_plan_that_fails_verification_is_a_defect_and_not_written(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(
-        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(-1.0, None, (COLLISION,))
+        import_module("kraft.planning.plan"), "verify", lambda *_: Verification(-1.0, None, (COLLISION,))
     )
     assert main(["plan", "room.yaml", "--out", "out"]) == 70
     out, err = capsys.readouterr()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from kraft.errors import Defect, InputError
-from kraft.planning.plan_task import PlanResult, plan_task
+from kraft.planning.plan import PlanResult, plan_task
 from kraft.planning.search import Budget, Previous
 from kraft.planning.workspace import fence, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
@@ -217,7 +217,7 @@ def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -
 
 def test_a_plan_that_fails_verification_is_a_defect(mushr: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(-1.0, None, (COLLISION,))
+        import_module("kraft.planning.plan"), "verify", lambda *_: Verification(-1.0, None, (COLLISION,))
     )
     with pytest.raises(Defect, match=r"the plan of seed 3 fails verification: plan: collides at t = 1\.000 s"):
         plan_task(room(), mushr, FEW, seed=3)
@@ -231,9 +231,7 @@ def test_a_plan_of_ompls_own_planners_has_to_be_free_of_collisions_and_no_more(
     requirement: Requirement, accepted: bool, mushr: Vehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = Violation(requirement, "plan: has a problem")
-    monkeypatch.setattr(
-        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(0.1, None, (problem,))
-    )
+    monkeypatch.setattr(import_module("kraft.planning.plan"), "verify", lambda *_: Verification(0.1, None, (problem,)))
     task = parse_scenario(SCENE + "planning: {planner: rrt}\n").task()
     result = plan_task(task, mushr, Budget(iterations=20_000), seed=1)
     assert (result.plan is not None) is accepted

@@ -13,7 +13,7 @@ IMPORTS = [
     "kraft.evaluation:evaluate",
     "kraft.evaluation:markdown",
     "kraft.logs.reader:read_logs",
-    "kraft.planning.plan_task:plan_task",
+    "kraft.planning:plan_task",
     "kraft.recording.recorder:Recorder",
     "kraft.scenario:load_scenario",
     "kraft.scenario:parse_scenario",

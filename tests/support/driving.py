@@ -13,7 +13,7 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import Controller
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.stopping import plan_reference
-from kraft.planning.plan_task import plan_task
+from kraft.planning.plan import plan_task
 from kraft.planning.search import Budget
 from kraft.scenario import load_scenario
 from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
