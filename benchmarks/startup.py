@@ -14,8 +14,8 @@ from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.scenes import SCENES
 from kraft.planning.compilation import ensure_compiled
-from kraft.planning.plan_file import NAME, Origin, plan_text
 from kraft.planning.plan import plan_task
+from kraft.planning.plan_file import NAME, Origin, plan_text
 from kraft.planning.search import Budget
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario

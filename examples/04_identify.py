@@ -13,7 +13,7 @@ from kraft.vehicles.config import load_vehicle_config
 config = load_vehicle_config("mushr-lag")
 logs = kraft.read_logs(sys.argv[1]).logs
 used, unseen = logs[::2], logs[1::2]
-found = kraft.identify(config, used)
+found = kraft.identify("mushr-lag", used)
 
 for name, p in found.parameters.items():
     print(f"{name:10} {p.value:8.4f} {p.unit:4} 95 % interval {p.ci95[0]:.4f} to {p.ci95[1]:.4f}")

@@ -26,7 +26,7 @@ class BaseVehicle:
 
     Attributes:
         reference: as it was asked for.
-        given: the vehicle file, or the code, with bounds and priors if it has any.
+        definition: the vehicle file, or the code, with bounds and priors if it has any.
         vehicle: the same as the planner has it.
         model: reference to the code; a file's path is absolute.
     """

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kraft.logs.log import LogSet
+from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import Solution, at_bound, unidentified, warnings_of
 from kraft.sysid.data import screen_logs, usable_logs
@@ -43,15 +45,16 @@ TURN_STEERING_SHARE = 0.1
 
 
 def identify(
-    vehicle: VehicleConfig | Vehicle,
-    logs: Sequence[Log],
+    vehicle: VehicleConfig | Vehicle | str,
+    logs: LogSet | Sequence[Log],
     settings: Settings | None = None,
     on_iteration: OnIteration = ignore_iteration,
 ) -> Identification:
     """Estimate the parameters of a vehicle from logs.
 
     Args:
-        vehicle: a vehicle file, whose parameters have bounds and priors, or a vehicle from code, which gets wide ones.
+        vehicle: a vehicle file, whose parameters have bounds and priors, or a vehicle from code, which gets wide ones;
+            or a reference to either.
         logs: of `kraft.logs.reader.read_logs`; the sandwich interval treats them as independent of each other.
         settings: by default what suits most logs.
         on_iteration: called after each iteration with the number of iterations, those of model selection included,
@@ -62,6 +65,8 @@ def identify(
             a parameter that does not exist, or they leave none to identify.
     """
     settings = settings or Settings()
+    vehicle = load_base_vehicle(vehicle).definition if isinstance(vehicle, str) else vehicle
+    logs = logs.logs if isinstance(logs, LogSet) else logs
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
     check_free_parameters(vehicle, settings)

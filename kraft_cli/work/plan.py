@@ -12,8 +12,8 @@ from typing import Any
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
-from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
 from kraft.planning.plan import PlanResult, budget_of, plan_task
+from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
 from kraft.planning.search import Previous, search_named
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario

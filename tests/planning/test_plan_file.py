@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from support.diagnostics import located, raised
 
 from kraft.errors import InputError
-from kraft.planning.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
 from kraft.planning.plan import PlanResult, plan_task
+from kraft.planning.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
 from kraft.planning.search import Budget, Previous
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle

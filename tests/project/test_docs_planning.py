@@ -10,8 +10,8 @@ import pytest
 from support.paths import ROOT
 
 from kraft.config import bundled
-from kraft.planning.plan_file import Origin, plan_text
 from kraft.planning.plan import plan_task
+from kraft.planning.plan_file import Origin, plan_text
 from kraft.planning.search import Budget
 from kraft.scenario import load_scenario
 from kraft.vehicles.config import load_vehicle_config
