@@ -123,7 +123,11 @@ class CallbackSearch:
         """A copy of the tree."""
         read, size = state_reader(self._si.getStateSpace()), self.count(at.SIZE)
         states = np.array([read(self.state_of(node)) for node in range(size)])
-        return tree_view(self._tree, states)
+        return tree_view(self._tree, states.reshape(size, len(read(self._scratch))))
+
+    def clear(self) -> None:
+        """Empty the tree."""
+        reset(self._tree, self._tree.random)
 
     def add_root(self, state: ob.State) -> None:
         """A state to begin at."""

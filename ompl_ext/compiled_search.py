@@ -48,10 +48,15 @@ class CompiledSearch:
         capacity = int(params["max_nodes"])
         self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
 
-    def restart(self, seed: int) -> None:
+    def clear(self) -> None:
         """Empty the tree; maps and memory stay."""
-        self._seed, self._roots = seed, 0
+        self._roots = 0
         self.dirt.clear()
+
+    def restart(self, seed: int) -> None:
+        """Empty the tree, and draw from another seed."""
+        self._seed = seed
+        self.clear()
 
     def add_root(self, state: ob.State) -> None:
         """A state to begin at."""

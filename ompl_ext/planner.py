@@ -128,9 +128,11 @@ class DIRT(ob.Planner):
         return self._report(definition, goal)
 
     def clear(self) -> None:
-        """Forget the tree; the next query draws from the next seed."""
+        """Empty the tree; the next query draws from the next seed."""
         ob.Planner.clear(self)
-        self._cleared = self._search is not None
+        if self._search is not None:
+            self._search.clear()
+            self._cleared = True
 
     def setup(self) -> None:
         """Take up the space information's settings; with a goal, also make the maps that the search reads."""

@@ -61,6 +61,22 @@ def test_clear_forgets_the_tree_and_takes_the_next_seed() -> None:
     assert not np.array_equal(planner.tree().controls[1:50], first)
 
 
+@pytest.mark.parametrize("callbacks", [False, True])
+@pytest.mark.parametrize("cleared", ["setup", "planner"])
+def test_after_clear_the_tree_is_empty_until_the_next_solve(cleared: str, callbacks: bool) -> None:
+    setup = arena()
+    planner = planned(setup, 0.5 if callbacks else 0.02, use_callbacks=callbacks)
+    (setup if cleared == "setup" else planner).clear()
+    data = ob.PlannerData(setup.getSpaceInformation())
+    setup.getPlannerData(data)
+    assert (data.numVertices(), data.numEdges()) == (0, 0)
+    assert planner.tree().states.shape == (0, 4)
+    assert (planner.edges, planner.iterations) == (0, 0)
+    setup.solve(0.2)
+    setup.getPlannerData(data)
+    assert data.numVertices() == len(planner.tree().parents) > 0
+
+
 def test_equal_seeds_give_equal_trees_whenever_the_clock_is_looked_at() -> None:
     trees = []
     for _ in range(2):
