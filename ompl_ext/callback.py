@@ -153,7 +153,7 @@ class CallbackSearch:
         while not stopped:
             self._run(self._no_edges, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
-                prune(self._tree, self._settings.resolution)
+                prune(self._tree)
                 self._inserted = int(self._tree.count[at.SIZE])
                 if self._tree.count[at.SIZE] > 0.9 * len(self._tree.state):
                     return

@@ -162,7 +162,7 @@ class DirtSolver:
             elapsed = time.perf_counter() - began
             self._update_progress(base + elapsed)
             if self._tree.count[at.FULL] or self._prunes_now():
-                prune(self._tree, self.settings.resolution)
+                prune(self._tree)
                 if len(self._tree.state) - self._tree.count[at.SIZE] < len(self._tree.state) // 10:
                     break  # what is left is needed: this is as good as it gets in this memory
             if self._progress.history:

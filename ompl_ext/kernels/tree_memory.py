@@ -21,6 +21,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     LEVEL_ROWS,
     NEXT,
     PARENT,
+    PRUNED,
     Q_DIM,
     RADIUS,
     SIZE,
@@ -94,10 +95,10 @@ def reset_indices(tree: Tree) -> None:
 
 
 @compiled
-def relist(tree: Tree, closed: float) -> None:
-    """List every node anew, after nodes have moved in memory; regions keep their radii."""
+def relist(tree: Tree) -> None:
+    """List every open node anew, after nodes have moved in memory; regions keep their radii."""
     for node in range(tree.count[SIZE]):
-        if tree.value[node, RADIUS] >= closed:
+        if tree.value[node, RADIUS] > 0.0:
             list_node(tree, node)
 
 
@@ -117,14 +118,14 @@ def add_root(tree: Tree, work: Lanes) -> None:
     list_node(tree, node)
 
 
-def prune(tree: Tree, closed: float) -> int:
+def prune(tree: Tree) -> int:
     """Forget the nodes that can neither be selected again nor lead to a better plan, and return how many.
 
     These are the closed ones and those with f at or above the best cost, unless they lead to a node that is kept.
     """
     size = int(tree.count[SIZE])
     f, radius, parent = tree.value[:size, F], tree.value[:size, RADIUS], tree.link[:size, PARENT]
-    keep = (f < tree.best[0]) & (radius >= closed)
+    keep = (f < tree.best[0]) & (radius > 0.0)
     keep[parent < 0] = True
     for named in (BEST, CLOSEST, NEXT):
         if tree.count[named] >= 0:
@@ -140,9 +141,10 @@ def prune(tree: Tree, closed: float) -> int:
         if tree.count[named] >= 0:
             tree.count[named] = new_index[tree.count[named]]
     tree.count[SIZE] = kept
+    tree.count[PRUNED] += size - kept
     tree.count[FULL] = 0
     reset_indices(tree)
-    relist(tree, closed)
+    relist(tree)
     return size - kept
 
 
