@@ -22,11 +22,12 @@ from ompl_ext.kernels import callback_kernel
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
 from ompl_ext.kernels.rng import generator
-from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset
+from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset, set_costs_to_go
 from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
 
 PRUNE_EVERY = 1024  # iterations
+TOP_SPEED_MARGIN = 1.01  # of the learned top speed over the fastest edge, so that it is seldom exceeded
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class CallbackSearch:
         self._goal_distance = getattr(goal, "distanceGoal", lambda state: 0.0)  # of one that only says yes or no
         self._threshold = 0.0
         self._step = si.getPropagationStepSize()
-        self._rate, self._learns_rate = settings.top_speed, settings.top_speed == 0.0
+        self._top_speed, self._learns_top_speed = settings.top_speed, settings.top_speed == 0.0
         self._problem = self._make_problem(bounds)
         max_steps = int(self._problem.option[at.STEPS])
         self._tree = new_tree(settings.capacity, 1, self._control.dimension, bounds)
@@ -135,6 +136,7 @@ class CallbackSearch:
         self._si.copyState(self._states[slot], state)
         self._work.source[0] = slot
         self._read_threshold()
+        self._measure(slot)
         self._describe(0, slot)
         add_root(self._tree, self._work)
 
@@ -153,7 +155,7 @@ class CallbackSearch:
         while not stopped:
             self._run(self._no_edges, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
-                prune(self._tree)
+                prune(self._tree, at.COST if self._learns_top_speed else at.F)
                 self._inserted = int(self._tree.count[at.SIZE])
                 if self._tree.count[at.SIZE] > 0.9 * len(self._tree.state):
                     return
@@ -221,11 +223,15 @@ class CallbackSearch:
             self._control.write(work.control[lane::LANE_WIDTH].tolist(), controls[lane])
         propagate = self._si.propagateWhileValid
         done = [propagate(start, controls[lane], steps[lane], states[slots[lane]]) for lane in range(lanes)]
-        for lane in range(lanes):
-            if done[lane] == steps[lane]:
-                self._describe(lane, slots[lane], self._distance[start_slot])
-                work.trajectory[self._last + lane] = slots[lane]
-                work.slack[lane] = 0.0
+        valid = [lane for lane in range(lanes) if done[lane] == steps[lane]]
+        for lane in valid:
+            self._measure(slots[lane])
+        if self._learns_top_speed:
+            self._learn_top_speed(start_slot, valid)
+        for lane in valid:
+            self._describe(lane, slots[lane])
+            work.trajectory[self._last + lane] = slots[lane]
+            work.slack[lane] = 0.0
 
     def _safe(self, lane: int, start_time: float) -> int:
         """SAFETY where an edge leaves the cycle: propagate up to there once more and ask the checker."""
@@ -234,14 +240,32 @@ class CallbackSearch:
         self._si.propagate(self._start, self._lane_control[lane], steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1
 
-    def _describe(self, lane: int, slot: int, start_distance: float = -math.inf) -> None:
-        """Configuration, cost-to-go and goal of a state, as the end of a lane that began so far from the goal."""
-        state, work = self._states[slot], self._view
-        distance = self._distance[slot] = self._goal_distance(state) - self._threshold
-        if self._learns_rate and start_distance > distance:
-            self._rate = max(self._rate, (start_distance - distance) / work.duration[lane])
+    def _measure(self, slot: int) -> None:
+        """Distance of a state from the goal region."""
+        self._distance[slot] = self._goal_distance(self._states[slot]) - self._threshold
+
+    def _learn_top_speed(self, start_slot: int, lanes: list[int]) -> None:
+        """Raise the top speed to the fastest of some edges, and lower every cost-to-go of the tree with it.
+
+        A cost-to-go by an earlier, lower speed is no lower bound: nodes that can still improve the plan would be
+        passed over.
+        """
+        work, distance, start = self._view, self._distance, self._distance[start_slot]
+        speeds = [(start - distance[self._lane_slot[lane]]) / work.duration[lane] for lane in lanes]
+        fastest = max(speeds, default=0.0)
+        if fastest <= self._top_speed:
+            return
+        self._top_speed = TOP_SPEED_MARGIN * fastest
+        slots = self._tree.state[: self.count(at.SIZE), 0].astype(np.int64).tolist()
+        togo = np.maximum(np.array([distance[slot] for slot in slots]), 0.0) / self._top_speed
+        cycle = self._settings.cycle if self._safety is not None else 0.0
+        set_costs_to_go(self._tree, togo, self._settings.resolution, cycle)
+
+    def _describe(self, lane: int, slot: int) -> None:
+        """Configuration, cost-to-go and goal of a measured state, as the end of a lane."""
+        state, work, distance = self._states[slot], self._view, self._distance[slot]
         work.end[lane], work.end[LANE_WIDTH + lane] = self._configuration(state)
-        work.togo[lane] = distance / self._rate if distance > 0.0 and self._rate > 0.0 else 0.0
+        work.togo[lane] = distance / self._top_speed if distance > 0.0 and self._top_speed > 0.0 else 0.0
         work.at_goal[lane] = distance < 0.0 if self._is_region else self._goal.isSatisfied(state)
 
     def _read_threshold(self) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Ints, Words
+from ompl_ext.arrays import Bools, Floats, Ints, Words
 from ompl_ext.jit import compiled
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
@@ -31,7 +31,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Lanes,
     Tree,
 )
-from ompl_ext.kernels.tree import BLOCK, list_node
+from ompl_ext.kernels.tree import BLOCK, add_to_indices, closed_radius, distance_squared, list_node
 
 REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)
@@ -102,6 +102,35 @@ def relist(tree: Tree) -> None:
             list_node(tree, node)
 
 
+@compiled
+def _reindex(tree: Tree, closed: float) -> None:
+    """Give every node its region anew, as if the nodes were inserted once more; roots stand first."""
+    for node in range(tree.count[SIZE]):
+        if tree.link[node, PARENT] < 0:
+            tree.value[node, RADIUS] = math.inf
+            list_node(tree, node)
+        else:
+            limit = math.sqrt(distance_squared(tree, tree.link[node, PARENT], tree.value[node]))
+            add_to_indices(tree, node, limit, closed)
+
+
+def set_costs_to_go(tree: Tree, togo: Floats, resolution: float, cycle: float) -> None:
+    """Give every node another cost-to-go, `togo` (nodes,) in s; f, regions, indices and the closest node follow.
+
+    A plan without a solution ends no earlier than `cycle` s after the start.
+    """
+    size = int(tree.count[SIZE])
+    cost, parent = tree.value[:size, COST], tree.link[:size, PARENT]
+    tree.value[:size, TOGO] = togo
+    tree.value[:size, F] = cost + togo
+    candidates = np.flatnonzero((parent >= 0) & (cost >= cycle))
+    if len(candidates) > 0:
+        tree.count[CLOSEST] = candidates[np.argmin(togo[candidates])]
+        tree.best[1] = togo[tree.count[CLOSEST]]
+    reset_indices(tree)
+    _reindex(tree, closed_radius(resolution, max(1, size + int(tree.count[PRUNED]))))
+
+
 def add_root(tree: Tree, work: Lanes) -> None:
     """Make the end of lane 0, which starts and ends in `work.source`, a root; its region is the whole workspace."""
     node = int(tree.count[SIZE])
@@ -118,14 +147,16 @@ def add_root(tree: Tree, work: Lanes) -> None:
     list_node(tree, node)
 
 
-def prune(tree: Tree) -> int:
-    """Forget the nodes that can neither be selected again nor lead to a better plan, and return how many.
+def prune(tree: Tree, bound: int = F) -> int:
+    """Remove the nodes that can neither be selected again nor lead to a better plan, and return how many.
 
-    These are the closed ones and those with f at or above the best cost, unless they lead to a node that is kept.
+    These are the closed ones and those whose lower bound of the cost of plans through them is at or above the best
+    cost, unless they lead to a node that is kept.  The bound is f, or another column of the values: `COST` where the
+    cost-to-go may still fall.
     """
     size = int(tree.count[SIZE])
-    f, radius, parent = tree.value[:size, F], tree.value[:size, RADIUS], tree.link[:size, PARENT]
-    keep = (f < tree.best[0]) & (radius > 0.0)
+    lowest, radius, parent = tree.value[:size, bound], tree.value[:size, RADIUS], tree.link[:size, PARENT]
+    keep = (lowest < tree.best[0]) & (radius > 0.0)
     keep[parent < 0] = True
     for named in (BEST, CLOSEST, NEXT):
         if tree.count[named] >= 0:
