@@ -20,9 +20,10 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.configuration import Bounds, Configuration, ControlLayout, goal_configuration, state_reader
 from ompl_ext.kernels import callback_kernel
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
 from ompl_ext.kernels.rng import generator
-from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset, set_costs_to_go
+from ompl_ext.kernels.tree_memory import CAPACITY, add_root, new_tree, path_to, prune, reset, set_costs_to_go, with_room
 from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
 
@@ -39,7 +40,7 @@ class CallbackSettings:
     goal_bias: float
     control_bound_bias: float
     resolution: float
-    capacity: int
+    max_nodes: int
     pruning: bool
     cycle: float
     top_speed: float
@@ -71,7 +72,8 @@ class CallbackSearch:
         self._top_speed, self._learns_top_speed = settings.top_speed, settings.top_speed == 0.0
         self._problem = self._make_problem(bounds)
         max_steps = int(self._problem.option[at.STEPS])
-        self._tree = new_tree(settings.capacity, 1, self._control.dimension, bounds)
+        capacity = min(CAPACITY, settings.max_nodes)
+        self._tree = new_tree(capacity, 1, self._control.dimension, bounds)
         self._work = make_lanes(1, self._control.dimension, 1, max_steps)
         self._view: Any = Lanes._make(array.data for array in self._work)  # single numbers are quicker there
         self._last = max_steps * LANE_WIDTH  # where the ends of edges stand in the trajectory
@@ -143,23 +145,30 @@ class CallbackSearch:
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
         """Add edges of an earlier plan or tree that are valid and safe from the root; returns how many."""
         before = int(self._tree.count[at.SIZE])
+        self._reserve(len(parents))
         self._run(edges_to_retain(parents, controls, durations), 0, lambda: False)
         return int(self._tree.count[at.SIZE]) - before
 
     def grow(self, stop: Callable[[], bool]) -> None:
-        """Visit nodes until `stop()` is true or memory is used up; what a callback raises is raised here.
+        """Visit nodes until `stop()` is true or `max_nodes` are in use; what a callback raises is raised here.
 
         `stop` is asked in every visit, and at once where a better plan has been found.
         """
         stopped = bool(stop())
         while not stopped:
-            self._run(self._no_edges, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
+            iterations = PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY
+            self._reserve(iterations * EXPLORATION_INSERTIONS)
+            self._run(self._no_edges, iterations, stop)
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
                 prune(self._tree, at.COST if self._learns_top_speed else at.F)
                 self._inserted = int(self._tree.count[at.SIZE])
-                if self._tree.count[at.SIZE] > 0.9 * len(self._tree.state):
+                if self._tree.count[at.SIZE] > 0.9 * self._settings.max_nodes:
                     return
             stopped = bool(self._stop[0]) or bool(stop())
+
+    def _reserve(self, nodes: int) -> None:
+        """Have memory for so many more nodes, as far as `max_nodes` allows."""
+        self._tree = with_room(self._tree, nodes, self._settings.max_nodes)
 
     def _run(self, retained: Retained, iterations: int, stop: Callable[[], bool]) -> None:
         """Run the kernel; no exception passes through compiled code, so the first is kept and ends the run."""

@@ -10,6 +10,7 @@ from ompl import base as ob
 from ompl import control as oc
 
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels.tree_memory import CAPACITY
 from ompl_ext.parameters import ParamSet
 from ompl_ext.plan import TreeView
 from ompl_ext.query import Settings
@@ -45,8 +46,9 @@ class CompiledSearch:
             longest=si.getMaxControlDuration() * step,
             quantum=step,
         )
-        capacity = int(params["max_nodes"])
-        self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
+        max_nodes = int(params["max_nodes"])
+        capacity = min(CAPACITY, max_nodes)
+        self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity, max_nodes)
 
     def clear(self) -> None:
         """Empty the tree; maps and memory stay."""

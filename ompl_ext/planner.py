@@ -228,7 +228,7 @@ def _callback_settings(params: ParamSet) -> CallbackSettings:
         goal_bias=float(params["goal_bias"]),
         control_bound_bias=float(params["control_bound_bias"]),
         resolution=float(params["resolution"]),
-        capacity=int(params["max_nodes"]),
+        max_nodes=int(params["max_nodes"]),
         pruning=bool(params["pruning"]),
         cycle=float(params["cycle"]),
         top_speed=float(params["top_speed"]),

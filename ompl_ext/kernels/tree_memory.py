@@ -35,7 +35,10 @@ from ompl_ext.kernels.tree import BLOCK, add_to_indices, closed_radius, distance
 
 REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)
+CAPACITY = 200_000  # nodes that memory is reserved for at first
+MAX_NODES = 10_000_000  # that memory grows to: about 2 GB, minutes of a search without callbacks
 MAX_CELLS = 250_000  # in either index: larger workspaces get larger cells
+_PER_NODE = ("state", "edge", "value", "link")
 
 
 def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
@@ -74,6 +77,29 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
         best=np.full(2, math.inf),
         random=np.zeros(1, np.uint64),
     )
+
+
+def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:
+    """The tree with memory for so many more nodes, doubled as often as needed; at most for `max_nodes` in all.
+
+    Returns the tree itself if there is room; otherwise the nodes are copied, and everything else is shared.
+    """
+    size, capacity = int(tree.count[SIZE]), len(tree.state)
+    while capacity - size < nodes and capacity < max_nodes:
+        capacity = min(2 * capacity, max_nodes)
+    if capacity == len(tree.state):
+        return tree
+    larger = {}
+    for name in _PER_NODE:
+        array = getattr(tree, name)
+        larger[name] = np.zeros((capacity, array.shape[1]), array.dtype)
+        larger[name][:size] = array[:size]
+    return tree._replace(**larger)
+
+
+def first_nodes(tree: Tree, capacity: int) -> Tree:
+    """The tree with the first `capacity` nodes of its memory."""
+    return tree._replace(**{name: getattr(tree, name)[:capacity] for name in _PER_NODE})
 
 
 def reset(tree: Tree, random: Words) -> None:

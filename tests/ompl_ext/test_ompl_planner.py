@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -391,6 +392,17 @@ def test_pruning_keeps_what_a_higher_learned_top_speed_could_still_make_better()
     kept = tree.state[:size, 0][promising].tolist()
     prune(tree, at.COST)
     assert set(kept) <= set(tree.state[: tree.count[at.SIZE], 0].tolist())
+
+
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_memory_grows_up_to_the_most_nodes(callbacks: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ompl_ext.callback.CAPACITY" if callbacks else "ompl_ext.compiled_search.CAPACITY", 100)
+    unlimited = planned(arena(), 1.0 if callbacks else 0.05, use_callbacks=callbacks)
+    assert len(unlimited.tree().parents) > 200
+    began = time.perf_counter()
+    limited = planned(arena(), 30.0, use_callbacks=callbacks, max_nodes=200)
+    assert 100 < len(limited.tree().parents) <= 200
+    assert time.perf_counter() - began < 20.0  # memory has ended the search
 
 
 def test_benchmark_runs_dirt_beside_ompls_planners(tmp_path: Path) -> None:
