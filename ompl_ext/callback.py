@@ -20,13 +20,15 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.configuration import Bounds, Configuration, ControlLayout, goal_configuration, state_reader
 from ompl_ext.kernels import callback_kernel
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
 from ompl_ext.kernels.rng import generator
-from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset
+from ompl_ext.kernels.tree_memory import CAPACITY, add_root, new_tree, path_to, prune, reset, set_costs_to_go, with_room
 from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
 
 PRUNE_EVERY = 1024  # iterations
+TOP_SPEED_MARGIN = 1.01  # of the learned top speed over the fastest edge, so that it is seldom exceeded
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class CallbackSettings:
     goal_bias: float
     control_bound_bias: float
     resolution: float
-    capacity: int
+    max_nodes: int
     pruning: bool
     cycle: float
     top_speed: float
@@ -67,10 +69,11 @@ class CallbackSearch:
         self._goal_distance = getattr(goal, "distanceGoal", lambda state: 0.0)  # of one that only says yes or no
         self._threshold = 0.0
         self._step = si.getPropagationStepSize()
-        self._rate, self._learns_rate = settings.top_speed, settings.top_speed == 0.0
+        self._top_speed, self._learns_top_speed = settings.top_speed, settings.top_speed == 0.0
         self._problem = self._make_problem(bounds)
         max_steps = int(self._problem.option[at.STEPS])
-        self._tree = new_tree(settings.capacity, 1, self._control.dimension, bounds)
+        capacity = min(CAPACITY, settings.max_nodes)
+        self._tree = new_tree(capacity, 1, self._control.dimension, bounds)
         self._work = make_lanes(1, self._control.dimension, 1, max_steps)
         self._view: Any = Lanes._make(array.data for array in self._work)  # single numbers are quicker there
         self._last = max_steps * LANE_WIDTH  # where the ends of edges stand in the trajectory
@@ -123,7 +126,11 @@ class CallbackSearch:
         """A copy of the tree."""
         read, size = state_reader(self._si.getStateSpace()), self.count(at.SIZE)
         states = np.array([read(self.state_of(node)) for node in range(size)])
-        return tree_view(self._tree, states)
+        return tree_view(self._tree, states.reshape(size, len(read(self._scratch))))
+
+    def clear(self) -> None:
+        """Empty the tree."""
+        reset(self._tree, self._tree.random)
 
     def add_root(self, state: ob.State) -> None:
         """A state to begin at."""
@@ -131,29 +138,37 @@ class CallbackSearch:
         self._si.copyState(self._states[slot], state)
         self._work.source[0] = slot
         self._read_threshold()
+        self._measure(slot)
         self._describe(0, slot)
         add_root(self._tree, self._work)
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
         """Add edges of an earlier plan or tree that are valid and safe from the root; returns how many."""
         before = int(self._tree.count[at.SIZE])
+        self._reserve(len(parents))
         self._run(edges_to_retain(parents, controls, durations), 0, lambda: False)
         return int(self._tree.count[at.SIZE]) - before
 
     def grow(self, stop: Callable[[], bool]) -> None:
-        """Visit nodes until `stop()` is true or memory is used up; what a callback raises is raised here.
+        """Visit nodes until `stop()` is true or `max_nodes` are in use; what a callback raises is raised here.
 
         `stop` is asked in every visit, and at once where a better plan has been found.
         """
         stopped = bool(stop())
         while not stopped:
-            self._run(self._no_edges, PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY, stop)
+            iterations = PRUNE_EVERY - self.count(at.ITERATIONS) % PRUNE_EVERY
+            self._reserve(iterations * EXPLORATION_INSERTIONS)
+            self._run(self._no_edges, iterations, stop)
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
-                prune(self._tree, self._settings.resolution)
+                prune(self._tree, at.COST if self._learns_top_speed else at.F)
                 self._inserted = int(self._tree.count[at.SIZE])
-                if self._tree.count[at.SIZE] > 0.9 * len(self._tree.state):
+                if self._tree.count[at.SIZE] > 0.9 * self._settings.max_nodes:
                     return
             stopped = bool(self._stop[0]) or bool(stop())
+
+    def _reserve(self, nodes: int) -> None:
+        """Have memory for so many more nodes, as far as `max_nodes` allows."""
+        self._tree = with_room(self._tree, nodes, self._settings.max_nodes)
 
     def _run(self, retained: Retained, iterations: int, stop: Callable[[], bool]) -> None:
         """Run the kernel; no exception passes through compiled code, so the first is kept and ends the run."""
@@ -217,11 +232,15 @@ class CallbackSearch:
             self._control.write(work.control[lane::LANE_WIDTH].tolist(), controls[lane])
         propagate = self._si.propagateWhileValid
         done = [propagate(start, controls[lane], steps[lane], states[slots[lane]]) for lane in range(lanes)]
-        for lane in range(lanes):
-            if done[lane] == steps[lane]:
-                self._describe(lane, slots[lane], self._distance[start_slot])
-                work.trajectory[self._last + lane] = slots[lane]
-                work.slack[lane] = 0.0
+        valid = [lane for lane in range(lanes) if done[lane] == steps[lane]]
+        for lane in valid:
+            self._measure(slots[lane])
+        if self._learns_top_speed:
+            self._learn_top_speed(start_slot, valid)
+        for lane in valid:
+            self._describe(lane, slots[lane])
+            work.trajectory[self._last + lane] = slots[lane]
+            work.slack[lane] = 0.0
 
     def _safe(self, lane: int, start_time: float) -> int:
         """SAFETY where an edge leaves the cycle: propagate up to there once more and ask the checker."""
@@ -230,14 +249,32 @@ class CallbackSearch:
         self._si.propagate(self._start, self._lane_control[lane], steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1
 
-    def _describe(self, lane: int, slot: int, start_distance: float = -math.inf) -> None:
-        """Configuration, cost-to-go and goal of a state, as the end of a lane that began so far from the goal."""
-        state, work = self._states[slot], self._view
-        distance = self._distance[slot] = self._goal_distance(state) - self._threshold
-        if self._learns_rate and start_distance > distance:
-            self._rate = max(self._rate, (start_distance - distance) / work.duration[lane])
+    def _measure(self, slot: int) -> None:
+        """Distance of a state from the goal region."""
+        self._distance[slot] = self._goal_distance(self._states[slot]) - self._threshold
+
+    def _learn_top_speed(self, start_slot: int, lanes: list[int]) -> None:
+        """Raise the top speed to the fastest of some edges, and lower every cost-to-go of the tree with it.
+
+        A cost-to-go by an earlier, lower speed is no lower bound: nodes that can still improve the plan would be
+        passed over.
+        """
+        work, distance, start = self._view, self._distance, self._distance[start_slot]
+        speeds = [(start - distance[self._lane_slot[lane]]) / work.duration[lane] for lane in lanes]
+        fastest = max(speeds, default=0.0)
+        if fastest <= self._top_speed:
+            return
+        self._top_speed = TOP_SPEED_MARGIN * fastest
+        slots = self._tree.state[: self.count(at.SIZE), 0].astype(np.int64).tolist()
+        togo = np.maximum(np.array([distance[slot] for slot in slots]), 0.0) / self._top_speed
+        cycle = self._settings.cycle if self._safety is not None else 0.0
+        set_costs_to_go(self._tree, togo, self._settings.resolution, cycle)
+
+    def _describe(self, lane: int, slot: int) -> None:
+        """Configuration, cost-to-go and goal of a measured state, as the end of a lane."""
+        state, work, distance = self._states[slot], self._view, self._distance[slot]
         work.end[lane], work.end[LANE_WIDTH + lane] = self._configuration(state)
-        work.togo[lane] = distance / self._rate if distance > 0.0 and self._rate > 0.0 else 0.0
+        work.togo[lane] = distance / self._top_speed if distance > 0.0 and self._top_speed > 0.0 else 0.0
         work.at_goal[lane] = distance < 0.0 if self._is_region else self._goal.isSatisfied(state)
 
     def _read_threshold(self) -> None:

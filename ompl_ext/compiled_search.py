@@ -10,6 +10,7 @@ from ompl import base as ob
 from ompl import control as oc
 
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels.tree_memory import CAPACITY
 from ompl_ext.parameters import ParamSet
 from ompl_ext.plan import TreeView
 from ompl_ext.query import Settings
@@ -45,13 +46,19 @@ class CompiledSearch:
             longest=si.getMaxControlDuration() * step,
             quantum=step,
         )
-        capacity = int(params["max_nodes"])
-        self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity)
+        max_nodes = int(params["max_nodes"])
+        capacity = min(CAPACITY, max_nodes)
+        self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity, max_nodes)
+
+    def clear(self) -> None:
+        """Empty the tree; maps and memory stay."""
+        self._roots = 0
+        self.dirt.clear()
 
     def restart(self, seed: int) -> None:
-        """Empty the tree; maps and memory stay."""
-        self._seed, self._roots = seed, 0
-        self.dirt.clear()
+        """Empty the tree, and draw from another seed."""
+        self._seed = seed
+        self.clear()
 
     def add_root(self, state: ob.State) -> None:
         """A state to begin at."""

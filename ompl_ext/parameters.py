@@ -9,6 +9,8 @@ import difflib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from ompl_ext.kernels.tree_memory import MAX_NODES
+
 Value = bool | int | float
 
 
@@ -112,7 +114,7 @@ DIRT_PARAMETERS = (
         "0.:.25:2.",
         "share of sampled controls moved onto a bound, per bound",
     ),
-    Parameter("max_nodes", 200_000, 100, 100_000_000, "10000:10000:1000000", "nodes that memory is reserved for"),
+    Parameter("max_nodes", MAX_NODES, 100, 100_000_000, "100000:100000:10000000", "nodes that memory may grow to"),
     Parameter("pruning", False, 0, 1, "0,1", "forget nodes that cannot lead to a better plan"),
     Parameter("resolution", 0.01, 0, 10, "0.:.005:.1", "radius (m) below which a dominated region is closed"),
     Parameter("seed", 1, 0, 2**53, "1:1:100", "of the planner's generator; clear() moves on to the next"),

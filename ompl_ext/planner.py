@@ -128,9 +128,11 @@ class DIRT(ob.Planner):
         return self._report(definition, goal)
 
     def clear(self) -> None:
-        """Forget the tree; the next query draws from the next seed."""
+        """Empty the tree; the next query draws from the next seed."""
         ob.Planner.clear(self)
-        self._cleared = self._search is not None
+        if self._search is not None:
+            self._search.clear()
+            self._cleared = True
 
     def setup(self) -> None:
         """Take up the space information's settings; with a goal, also make the maps that the search reads."""
@@ -226,7 +228,7 @@ def _callback_settings(params: ParamSet) -> CallbackSettings:
         goal_bias=float(params["goal_bias"]),
         control_bound_bias=float(params["control_bound_bias"]),
         resolution=float(params["resolution"]),
-        capacity=int(params["max_nodes"]),
+        max_nodes=int(params["max_nodes"]),
         pruning=bool(params["pruning"]),
         cycle=float(params["cycle"]),
         top_speed=float(params["top_speed"]),

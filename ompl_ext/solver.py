@@ -14,10 +14,21 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
+from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Problem
 from ompl_ext.kernels.rng import generator
 from ompl_ext.kernels.specialise import kernels
-from ompl_ext.kernels.tree_memory import add_root, new_tree, path_to, prune, reset
+from ompl_ext.kernels.tree_memory import (  # fmt: skip
+    CAPACITY,
+    MAX_NODES,
+    add_root,
+    first_nodes,
+    new_tree,
+    path_to,
+    prune,
+    reset,
+    with_room,
+)
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
@@ -53,6 +64,9 @@ class DirtSolver:
     Use: `start`, then `retain` if there is an earlier plan, then `grow` as often as wanted, and `plan` at any time.
     The clearance field, the cost-to-go and the tree's memory are made once, here.  Without a goal it can only check:
     `edge`, `contingency`, `exact`.
+
+    A budget of iterations has memory for `capacity` nodes; any other budget doubles the memory where needed, up to
+    `max_nodes`.  When that is full, the tree is pruned, and the search ends if less than a tenth is free then.
     """
 
     def __init__(
@@ -62,7 +76,8 @@ class DirtSolver:
         goal: Goal | None,
         safety: Safety | None = None,
         settings: Settings | None = None,
-        capacity: int = 200_000,
+        capacity: int = CAPACITY,
+        max_nodes: int = MAX_NODES,
     ) -> None:
         self.vehicle, self.workspace, self.goal = vehicle, workspace, goal
         self.safety, self.settings = safety or Safety(), settings or Settings()
@@ -74,7 +89,9 @@ class DirtSolver:
             len(vehicle.controls),
             len(vehicle.inputs) or len(vehicle.controls),
         )
-        self._tree = new_tree(capacity, nx, nu, workspace.bounds)
+        self._capacity, self._max_nodes = capacity, max(capacity, max_nodes)
+        self._memory = new_tree(capacity, nx, nu, workspace.bounds)
+        self._tree = self._memory
         self._work = make_lanes(nx, nu, inputs, int(self._problem.option[at.STEPS]))
         self._brake = make_lanes(nx, nu, inputs, int(self._problem.option[at.BRAKE_STEPS]))
         self._q = np.zeros(at.Q_DIM)
@@ -88,7 +105,7 @@ class DirtSolver:
 
     @property
     def tree_arrays(self) -> at.Tree:
-        """The tree's own arrays."""
+        """The tree's own arrays, until the next call that starts a query or adds nodes."""
         return self._tree
 
     @property
@@ -112,7 +129,8 @@ class DirtSolver:
         return self.add_root(state)
 
     def clear(self, seed: int = 0) -> None:
-        """Empty the tree."""
+        """Empty the tree; memory that it has grown to is kept for later."""
+        self._tree = first_nodes(self._memory, self._capacity)
         reset(self._tree, generator(seed))
         self._progress = Progress()
 
@@ -132,6 +150,7 @@ class DirtSolver:
     def retain_edges(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
         """Add edges of an earlier tree, parents before children, -1 for the root; returns how many were added."""
         before = int(self._tree.count[at.RETAINED])
+        self._reserve(len(parents))
         began = time.perf_counter()
         self._run_kernel(edges_to_retain(parents, controls, durations), 0)
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
@@ -156,18 +175,28 @@ class DirtSolver:
         chunk, elapsed = FIRST_CHUNK, 0.0
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
             count = min(chunk, left, PRUNE_EVERY - int(self._tree.count[at.ITERATIONS]) % PRUNE_EVERY)
+            if iterations is None:
+                self._reserve(count * max(EXPLORATION_INSERTIONS, self.settings.insertions))
             elapsed_before, before = elapsed, int(self._tree.count[at.ITERATIONS])
             self._run_kernel(self._no_edges, count)
             left -= int(self._tree.count[at.ITERATIONS]) - before
             elapsed = time.perf_counter() - began
             self._update_progress(base + elapsed)
             if self._tree.count[at.FULL] or self._prunes_now():
-                prune(self._tree, self.settings.resolution)
-                if len(self._tree.state) - self._tree.count[at.SIZE] < len(self._tree.state) // 10:
+                prune(self._tree)
+                memory = len(self._tree.state)
+                is_last = iterations is not None or memory == self._max_nodes
+                if is_last and memory - self._tree.count[at.SIZE] < memory // 10:
                     break  # what is left is needed: this is as good as it gets in this memory
             if self._progress.history:
                 chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
         return self._progress
+
+    def _reserve(self, nodes: int) -> None:
+        """Have memory for so many more nodes, as far as `max_nodes` allows."""
+        if len(self._tree.state) - int(self._tree.count[at.SIZE]) < nodes:
+            self._memory = with_room(self._memory, nodes, self._max_nodes)
+            self._tree = self._memory
 
     def _prunes_now(self) -> bool:
         """At fixed iterations, so that looks at the clock change nothing."""

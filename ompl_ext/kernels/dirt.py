@@ -36,6 +36,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     LONGEST,
     NEXT,
     PARENT,
+    PRUNED,
     Q_DIM,
     QUANTUM,
     REQUIRE_SAFETY,
@@ -170,7 +171,7 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
     tree.link[node, PARENT] = parent
     tree.link[node, AT_GOAL] = work.at_goal[lane]
     tree.link[node, VISITS] = 0
-    closed = closed_radius(problem.scalar[RESOLUTION], tree.count[SIZE])
+    closed = closed_radius(problem.scalar[RESOLUTION], tree.count[SIZE] + tree.count[PRUNED])
     add_to_indices(tree, node, math.sqrt(distance_squared(tree, parent, tree.value[node])), closed)
     if tree.link[node, AT_GOAL] == 1 and tree.value[node, COST] < tree.best[0]:  # Alg. 1, l. 20-22
         if tree.count[BEST] < 0:

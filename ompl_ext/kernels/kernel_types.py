@@ -109,7 +109,7 @@ F, RADIUS, COST, TOGO = (
     5,
     6,
     7,
-)  # f = cost-to-come + cost-to-go (s), radius of the dominance-informed region (m)
+)  # f = cost-to-come + cost-to-go (s), radius of the dominance-informed region, 0 of closed nodes (m)
 
 # Columns of Tree.link
 PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS = range(7)
@@ -118,8 +118,8 @@ PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS =
 LEVEL_START, LEVEL_COLUMNS, LEVEL_ROWS, LEVEL_COUNT = range(4)
 
 # Places in Tree.count
-SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL, RETAINED = range(10)
-COUNTS = 10
+SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL, RETAINED, PRUNED = range(11)
+COUNTS = 11
 
 
 class Retained(NamedTuple):

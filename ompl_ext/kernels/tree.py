@@ -10,8 +10,8 @@ they hold.  A search for the nearest better node walks outward over rings of blo
 that holds none.
 
 *Closed nodes.*  A node whose region has shrunk below the tree's resolution has a better node right beside it.  It stays
-in the tree but leaves both indices, which keeps their lists short.  In large trees the resolution falls with the root
-of the number of nodes, so no region of positive size stays closed off as the tree grows.
+in the tree but leaves both indices, which keeps their lists short, and its radius becomes 0.  In large trees the
+resolution falls with the root of the number of nodes inserted, pruned ones included: it never rises again.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def level_window(tree: Tree, level: int, q: Floats) -> tuple[int, int, int, int]
 
 @inlined
 def shrink_worse(tree: Tree, node: int, closed: float) -> None:
-    """Shrink the region of every worse node that `node` lies in; below radius `closed` the region is given up."""
+    """Shrink the region of every worse node that `node` lies in; below radius `closed` that node is closed."""
     for level in range(len(tree.level_cell)):
         if tree.level[level, LEVEL_COUNT] == 0:
             continue
@@ -132,7 +132,7 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
                         distance = math.sqrt(distance_squared(tree, other, tree.value[node]))
                         if distance < tree.value[other, RADIUS]:
                             unlist_region(tree, other)
-                            tree.value[other, RADIUS] = distance
+                            tree.value[other, RADIUS] = distance if distance >= closed else 0.0
                             if distance >= closed:
                                 list_region(tree, other)
                     other = following
@@ -263,9 +263,11 @@ def add_to_indices(tree: Tree, node: int, limit: float, closed: float) -> None:
     shrink_worse(tree, node, closed)
     if tree.value[node, RADIUS] >= closed:
         list_node(tree, node)
+    else:
+        tree.value[node, RADIUS] = 0.0
 
 
 @inlined
-def closed_radius(resolution: float, size: int) -> float:
-    """Radius (m) below which a node is closed in a tree of `size` nodes."""
-    return resolution * min(1.0, math.sqrt(NODES_AT_FULL_RESOLUTION / size))
+def closed_radius(resolution: float, inserted: int) -> float:
+    """Radius (m) below which a node is closed once the tree has had `inserted` nodes, pruned ones included."""
+    return resolution * min(1.0, math.sqrt(NODES_AT_FULL_RESOLUTION / inserted))

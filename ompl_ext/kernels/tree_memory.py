@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Ints, Words
+from ompl_ext.arrays import Bools, Floats, Ints, Words
 from ompl_ext.jit import compiled
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
@@ -21,6 +21,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     LEVEL_ROWS,
     NEXT,
     PARENT,
+    PRUNED,
     Q_DIM,
     RADIUS,
     SIZE,
@@ -30,11 +31,14 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Lanes,
     Tree,
 )
-from ompl_ext.kernels.tree import BLOCK, list_node
+from ompl_ext.kernels.tree import BLOCK, add_to_indices, closed_radius, distance_squared, list_node
 
 REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)
+CAPACITY = 200_000  # nodes that memory is reserved for at first
+MAX_NODES = 10_000_000  # that memory grows to: about 2 GB, minutes of a search without callbacks
 MAX_CELLS = 250_000  # in either index: larger workspaces get larger cells
+_PER_NODE = ("state", "edge", "value", "link")
 
 
 def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
@@ -75,6 +79,29 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
     )
 
 
+def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:
+    """The tree with memory for so many more nodes, doubled as often as needed; at most for `max_nodes` in all.
+
+    Returns the tree itself if there is room; otherwise the nodes are copied, and everything else is shared.
+    """
+    size, capacity = int(tree.count[SIZE]), len(tree.state)
+    while capacity - size < nodes and capacity < max_nodes:
+        capacity = min(2 * capacity, max_nodes)
+    if capacity == len(tree.state):
+        return tree
+    larger = {}
+    for name in _PER_NODE:
+        array = getattr(tree, name)
+        larger[name] = np.zeros((capacity, array.shape[1]), array.dtype)
+        larger[name][:size] = array[:size]
+    return tree._replace(**larger)
+
+
+def first_nodes(tree: Tree, capacity: int) -> Tree:
+    """The tree with the first `capacity` nodes of its memory."""
+    return tree._replace(**{name: getattr(tree, name)[:capacity] for name in _PER_NODE})
+
+
 def reset(tree: Tree, random: Words) -> None:
     """Empty the tree for a new query; its memory is reused."""
     tree.count[:] = 0
@@ -94,11 +121,40 @@ def reset_indices(tree: Tree) -> None:
 
 
 @compiled
-def relist(tree: Tree, closed: float) -> None:
-    """List every node anew, after nodes have moved in memory; regions keep their radii."""
+def relist(tree: Tree) -> None:
+    """List every open node anew, after nodes have moved in memory; regions keep their radii."""
     for node in range(tree.count[SIZE]):
-        if tree.value[node, RADIUS] >= closed:
+        if tree.value[node, RADIUS] > 0.0:
             list_node(tree, node)
+
+
+@compiled
+def _reindex(tree: Tree, closed: float) -> None:
+    """Give every node its region anew, as if the nodes were inserted once more; roots stand first."""
+    for node in range(tree.count[SIZE]):
+        if tree.link[node, PARENT] < 0:
+            tree.value[node, RADIUS] = math.inf
+            list_node(tree, node)
+        else:
+            limit = math.sqrt(distance_squared(tree, tree.link[node, PARENT], tree.value[node]))
+            add_to_indices(tree, node, limit, closed)
+
+
+def set_costs_to_go(tree: Tree, togo: Floats, resolution: float, cycle: float) -> None:
+    """Give every node another cost-to-go, `togo` (nodes,) in s; f, regions, indices and the closest node follow.
+
+    A plan without a solution ends no earlier than `cycle` s after the start.
+    """
+    size = int(tree.count[SIZE])
+    cost, parent = tree.value[:size, COST], tree.link[:size, PARENT]
+    tree.value[:size, TOGO] = togo
+    tree.value[:size, F] = cost + togo
+    candidates = np.flatnonzero((parent >= 0) & (cost >= cycle))
+    if len(candidates) > 0:
+        tree.count[CLOSEST] = candidates[np.argmin(togo[candidates])]
+        tree.best[1] = togo[tree.count[CLOSEST]]
+    reset_indices(tree)
+    _reindex(tree, closed_radius(resolution, max(1, size + int(tree.count[PRUNED]))))
 
 
 def add_root(tree: Tree, work: Lanes) -> None:
@@ -117,14 +173,16 @@ def add_root(tree: Tree, work: Lanes) -> None:
     list_node(tree, node)
 
 
-def prune(tree: Tree, closed: float) -> int:
-    """Forget the nodes that can neither be selected again nor lead to a better plan, and return how many.
+def prune(tree: Tree, bound: int = F) -> int:
+    """Remove the nodes that can neither be selected again nor lead to a better plan, and return how many.
 
-    These are the closed ones and those with f at or above the best cost, unless they lead to a node that is kept.
+    These are the closed ones and those whose lower bound of the cost of plans through them is at or above the best
+    cost, unless they lead to a node that is kept.  The bound is f, or another column of the values: `COST` where the
+    cost-to-go may still fall.
     """
     size = int(tree.count[SIZE])
-    f, radius, parent = tree.value[:size, F], tree.value[:size, RADIUS], tree.link[:size, PARENT]
-    keep = (f < tree.best[0]) & (radius >= closed)
+    lowest, radius, parent = tree.value[:size, bound], tree.value[:size, RADIUS], tree.link[:size, PARENT]
+    keep = (lowest < tree.best[0]) & (radius > 0.0)
     keep[parent < 0] = True
     for named in (BEST, CLOSEST, NEXT):
         if tree.count[named] >= 0:
@@ -140,9 +198,10 @@ def prune(tree: Tree, closed: float) -> int:
         if tree.count[named] >= 0:
             tree.count[named] = new_index[tree.count[named]]
     tree.count[SIZE] = kept
+    tree.count[PRUNED] += size - kept
     tree.count[FULL] = 0
     reset_indices(tree)
-    relist(tree, closed)
+    relist(tree)
     return size - kept
 
 

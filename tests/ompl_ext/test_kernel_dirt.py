@@ -303,7 +303,7 @@ def test_a_plan_shorter_than_the_cycle_has_a_contingency_at_its_end() -> None:
 
 def test_a_full_tree_stops_cleanly_and_keeps_its_plan() -> None:
     for capacity in (100, 500, 2000):
-        dirt = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=capacity)
+        dirt = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=min(100, capacity), max_nodes=capacity)
         dirt.start(START, 0)
         last = math.inf
         for _ in range(8):
@@ -320,9 +320,33 @@ def test_a_full_tree_stops_cleanly_and_keeps_its_plan() -> None:
         assert math.isfinite(last) or capacity == 100
 
 
+@pytest.mark.parametrize("pruning", [False, True])
+def test_by_the_clock_memory_grows_and_does_not_end_the_search(pruning: bool) -> None:
+    settings = Settings(pruning=pruning)
+    small, large = (DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, settings, capacity=n) for n in (300, 100_000))
+    for _ in range(2):  # the second query begins with the memory of the first
+        small.start(START, 4)
+        progress = small.grow(seconds=0.2)
+        assert progress.seconds >= 0.2
+        assert progress.iterations > 600
+        large.start(START, 4)
+        large.grow(iterations=progress.iterations)
+        assert tree_bytes(small) == tree_bytes(large)
+
+
+def test_a_budget_of_iterations_has_the_same_memory_after_a_search_by_the_clock() -> None:
+    fresh, used = (DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=300) for _ in range(2))
+    used.start(START, 1)
+    used.grow(seconds=0.1)
+    for dirt in (fresh, used):
+        dirt.start(START, 4)
+        dirt.grow(iterations=2000)
+    assert tree_bytes(fresh) == tree_bytes(used)
+
+
 def test_retaining_more_than_memory_holds_stops_cleanly() -> None:
     plan = planned(turns())
-    small = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=5)
+    small = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=5, max_nodes=5)
     small.start(START, 0)
     added = small.retain(plan)
     assert small.progress.nodes == 5

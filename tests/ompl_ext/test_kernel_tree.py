@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.kernels import DEFAULT, GOAL, START, TURNS, Array, turns
+from support.kernels import DEFAULT, GOAL, NO_SAFETY, START, TURNS, Array, turns
 
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Tree
 from ompl_ext.kernels.tree import closed_radius, nearest_better, select
 from ompl_ext.kernels.tree_memory import prune
-from ompl_ext.query import Safety, Settings
+from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
 
 RESOLUTION = Settings().resolution
@@ -140,6 +140,9 @@ def test_a_region_ends_at_the_nearest_better_node(settings: Settings) -> None:
         distance = np.linalg.norm(q - q[node], axis=1)
         better = f < f[node]
         limit = distance[parent[node]]
+        if radius[node] == 0.0:  # closed: a better node is nearer than the resolution
+            assert min(distance[better].min(initial=math.inf), limit) < resolution
+            continue
         if f[node] < tree.best[0]:  # not too large: no open better node inside, and no larger than the edge
             open_ones = better & (radius >= resolution)
             assert radius[node] <= max(min(distance[open_ones].min(initial=math.inf), limit), resolution) + 1e-9
@@ -250,7 +253,7 @@ def test_pruning_keeps_the_best_plan_and_everything_consistent(settings: Setting
     before, tree = dirt.plan(), dirt.tree_arrays
     size, f = int(tree.count[at.SIZE]), column(tree, at.F).copy()
     hopeful = int(((f < tree.best[0]) & (column(tree, at.RADIUS) >= RESOLUTION)).sum())
-    removed = prune(tree, RESOLUTION)
+    removed = prune(tree)
     after = dirt.plan()
     assert before is not None
     assert after is not None
@@ -265,11 +268,34 @@ def test_pruning_keeps_the_best_plan_and_everything_consistent(settings: Setting
     for node in range(1, len(view.costs), 7):
         end, _ = dirt.edge(view.states[view.parents[node]], view.controls[node], float(view.durations[node]))
         assert end[-1].tobytes() == view.states[node].tobytes()
-    assert prune(tree, RESOLUTION) == 0
+    assert prune(tree) == 0
     dirt.grow(iterations=1000)
     check_costs(tree)
     check_regions(tree)
     check_cells(tree)
+
+
+def test_pruning_a_large_tree_keeps_every_open_node() -> None:
+    """Above 100,000 nodes regions smaller than the initial resolution are open, and stay so when nodes are pruned."""
+    nowhere = Goal((1.0, 5.0), 1e-6)  # without a solution no bound turns a candidate away
+    dirt = DirtSolver(BENCHMARK, TURNS, nowhere, NO_SAFETY, Settings(resolution=0.03), capacity=140_000)
+    dirt.start(START, 0)
+    while dirt.progress.nodes < 125_000:
+        dirt.grow(iterations=2000)
+    tree = dirt.tree_arrays
+    before = tree.state[sorted(listed_by_region(tree))]
+    assert (column(tree, at.RADIUS)[sorted(listed_by_region(tree))] < 0.03).any()
+    assert prune(tree) > 0
+    open_nodes = sorted(listed_by_region(tree))
+    assert np.array_equal(tree.state[open_nodes], before)
+    assert set(open_nodes) <= set(listed_by_cell(tree))
+    dirt.grow(iterations=2000)  # the resolution has not risen: closed are the nodes that a better one is beside
+    closed = closed_radius(0.03, int(tree.count[at.SIZE] + tree.count[at.PRUNED]))
+    radius = column(tree, at.RADIUS)
+    assert closed < 0.03 * math.sqrt(0.8)
+    assert ((radius == 0.0) | (radius >= closed)).all()
+    assert set(np.flatnonzero(radius > 0.0)) == set(listed_by_region(tree))
+    assert set(listed_by_region(tree)) <= set(listed_by_cell(tree))
 
 
 def test_a_point_on_the_far_corner_of_the_workspace_can_be_looked_up() -> None:

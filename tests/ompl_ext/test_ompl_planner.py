@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,9 @@ from support.paths import ROOT, TESTS
 
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.unicycle2 import UNICYCLE2
+from ompl_ext.callback import CallbackSearch
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.tree_memory import prune, set_costs_to_go
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.peers import plan_with_ompl
 from ompl_ext.planner import DIRT
@@ -59,6 +63,22 @@ def test_clear_forgets_the_tree_and_takes_the_next_seed() -> None:
     setup.solve(0.02)
     assert planner.tree().costs[0] == 0.0
     assert not np.array_equal(planner.tree().controls[1:50], first)
+
+
+@pytest.mark.parametrize("callbacks", [False, True])
+@pytest.mark.parametrize("cleared", ["setup", "planner"])
+def test_after_clear_the_tree_is_empty_until_the_next_solve(cleared: str, callbacks: bool) -> None:
+    setup = arena()
+    planner = planned(setup, 0.5 if callbacks else 0.02, use_callbacks=callbacks)
+    (setup if cleared == "setup" else planner).clear()
+    data = ob.PlannerData(setup.getSpaceInformation())
+    setup.getPlannerData(data)
+    assert (data.numVertices(), data.numEdges()) == (0, 0)
+    assert planner.tree().states.shape == (0, 4)
+    assert (planner.edges, planner.iterations) == (0, 0)
+    setup.solve(0.2)
+    setup.getPlannerData(data)
+    assert data.numVertices() == len(planner.tree().parents) > 0
 
 
 def test_equal_seeds_give_equal_trees_whenever_the_clock_is_looked_at() -> None:
@@ -337,8 +357,52 @@ def test_equal_seeds_give_equal_trees_over_callbacks() -> None:
         while planner.iterations < 600:
             planner.solve(0.01)
         trees.append(planner.tree())
-    assert np.array_equal(trees[0].states[:600], trees[1].states[:600])
-    assert np.array_equal(trees[0].parents[:600], trees[1].parents[:600])
+    size = min(len(tree.parents) for tree in trees)  # the clock decides how far each search went on
+    assert size > 400
+    assert np.array_equal(trees[0].states[:size], trees[1].states[:size])
+    assert np.array_equal(trees[0].parents[:size], trees[1].parents[:size])
+
+
+def test_a_learned_top_speed_updates_the_costs_to_go_of_the_whole_tree() -> None:
+    planner = planned(arena(), 1.0, use_callbacks=True)
+    search = planner._search
+    assert isinstance(search, CallbackSearch)
+    tree = search._tree
+    size, speed = int(tree.count[at.SIZE]), search._top_speed
+    value, parent = tree.value[:size], tree.link[:size, at.PARENT]
+    distance = np.array([search._distance[int(slot)] for slot in tree.state[:size, 0]])
+    covered = distance[parent[1:]] - distance[1:]
+    assert (covered / tree.edge[1:size, -1]).max() <= speed <= 0.63  # of the benchmark's vehicle, with 1 %
+    assert np.allclose(value[:, at.TOGO], np.maximum(distance, 0.0) / speed, rtol=1e-12)
+    assert np.array_equal(value[:, at.F], value[:, at.COST] + value[:, at.TOGO])
+    assert value[1:, at.TOGO].min() == tree.best[1] == value[tree.count[at.CLOSEST], at.TOGO]
+
+
+def test_pruning_keeps_what_a_higher_learned_top_speed_could_still_make_better() -> None:
+    planner = planned(arena(), 1.0, use_callbacks=True)
+    search = planner._search
+    assert isinstance(search, CallbackSearch)
+    tree = search._tree
+    size = int(tree.count[at.SIZE])
+    distance = np.array([search._distance[int(slot)] for slot in tree.state[:size, 0]])
+    set_costs_to_go(tree, np.maximum(distance, 0.0) / (0.5 * search._top_speed), 0.01, 0.0)  # as learned until now
+    open_nodes = tree.value[:size, at.RADIUS] > 0.0
+    promising = open_nodes & (tree.value[:size, at.COST] < tree.best[0])
+    assert (tree.value[:size, at.F][promising] >= tree.best[0]).any()
+    kept = tree.state[:size, 0][promising].tolist()
+    prune(tree, at.COST)
+    assert set(kept) <= set(tree.state[: tree.count[at.SIZE], 0].tolist())
+
+
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_memory_grows_up_to_the_most_nodes(callbacks: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ompl_ext.callback.CAPACITY" if callbacks else "ompl_ext.compiled_search.CAPACITY", 100)
+    unlimited = planned(arena(), 1.0 if callbacks else 0.05, use_callbacks=callbacks)
+    assert len(unlimited.tree().parents) > 200
+    began = time.perf_counter()
+    limited = planned(arena(), 30.0, use_callbacks=callbacks, max_nodes=200)
+    assert 100 < len(limited.tree().parents) <= 200
+    assert time.perf_counter() - began < 20.0  # memory has ended the search
 
 
 def test_benchmark_runs_dirt_beside_ompls_planners(tmp_path: Path) -> None:
