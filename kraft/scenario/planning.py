@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from kraft.config.schema import NonNegative, Probability, StrictModel, refuse
 from kraft.config.validation import build
-from kraft.errors import Code
+from kraft.errors import Code, InputError
 
 PLANNERS: Final[dict[str, str]] = {
     "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
@@ -85,8 +86,10 @@ class Planning(StrictModel):
         Raises:
             InputError: if the budget is not positive and finite, or both are given.
         """
-        changes = {"iterations": iterations, "time": time}
-        return build(Planning, {**dict(self), **changes}, "planning budget")
+        try:
+            return build(Planning, {**dict(self), "iterations": iterations, "time": time}, "planning")
+        except InputError as error:
+            raise InputError(replace(d, file=d.path, path="", argument=True) for d in error.diagnostics) from None
 
     @property
     def steps(self) -> int:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from kraft_cli.work.validate import FileReport
 
 
 def validate(
@@ -26,8 +29,7 @@ def validate(
     checked = [check_file(file) for file in files]
     problems = [problem for result in checked for problem in result.problems]
     if json:
-        content = [{**asdict(result), "valid": not result.problems} for result in checked]
-        terminal.json("kraft.validate/1", {"valid": not problems, "files": content})
+        terminal.json("kraft.validate/1", {"valid": not problems, "files": [_file_json(result) for result in checked]})
         return ExitStatus.INVALID if problems else ExitStatus.DONE
     for result in checked:
         if not result.problems:
@@ -38,3 +40,9 @@ def validate(
         wrong = sum(bool(result.problems) for result in checked)
         terminal.say(f"{counted(len(problems), 'problem')} in {counted(wrong, 'file')}")
     return ExitStatus.INVALID if problems else ExitStatus.DONE
+
+
+def _file_json(report: FileReport) -> dict[str, Any]:
+    """One file with its problems; `argument` is about options and never true of a file."""
+    problems = [{key: value for key, value in asdict(d).items() if key != "argument"} for d in report.problems]
+    return {"file": report.file, "kind": report.kind, "problems": problems, "valid": not report.problems}
