@@ -64,7 +64,7 @@ def test_all_problems_of_all_files_are_shown(folder: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("argv", "status", "message"),
     [
-        (["validate", "bad.yaml", "-q"], 2, "bad.yaml:4:32: goal.radius: is the number 0; expected a number greater than 0 (distance from the centre that counts as arrived, m)\nbad.yaml:5:1: colour: unknown key; expected one of name, description, bounds, obstacles, start, goal, vehicle, planning, truth, sensing, trial\n"),
+        (["validate", "bad.yaml", "-q"], 2, "bad.yaml:4:32: goal.radius: is the number 0; expected a number of at least 0.001 (distance from the centre that counts as arrived, m)\nbad.yaml:5:1: colour: unknown key; expected one of name, description, bounds, obstacles, start, goal, vehicle, planning, truth, sensing, trial\n"),
         (["plan", "turnz"], 2, "turnz: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)\n"),
         (["plan", "turns", "--iterations", "0"], 2, "--iterations: is the number 0; expected a number of at least 1 (planning budget in iterations, repeatable; 20000 unless `time` is given)\n"),
         (["list", "vehicle"], 2, "vehicle: cannot be listed; did you mean 'vehicles'?\n"),
@@ -103,6 +103,37 @@ def test_validate_prints_one_json_object(folder: Path, capsys: pytest.CaptureFix
         (5, 1, "colour", "unknown"),
     ]
     assert set(problems[0]) == {"file", "line", "column", "path", "code", "problem", "expected"}
+
+
+@pytest.mark.parametrize("size", ["1e-308", "1e-9", "0.0009"])
+def test_a_length_below_a_millimetre_is_refused(size: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "tiny.yaml").write_text(GOOD + f"obstacles: [{{box: {{center: [2, 1], size: [{size}, 1]}}}}]\n")
+    for command in ("validate", "plan"):
+        assert main([command, "tiny.yaml"]) == 2
+        assert capsys.readouterr().err.startswith("tiny.yaml:5:43: obstacles[0].box.size[0]: ")
+
+
+def test_a_defect_in_the_check_of_one_file_leaves_the_others_checked(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr("kraft_cli.work.validate.check_placement", broken)
+    vehicle = str(bundled.folder("vehicle") / "mushr.yaml")
+    assert main(["validate", "good.yaml", "bad.yaml", vehicle]) == 70
+    out, err = capsys.readouterr()
+    assert out == f"{vehicle}: valid vehicle\n"
+    assert "bad.yaml:4:32: goal.radius: " in err
+    assert "good.yaml: cannot be checked" in err
+    assert "ZeroDivisionError" in err
+    assert main(["validate", "--json", "good.yaml", "bad.yaml", vehicle]) == 70
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert [(f["valid"], bool(f["problems"]), f["defect"]) for f in files] == [
+        (False, False, "ZeroDivisionError: division by zero"),
+        (False, True, None),
+        (True, False, None),
+    ]
 
 
 @pytest.mark.parametrize("what", ["scenarios", "vehicles", "planners"])
