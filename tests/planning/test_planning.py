@@ -212,8 +212,19 @@ def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -
     assert not result.solved
     assert result.plan is not None
     assert result.verification is not None
-    assert result.reason.startswith("no plan reaches the goal after 3 iterations")
     assert result.plan.cost_to_go > 0
+    distance = math.dist(result.plan.states[-1][:2], (1.0, 5.0)) - 0.25
+    assert f"ends {distance:.3g} m from the goal region" in result.reason
+
+
+def test_a_heading_that_is_missed_is_what_is_missing(mushr: Vehicle) -> None:
+    goal = "radius: 0.3, heading_deg: 180, heading_tolerance_deg: 0.01"
+    result = plan_task(room(("radius: 0.3", goal)), mushr, FEW)
+    assert not result.solved
+    assert result.plan is not None
+    off = abs(math.degrees(math.remainder(result.plan.states[-1][2] - math.pi, math.tau)))
+    assert math.dist(result.plan.states[-1][:2], (3, 3)) < 0.3
+    assert f"in the goal region, {off:.3g} degrees off the heading" in result.reason
 
 
 def test_a_plan_that_fails_verification_is_a_defect(mushr: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
