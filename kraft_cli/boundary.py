@@ -39,8 +39,6 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
         return ExitStatus(request.exit_code)
     except Exception as error:  # the boundary: everything has to end in an exit code
         status = explain(terminal, error)
-        if terminal.traceback:
-            terminal.problem("".join(traceback.format_exception(error)).rstrip())
     return status
 
 
@@ -73,7 +71,14 @@ def _stdout_fails() -> bool:
 
 
 def explain(terminal: Terminal, error: Exception) -> ExitStatus:
-    """Say what went wrong and return the exit code for it."""
+    """Report what went wrong, with ``--traceback`` also where, and return the exit code for it."""
+    status = _explained(terminal, error)
+    if terminal.traceback:
+        terminal.problem("".join(traceback.format_exception(error)).rstrip())
+    return status
+
+
+def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
     if isinstance(error, InputError | Unreachable):
         for diagnostic in error.diagnostics:
             terminal.problem(str(_with_option(diagnostic)))

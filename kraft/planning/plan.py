@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from kraft.planning.search import Budget, Previous, SearchResult, search_named
 from kraft.planning.workspace import (
     goal_of,
     heading_of,
+    pose_of,
     safety_of_task,
     settings_of,
     start_state,
@@ -106,7 +108,7 @@ def plan_task(
     verification = verify(dirt, found.plan) if found.plan is not None else None
     verify_seconds = clock.perf_counter() - began
     plan, unfit = _accepted(found, verification, seed)
-    reason = reason or unfit or _failure_reason(plan, found.progress)
+    reason = reason or unfit or _failure_reason(task, vehicle, plan, found.progress)
     judged = verification if plan is not None else None
     return PlanResult(plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds)
 
@@ -174,12 +176,29 @@ def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:
     return ""
 
 
-def _failure_reason(plan: Plan | None, progress: Progress) -> str:
+def _failure_reason(task: Task, vehicle: Vehicle, plan: Plan | None, progress: Progress) -> str:
     """Why the search ended without a plan that reaches the goal; empty if there is one."""
     if plan is not None and plan.reaches_goal:
         return ""
     used = f"{counted(progress.iterations, 'iteration')} ({progress.seconds:.3g} s)"
     if plan is not None:
-        return f"no plan reaches the goal after {used}; the best one ends {plan.cost_to_go:.3g} s short of it"
+        return f"no plan reaches the goal after {used}; the best one ends {_distance_to_goal(task, vehicle, plan)}"
     unsafe = f", {progress.unsafe} of them because no contingency is safe" if progress.unsafe else ""
     return f"no edge may be executed after {used}, of {counted(progress.edges, 'edge')} tried{unsafe}"
+
+
+def _distance_to_goal(task: Task, vehicle: Vehicle, plan: Plan) -> str:
+    """Where a plan ends relative to the goal region: its distance, and how far its heading is off, for a sentence."""
+    goal = task.goal
+    x, y, heading = pose_of(plan.states[-1], vehicle)
+    distance = math.dist((x, y), goal.center) - goal.radius
+    place = f"{distance:.3g} m from the goal region" if distance > 0.0 else "in the goal region"
+    if goal.heading is None or goal.heading_tolerance is None:
+        return place
+    off = math.degrees(abs(math.remainder(heading - goal.heading, math.tau)))
+    tolerance = math.degrees(goal.heading_tolerance)
+    return (
+        f"{place}, {off:.3g} degrees off the heading, of which {tolerance:.3g} are allowed"
+        if off > tolerance
+        else place
+    )

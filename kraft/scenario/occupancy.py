@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from pydantic import BeforeValidator, Field, model_validator
 
-from kraft.config.schema import Angle, Coordinate, Probability, StrictModel, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
 from kraft.errors import Code, InputError
@@ -49,7 +49,7 @@ class MapServerFile(StrictModel):
 
     image: Annotated[str, Field(min_length=1)]
     """path of the image, relative to this file"""
-    resolution: Annotated[float, Field(gt=0, le=100)]
+    resolution: Annotated[float, Field(ge=LENGTH_MIN, le=100)]
     """side of a cell, m"""
     origin: tuple[Coordinate, Coordinate, Angle]
     """[x, y, yaw] of the lower left corner, m and rad"""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from kraft.config.schema import NonNegative, Probability, StrictModel, refuse
 from kraft.config.validation import build
-from kraft.errors import Code
+from kraft.errors import Code, InputError
 
 PLANNERS: Final[dict[str, str]] = {
     "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
@@ -19,6 +20,7 @@ PLANNERS: Final[dict[str, str]] = {
 }
 
 
+STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MOST_STEPS`)
 DEFAULT_ITERATIONS: Final = 20_000
 
 Duration = Annotated[float, Field(gt=0, le=1000)]
@@ -75,6 +77,9 @@ class Planning(StrictModel):
         if self.integration_step > shortest:
             problem = f"is {self.integration_step:g}, longer than the shortest edge"
             raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
+        if self.steps > STEPS_MAX:
+            expected = f"expected a step with which the longest edge takes at most {STEPS_MAX} steps"
+            raise refuse(f"is {self.integration_step:g}", expected, ("integration_step",), Code.CONFLICT)
         if self.iterations is not None and self.time is not None:
             raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",), Code.CONFLICT)
         return self
@@ -85,8 +90,10 @@ class Planning(StrictModel):
         Raises:
             InputError: if the budget is not positive and finite, or both are given.
         """
-        changes = {"iterations": iterations, "time": time}
-        return build(Planning, {**dict(self), **changes}, "planning budget")
+        try:
+            return build(Planning, {**dict(self), "iterations": iterations, "time": time}, "planning")
+        except InputError as error:
+            raise InputError(replace(d, file=d.path, path="", argument=True) for d in error.diagnostics) from None
 
     @property
     def steps(self) -> int:

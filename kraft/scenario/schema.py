@@ -7,7 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
 
-from kraft.config.schema import Angle, Coordinate, Length, Point, Size, Span, StrictModel, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Length, Point, Size, Span, StrictModel, refuse
 from kraft.errors import Code
 from kraft.scenario.geometry import crossing_edges
 from kraft.scenario.planning import Planning
@@ -69,6 +69,10 @@ def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
             raise refuse(f"repeats vertex {seen[vertex]}", "expected each vertex once", (i,), Code.GEOMETRY)
         seen[vertex] = i
     array = np.array(vertices, dtype=np.float64)
+    edges = np.linalg.norm(np.roll(array, -1, axis=0) - array, axis=1)
+    if edges.min() < LENGTH_MIN:
+        problem = f"the edge to the next vertex is {edges.min():g} m long"
+        raise refuse(problem, f"expected at least {LENGTH_MIN:g} m", (int(edges.argmin()),), Code.GEOMETRY)
     if np.linalg.matrix_rank(array - array[0]) < 2:
         raise refuse("the polygon has no area", "expected vertices that are not on one line", code=Code.GEOMETRY)
     if crossing := crossing_edges(array):

@@ -11,7 +11,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from kraft.config.schema import Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
 from kraft.errors import Code
 
 Friction = Annotated[float, Field(gt=0, le=10)]
@@ -25,7 +25,7 @@ class SpeedBump(StrictModel):
     """[x, y] of the centre, m"""
     size: Size
     """[length, width] before turning by yaw_deg, m"""
-    height: Annotated[float, Field(gt=0, le=0.5)]
+    height: Annotated[float, Field(ge=LENGTH_MIN, le=0.5)]
     """height of the crest, m"""
     yaw_deg: Angle = 0.0
     """rotation, degrees"""

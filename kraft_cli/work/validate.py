@@ -12,7 +12,7 @@ from kraft.config import bundled
 from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, MissingError
 from kraft.logs.mapping import Mapping
 from kraft.planning.feasibility import check_placement
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
@@ -24,6 +24,7 @@ from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.cache_error import CacheError
 
 FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]
 
@@ -40,15 +41,29 @@ _WRITTEN: Final = "kraft."
 
 @dataclass(frozen=True)
 class FileReport:
-    """What a file was taken for (None if it could not be read that far) and everything wrong with it."""
+    """Kind of a file (None if it could not be read that far) and everything wrong with it.
+
+    `defect` is an error of the check itself, after which nothing more is known of the file.
+    """
 
     file: str
     kind: FileKind | None
     problems: tuple[Diagnostic, ...] = ()
+    defect: Exception | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether the file was checked and has no problem."""
+        return not self.problems and self.defect is None
 
 
 def check_file(name_or_path: str | Path) -> FileReport:
-    """Check a file, or a bundled scenario, vehicle or method by name. Problems are returned, not raised."""
+    """Check a file, or a bundled scenario, vehicle or method by name. Problems and defects are returned, not raised.
+
+    Raises:
+        MissingError: if something that the check needs is not installed.
+        CacheError: if kernels cannot be kept.
+    """
     kind: FileKind | None = None
     file = str(name_or_path)
     try:
@@ -59,6 +74,10 @@ def check_file(name_or_path: str | Path) -> FileReport:
         _check_as(kind, document, path)
     except InputError as error:
         return FileReport(file, kind, error.diagnostics)
+    except (MissingError, CacheError):
+        raise
+    except Exception as error:  # one file must not keep the others from being checked
+        return FileReport(file, kind, defect=error)
     return FileReport(file, kind)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.diagnostics import located, raised
+from support.diagnostics import raised
 
 from kraft.config import bundled
 from kraft.errors import Code, InputError
@@ -193,15 +193,17 @@ def test_another_budget_replaces_the_old_one_whichever_it_was() -> None:
 @pytest.mark.parametrize(
     ("budget", "expected"),
     [
-        ({"iterations": 0}, "iterations value"),
-        ({"time": -1.0}, "time value"),
-        ({"time": math.nan}, "time value"),
-        ({"time": math.inf}, "time value"),
-        ({"time": 1.0, "iterations": 1}, "time conflict"),
+        ({"iterations": 0}, ("iterations", Code.VALUE)),
+        ({"time": -1.0}, ("time", Code.VALUE)),
+        ({"time": math.nan}, ("time", Code.VALUE)),
+        ({"time": math.inf}, ("time", Code.VALUE)),
+        ({"time": 1.0, "iterations": 1}, ("time", Code.CONFLICT)),
     ],
 )
-def test_a_budget_that_is_none_is_refused(budget: dict[str, Any], expected: str) -> None:
-    assert located(raised(lambda: Planning().with_budget(**budget))) == [expected]
+def test_a_budget_that_is_none_is_refused_by_its_argument(budget: dict[str, Any], expected: tuple[str, Code]) -> None:
+    (problem,) = raised(lambda: Planning().with_budget(**budget))
+    assert (problem.file, problem.code) == expected
+    assert problem.argument
 
 
 def test_the_margin_grows_with_speed_in_either_direction() -> None:
