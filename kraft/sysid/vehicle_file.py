@@ -156,6 +156,8 @@ def _model(reference: str, folder: Path) -> str:
     return _text(os.path.relpath(path, folder.absolute()) + (f":{attribute}" if attribute else ""))
 
 
+# Written by hand: a Dumper of PyYAML that keeps this layout needs the same rules for quotes, flow style and digits, and
+# more lines (it writes 1e-05 as !!float '1e-05', indents no list, and quotes other texts).
 def _mapping(content: Mapping[str, Any], indent: str) -> Iterator[str]:
     """Lines of a mapping; what holds numbers alone stands on one line, rows of a matrix on one each."""
     for key, value in content.items():

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.synthetic_logs import CommandSeries, random_commands, synthetic_logs
 from benchmarks.sysid import TRUTH
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
 from kraft.sysid.actuators import hat_means
 from kraft.sysid.auxiliary import auxiliary_parameters
@@ -156,8 +156,10 @@ def test_a_model_without_parameters_has_nothing_but_extras() -> None:
         footprint=Footprint(0.3, 0.3),
         top_speed=1.0,
     )
-    with pytest.raises(InputError, match="extras: there is nothing to identify of prompt, which has no parameters"):
+    with pytest.raises(InputError) as error:
         check_free_parameters(prompt, Settings(auxiliary="none"))
+    (problem,) = error.value.diagnostics
+    assert (problem.file, problem.code, problem.argument) == ("auxiliary", Code.CONFLICT, True)
     check_free_parameters(prompt, Settings())
 
 
