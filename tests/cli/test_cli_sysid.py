@@ -142,7 +142,7 @@ def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_r
 ) -> None:
     (folder / "my.yaml").mkdir()
     assert main(["sysid", "nowhere", "--out", "my.yaml", "--plot", "/proc/my.png", "--freeze", "l"]) == 2
-    freeze, proc, out = said(capsys)
+    proc, freeze, out = said(capsys)
     assert proc.startswith("/proc/my.png: cannot be written: nothing can be made in /proc")
     assert freeze == "--freeze: mushr-lag has no parameter l; did you mean 'L'?"
     assert out == "my.yaml: is a folder; expected the name of a file"
