@@ -21,6 +21,7 @@ from kraft.errors import InputError
 from kraft.sysid.data import LogSplit
 from kraft.sysid.result import Identification, PredictionErrors, correlations
 from kraft.sysid.settings import Settings
+from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 
@@ -88,7 +89,9 @@ def evaluate_predictions(
         unseen = pair(log_split.held_out)
     except InputError as error:
         why = "; ".join(f"{problem.file} {problem.problem}" for problem in error.diagnostics)
-        warning = f"the fit is not tested: the {len(log_split.held_out)} held-out logs cannot be predicted ({why})"
+        warning = (
+            f"the fit is not tested: {counted(len(log_split.held_out), 'held-out log')} cannot be predicted ({why})"
+        )
         return PredictionEvaluation(fitted, None, (warning,))
     return PredictionEvaluation(
         fitted, unseen, (*prediction_warnings(unseen), *_unpredicted(log_split.held_out, unseen))

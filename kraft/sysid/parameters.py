@@ -159,7 +159,7 @@ def _with_value(spec: ParameterSpec, values: Mapping[str, float]) -> ParameterSp
 
 
 def out_of_bounds(spec: ParameterSpec, values: Mapping[str, float]) -> Diagnostic | None:
-    """What is wrong with the value that a number is given, if it is given one."""
+    """The problem with the value that `values` gives a parameter; None if it is within the bounds."""
     value = values.get(spec.name, spec.value)
     if spec.min <= value <= spec.max:
         return None

@@ -93,7 +93,7 @@ def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.Captu
     arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]
     assert main(arguments) == 0
     (wraps,) = (line for line in said(capsys) if "yaw wraps" in line)
-    found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v tells where\)", wraps)
+    found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v lists them\)", wraps)
     assert found is not None
     assert main(["-v", *arguments]) == 0
     each = [line for line in said(capsys) if re.match(r"run_\d\d: yaw wraps \d times?, first at line", line)]
@@ -183,7 +183,7 @@ def test_a_person_gets_tables_and_hears_what_was_taken_for_what(capsys: pytest.C
     assert re.fullmatch(r"OPEN LOOP, held-out logs +1 s +2 s +3 s +all", lines[6])
     assert re.fullmatch(r"position, identified( +[\d.]+ cm){4}", lines[7])
     assert re.fullmatch(r"yaw, initial( +[\d.]+ deg){4}", lines[10])
-    assert "intervals follow from how much the logs differ" in out
+    assert "intervals follow from the differences between logs" in out
     assert "run_01 and 7 more: commands: commands.csv: time from 't'" in err
     assert re.search(r"2 of 8 logs held out: run_\d\d, run_\d\d", err)
 
@@ -227,13 +227,13 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
     assert written.top_speed == "v_delta"
     assert written.values["v_delta"] < 1.02 * fastest
     unsought = "delay, lag_throttle, lag_steering, friction, dead_band_throttle, dead_band_steering"
-    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
+    assert f"not considered, because planning does not model them: {unsought}" in content["notes"]
 
 
 def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sysid", "logs", "--out", "my.yaml", "--extras", "delay,lever", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
-    warning = "planning does not know delay, and my.yaml is off by as much: for a file to plan with, leave them out"
+    warning = "planning does not model delay, "
     assert any(each.startswith(warning) for each in content["warnings"])
     assert main(["sysid", "logs", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
     assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
@@ -248,21 +248,24 @@ def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
     """And one that is frozen at nothing is nothing that planning lacks."""
     assert main(["sysid", "logs", "--out", "my.yaml", "--json", *options]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert "asked for, and kept: friction; the data show lever; not shown, and left out: yaw_offset" in content["notes"]
+    assert (
+        "requested auxiliary parameters, kept: friction; significant auxiliary parameters, kept: lever; removed: yaw_offset"
+    ) in content["notes"]
     unsought = "delay, lag_throttle, lag_steering, dead_band_throttle, dead_band_steering"
-    assert f"not sought, for planning does not know them: {unsought}" in content["notes"]
-    assert any(each.startswith("planning does not know friction") for each in content["warnings"]) == unknown
+    assert f"not considered, because planning does not model them: {unsought}" in content["notes"]
+    assert any(each.startswith("planning does not model friction") for each in content["warnings"]) == unknown
 
 
 def test_an_extra_that_is_kept_may_be_hardly_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
-    """What cannot be told apart goes, or is not identified."""
+    """One that is indistinguishable is removed, or the model is not identified."""
     assert main(["sysid", "logs", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["params"]["friction"]["extra"]
     assert any(
-        each.startswith("v_delta and friction are hardly told apart (correlation 0.9") for each in content["warnings"]
+        each.startswith("v_delta and friction are nearly indistinguishable (correlation 0.9")
+        for each in content["warnings"]
     )
-    assert not any("cannot be told apart" in each for each in (*content["warnings"], *content["objections"]))
+    assert not any("are indistinguishable" in each for each in (*content["warnings"], *content["objections"]))
 
 
 def test_where_no_extra_is_shown_beside_a_frozen_model_nothing_is_identified(
@@ -273,7 +276,7 @@ def test_where_no_extra_is_shown_beside_a_frozen_model_nothing_is_identified(
     out, err = capsys.readouterr()
     content = json.loads(out)
     assert content["correlation"] == {"names": [], "matrix": []}
-    why = "every parameter that is left is frozen, and the data show no other"
+    why = "every parameter of the model is frozen, and the data show no auxiliary parameter"
     assert content["objections"] == [why]
     assert err.splitlines()[-1] == f"error: not identified: {why}; my.yaml was not written"
     assert (folder / "my.png").exists()
@@ -305,8 +308,8 @@ def test_straight_lines_do_not_identify_a_wheelbase(folder: Path, capsys: pytest
     options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
     assert main(["sysid", "logs/run_01", "logs/run_06", *options]) == 1
     err = said(capsys)
-    assert re.match(r"error: not identified: .*the logs do not show L.*; my\.yaml was not written", err[-1])
-    assert any(line.startswith("warning: L is known no better than before") for line in err)
+    assert re.match(r"error: not identified: .*the logs do not identify L.*; my\.yaml was not written", err[-1])
+    assert any(line.startswith("warning: the logs do not identify L:") for line in err)
     assert not (folder / "my.yaml").exists()
     assert (folder / "my.png").exists()
 
@@ -380,7 +383,7 @@ def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: py
     assert (content["rmse_holdout_m"], content["rmse_holdout_initial_m"]) == (None, None)
     assert (content["prediction"]["holdout"], content["prediction"]["holdout_initial"]) == (None, None)
     assert content["rmse_train_m"] > 0
-    why = "the fit is not tested: the 1 held out cannot be predicted (logs are all shorter than a second)"
+    why = "the fit is not tested: 1 held-out log cannot be predicted (logs are all shorter than a second)"
     assert why in content["warnings"]
     assert f"warning: {why}" in err
     assert (folder / "my.png").stat().st_size > 50_000
@@ -401,7 +404,7 @@ def test_a_held_out_log_that_is_too_short_beside_others_is_named(
     assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["rmse_holdout_m"] > 0
-    assert f"held out, but too short to be predicted: {first}" in content["warnings"]
+    assert f"held-out logs too short to be predicted: {first}" in content["warnings"]
 
 
 def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not(

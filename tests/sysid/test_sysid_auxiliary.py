@@ -216,22 +216,24 @@ def test_friction_that_is_asked_for_and_not_there_is_not_shown_by_the_data() -> 
     result = identify(lag(), made, Settings(values={"friction": 0.4}))
     assert result.auxiliary == ("friction",)
     assert result.parameters["friction"].is_zero
-    assert "friction is 0, the least it can be: the data show none" in result.warnings
+    assert "friction is 0, its lower bound: the data show no such effect" in result.warnings
     (note,) = result.notes
-    assert note.startswith("asked for, and kept: friction; the data show no other extra parameter; not shown, and left")
+    assert note.startswith(
+        "requested auxiliary parameters, kept: friction; no other auxiliary parameter is significant; removed:"
+    )
 
 
 @pytest.mark.parametrize(
     ("tried", "kept", "asked", "said"),
     [
-        ((), (), (), "there are no extra parameters for this vehicle"),
-        (("delay", "lever"), ("delay", "lever"), (), "the data show delay, lever"),
-        (("delay", "lever"), ("lever",), (), "the data show lever; not shown, and left out: delay"),
-        (("delay",), (), (), "the data show no extra parameter; not shown, and left out: delay"),
-        (("delay",), ("delay",), ("delay", "L"), "asked for, and kept: delay"),
-        (("delay", "side"), ("delay", "side"), ("side",), "asked for, and kept: side; the data show delay"),
+        ((), (), (), "no auxiliary parameter applies to this vehicle"),
+        (("delay", "lever"), ("delay", "lever"), (), "significant auxiliary parameters, kept: delay, lever"),
+        (("delay", "lever"), ("lever",), (), "significant auxiliary parameters, kept: lever; removed: delay"),
+        (("delay",), (), (), "no auxiliary parameter is significant; removed: delay"),
+        (("delay",), ("delay",), ("delay", "L"), "requested auxiliary parameters, kept: delay"),
+        (("delay", "side"), ("delay", "side"), ("side",), "requested auxiliary parameters, kept: side; significant auxiliary parameters, kept: delay"),
         (("delay", "side"), ("side",), ("side",),
-         "asked for, and kept: side; the data show no other extra parameter; not shown, and left out: delay"),
+         "requested auxiliary parameters, kept: side; no other auxiliary parameter is significant; removed: delay"),
     ],
 )  # fmt: skip
 def test_what_became_of_the_extras_is_told_apart_from_what_was_asked_for(

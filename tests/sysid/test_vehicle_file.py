@@ -226,14 +226,16 @@ def test_what_the_logs_do_not_show_is_an_objection() -> None:
     assert objections(RESULT, EVALUATION) == ()
     assert objections(replace(RESULT, converged=False), EVALUATION) == ("the fit did not converge",)
     assert objections(replace(RESULT, unidentified=("L", "v_delta")), EVALUATION) == (
-        "the logs do not show L, v_delta",
+        "the logs do not identify L, v_delta",
     )
     assert objections(replace(RESULT, unidentified=("delay",)), EVALUATION) == ()  # an extra that planning does not use
     frozen = replace(RESULT, names=(), covariance=np.zeros((0, 0)), graph_covariance=np.zeros((0, 0)))
-    assert objections(frozen, EVALUATION) == ("every parameter that is left is frozen, and the data show no other",)
+    assert objections(frozen, EVALUATION) == (
+        "every parameter of the model is frozen, and the data show no auxiliary parameter",
+    )
     one = RESULT.graph_covariance.copy()
     one[0, 1] = one[1, 0] = -0.995 * np.sqrt(one[0, 0] * one[1, 1])
-    assert objections(replace(RESULT, graph_covariance=one), EVALUATION) == ("L and phi_diff cannot be told apart",)
+    assert objections(replace(RESULT, graph_covariance=one), EVALUATION) == ("L and phi_diff are indistinguishable",)
 
 
 @pytest.mark.parametrize(("identified_drift", "warned", "refused"), [(0.1005, 0, 0), (0.11, 1, 0), (0.2, 1, 1)])
