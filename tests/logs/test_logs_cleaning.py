@@ -394,7 +394,7 @@ def test_a_log_with_an_orientation_in_a_single_pose_is_refused(tmp_path: Path) -
 
 def test_a_vehicle_that_lies_on_its_side_is_said(tmp_path: Path) -> None:
     log = oriented(tmp_path, 0.7, 0.1, WIDE["yaw"] * 0, WIDE["yaw"] * 0 + 0.7)
-    assert finding(log, "tilted").text == "a.csv: the vehicle does not stand upright; is z not up?"
+    assert finding(log, "tilted").count == 1
 
 
 def test_a_yaw_that_turns_the_other_way_is_said(tmp_path: Path) -> None:

@@ -346,7 +346,7 @@ def test_the_message_about_missing_columns_names_them_and_the_nearest() -> None:
     table = Table("a.csv", "", dict.fromkeys(("t", "cmd_speed", "cmd_stear"), np.zeros(0)), np.zeros(0, np.int64))
     assert str(missing_columns(table, ["steering", "yaw"])) == (
         "a.csv: no column is recognised as steering or as yaw; there are t, cmd_speed, cmd_stear; "
-        "did you mean 'cmd_stear' for steering? a mapping file says which column it is"
+        "did you mean 'cmd_stear' for steering? a mapping file can name the column"
     )
 
 
