@@ -19,7 +19,6 @@ from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, prediction_errors
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 
-REAL = Path(os.environ.get("KRAFT_REAL_LOGS", "../shared/data")) / "f1tenth_koopman_cc0"
 TRUTH = {"L": 0.30, "phi_diff": 0.03, "v_delta": 0.7, "tau": 0.6}
 PROCESS = {"x": 0.003, "y": 0.003, "theta": 0.006, "v": 0.015}
 CONTROL = {"throttle": 0.01, "steering": 0.0076}
@@ -37,10 +36,10 @@ def run(effort: Effort) -> Report:
     rows += coverage(problems, ten_times_smaller(STATED), "noise stated ten times too small")
     rows += recorded_rows(effort)
     notes = ["Model mushr-lag. Times are of identify() as it is by default: reading files is not in them."]
-    if REAL.is_dir():
+    if "KRAFT_REAL_LOGS" in os.environ:
         rows += [entry for name in ("mushr", "mushr-lag") for entry in real(name)]
     else:
-        notes.append(f"There are no real logs in {REAL}; KRAFT_REAL_LOGS names their folder.")
+        notes.append("No real logs: KRAFT_REAL_LOGS does not name their folder.")
     return Report("sysid", rows, notes=notes)
 
 
@@ -144,9 +143,9 @@ def outliers(repeats: int) -> list[Row]:
     return [row("5 % outliers of 0.5 m: change of L", "share", moved, Target(0.02, of="worst"))]
 
 
-def real_logs(folder: Path = REAL) -> list[Log]:
-    """The F1TENTH runs: t, x, y, yaw, v, cmd_speed, cmd_steer; v is not used."""
-    return list(_real_logs(folder))
+def real_logs() -> list[Log]:
+    """The F1TENTH runs that KRAFT_REAL_LOGS names: t, x, y, yaw, v, cmd_speed, cmd_steer; v is not used."""
+    return list(_real_logs(Path(os.environ["KRAFT_REAL_LOGS"], "f1tenth_koopman_cc0")))
 
 
 def _real_logs(folder: Path) -> Iterator[Log]:

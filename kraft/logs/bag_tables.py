@@ -23,7 +23,7 @@ TYPES: Final = {
     *("geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"),
     *("geometry_msgs/msg/Pose2D", "geometry_msgs/msg/TransformStamped", "nav_msgs/msg/Odometry", "std_msgs/msg/Bool"),
 }
-"""Messages that are read without being named in a mapping file."""
+"""Types of messages that are read without a mapping file."""
 _LIST_MAX: Final = 32  # longer lists are covariances and scans
 _ACKERMANN: Final = """
 float32 steering_angle
@@ -36,7 +36,7 @@ float32 jerk
 
 @dataclass
 class _Topic:
-    """What was read of a topic so far."""
+    """Messages of a topic that were read so far."""
 
     getters: dict[str, Any]
     times: list[int] = field(default_factory=list)
@@ -45,7 +45,7 @@ class _Topic:
 
 
 def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
-    """Read the topics that may hold commands and poses, and those that are named.
+    """Read the topics that may hold commands and poses, and the topics `topics`.
 
     Raises:
         InputError: if the bag is truncated or damaged, has none of them, or mixes types of messages on one.
@@ -60,15 +60,15 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
             _check_counts(chosen, read)
     except InputError:
         raise
-    except Exception as error:  # whatever a parser may trip over in bytes that are not what they should be
+    except Exception as error:  # a parser may raise anything on corrupt bytes
         raise InputError.of(
-            str(path), f"is not a whole bag ({_reason(error)})", _repair(path), Code.UNREADABLE
+            str(path), f"is not a complete bag ({_reason(error)})", _repair(path), Code.UNREADABLE
         ) from error
     if not read:
         there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(known.items())) or "none"
         expected = "expected AckermannDriveStamped or Twist, and Odometry, PoseStamped or the like; or a mapping file"
         raise InputError.of(
-            str(path), f"has no messages on topics that kraft knows; there are {there}", expected, Code.DATA
+            str(path), f"has no messages of types that kraft reads; its topics are {there}", expected, Code.DATA
         )
     origin = min(topic.times[0] for topic in read.values())
     return tuple(_table(str(path), name, topic, origin) for name, topic in sorted(read.items()))
@@ -100,7 +100,7 @@ def _read(reader: AnyReader, chosen: Sequence[Any]) -> dict[str, _Topic]:
 
 
 def _check_types(path: Path, chosen: Iterable[Any], connections: Sequence[Any]) -> None:
-    """Refuse topics whose messages are not all alike: which of them are meant cannot be told from the topic."""
+    """Refuse topics with messages of several types: the name of the topic does not determine which are meant."""
     problems = []
     for topic in sorted({connection.topic for connection in chosen}):
         types = sorted({connection.msgtype for connection in connections if connection.topic == topic})
@@ -114,7 +114,7 @@ def _check_types(path: Path, chosen: Iterable[Any], connections: Sequence[Any]) 
 
 
 def _check_counts(chosen: Sequence[Any], read: Mapping[str, _Topic]) -> None:
-    """Refuse a bag that lost messages which its index counts; not all formats have checksums."""
+    """Refuse a bag with fewer messages than its index counts; not all formats have checksums."""
     for topic in {connection.topic for connection in chosen}:
         counted = sum(connection.msgcount for connection in chosen if connection.topic == topic)
         there = len(read[topic].rows) if topic in read else 0
@@ -144,7 +144,7 @@ def _item(path: str, i: int) -> Any:
 
 
 def _table(file: str, name: str, topic: _Topic, origin: int) -> Table:
-    """Times are subtracted as whole nanoseconds: as floats they would lose some hundred of them."""
+    """Table of a topic; times are subtracted as integer nanoseconds, since floats would lose hundreds of them."""
     columns = {LOG_TIME: np.array([1e-9 * (time - origin) for time in topic.times])}
     if topic.stamps and any(topic.stamps):
         columns[STAMP] = np.array([1e-9 * (stamp - origin) for stamp in topic.stamps])
@@ -159,4 +159,4 @@ def _reason(error: Exception) -> str:
 
 def _repair(path: Path) -> str:
     tool = {".bag": "rosbag reindex", ".mcap": "mcap recover"}.get(path.suffix, "ros2 bag reindex")
-    return f"expected a bag that was closed properly; `{tool}` may save what is there"
+    return f"expected a bag that was closed properly; `{tool}` may recover its content"

@@ -1,4 +1,4 @@
-"""Which columns of which tables are taken for what, in which unit; as values and as a line of text."""
+"""Assignment of columns to commands, poses and the dead-man switch, with units; as values and as a line of text."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from kraft.logs.table import LOG_TIME, STAMP, Flags, Table
 from kraft.logs.units import FACTOR, Unit
 
 STAMP_TOLERANCE: Final = 1.0
-"""How far the clocks of the senders and of the recorder may be apart, s."""
+"""Largest difference between the clocks of senders and recorder, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One column.
+    """One column and its role.
 
     Attributes:
-        role: what it is taken for: time, throttle, x, yaw, qw, ...
+        role: time, throttle, x, yaw, qw, ...
         column: its name in the table.
-        unit: in which its numbers are.
-        zero: the number that stands for zero, in that unit.
-        scale: what a number is multiplied with besides the unit's factor.
-        stated: whether name or mapping file say the unit; otherwise it is the one expected.
+        unit: unit of its numbers.
+        zero: the number that represents zero, in that unit.
+        scale: factor besides that of the unit.
+        stated: whether the name or the mapping file states the unit; otherwise it is the expected one.
         place: where the mapping file names it, for errors; None if it was guessed.
-        note: what else a reader of the guess should know.
+        note: remark for the line of text.
     """
 
     role: str
@@ -59,9 +59,9 @@ class Stream:
     """Columns of one table that share a clock.
 
     Attributes:
-        table: where they are.
-        time: the clock.
-        channels: the columns.
+        table: table of the columns.
+        time: column with the clock.
+        channels: the other columns.
     """
 
     table: Table
@@ -70,7 +70,7 @@ class Stream:
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """What the columns are taken for."""
+        """Roles of the columns."""
         return tuple(channel.role for channel in self.channels)
 
     def times(self) -> Array:
@@ -82,7 +82,7 @@ class Stream:
         return np.column_stack([channel.values(self.table) for channel in self.channels])
 
     def present(self) -> Flags:
-        """Rows that hold a sample: a row whose cells are all empty belongs to another stream. Shape (n,)."""
+        """Rows that hold a sample, shape (n,); a row whose cells are all empty belongs to another stream."""
         blank = [self.table.blank.get(channel.column) for channel in self.channels]
         masks = [mask for mask in blank if mask is not None]
         if len(masks) < len(blank):
@@ -101,12 +101,12 @@ class Stream:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What a log is read from.
+    """Streams that a log is read from.
 
     Attributes:
         commands: streams that together have every control once.
         poses: a stream with x, y and yaw, or with x, y, qx, qy, qz and qw.
-        dead_man: a stream whose number is 0 while the log does not count.
+        dead_man: stream of the dead-man switch, if there is one.
         unused: tables and columns that could have been taken as well.
     """
 
@@ -116,7 +116,7 @@ class Choice:
     unused: tuple[str, ...] = ()
 
     def streams(self) -> Iterable[tuple[str, Stream]]:
-        """Each stream with what it is."""
+        """Each stream with its name."""
         yield from (("commands", stream) for stream in self.commands)
         yield "poses", self.poses
         if self.dead_man is not None:
@@ -129,9 +129,9 @@ class Choice:
 
 
 def on_one_clock(choice: Choice) -> Choice:
-    """Take the recorder's stamps for all streams if the senders' of some are by another clock than those of the rest.
+    """Use the stamps of the recorder for all streams if the stamps of the senders are from different clocks.
 
-    Only what was chosen is judged: a latched topic that nobody reads may be hours old.  A clock that the mapping file
+    Only chosen streams are compared: a latched topic that is not used may be hours old.  A clock that the mapping file
     names is kept.
     """
     streams = [stream for _, stream in choice.streams() if stream.table.topic]
@@ -149,7 +149,7 @@ def on_one_clock(choice: Choice) -> Choice:
 
 
 def _lag(stream: Stream) -> float:
-    """How far a stream's clock is from the recorder's, s."""
+    """Difference between the clock of a stream and that of the recorder, s."""
     return float(np.median(stream.times() - stream.table.columns[LOG_TIME]))
 
 

@@ -1,4 +1,4 @@
-"""From chosen columns to a log's parts: what cannot be used is left out and said."""
+"""Cleaning of a log: from its columns to its parts; what cannot be used is left out and reported as a finding."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from kraft.logs.unit_checks import check_units
 from kraft.text import counted
 
 TURN_MIN: Final = 0.2
-"""A log in which the vehicle turns at least this much has motion, rad."""
+"""Least turn that counts as motion, rad."""
 HISTORY: Final = 1.0
-"""How long before a part's first pose its commands begin, if they do, s: the vehicle may obey them late."""
+"""Time before the first pose of a part from which commands are kept, s: they may take effect with a delay."""
 POSES_MIN: Final = 3
 UPRIGHT_COSINE_MIN: Final = 0.7
-"""Cosine of the tilt beyond which a vehicle does not stand on its wheels."""
+"""Cosine of the tilt below which the vehicle is not upright."""
 
 
 def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tuple[Part, ...], tuple[Finding, ...]]:
@@ -64,7 +64,11 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
 
 
 def _read(choice: Choice, findings: Findings) -> tuple[tuple[Samples, ...], Samples, float]:
-    """Commands and poses, from the first stamp on, and that stamp; what is wrong with either is said together."""
+    """Commands and poses with times from the first stamp on, and that stamp.
+
+    Raises:
+        InputError: with the problems of commands and poses together.
+    """
     read: list[Samples] = []
     problems: list[Diagnostic] = []
     clocks = {(id(stream.table), stream.time.column) for stream in (*choice.commands, choice.poses)}
@@ -88,10 +92,12 @@ def _check_number(poses: Samples, only: str) -> None:
 
 
 def _check_overlap(commands: HeldCommands, poses: Samples, choice: Choice) -> None:
-    expected = "expected both to be of the same drive, by the same clock, in the same unit"
+    expected = "expected both from the same drive, with the same clock and unit of time"
     if not len(commands.times):
-        raise poses.refuse("the controls are never all commanded", "expected commands of all controls at the same time")
-    # commands that are logged when they change hold for long, but not from another day
+        raise poses.refuse(
+            "there is no time at which all controls are commanded", "expected commands of all controls at the same time"
+        )
+    # commands that are logged when they change hold for long, but at most for the duration of the poses
     last = min(commands.until[-1], commands.times[-1] + poses.times[-1] - poses.times[0])
     if commands.times[0] < poses.times[-1] and last > poses.times[0]:
         return
@@ -145,12 +151,12 @@ def _check_motion(poses: Samples, parts: tuple[Part, ...], limits: Limits) -> No
     if all(way < limits.least_motion and turn < TURN_MIN for way, turn in ways):
         way = max(way for way, _ in ways)
         expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
-        fact = f"the vehicle gets {way:.2g} m far (between means over up to {AVERAGING_TIME:g} s)"
+        fact = f"the vehicle moves {way:.2g} m (between means over up to {AVERAGING_TIME:g} s)"
         raise poses.refuse(f"there is no motion: {fact}", expected)
 
 
 def pose_gap(times: Array, limits: Limits) -> float:
-    """How long poses may be missing within a part, s."""
+    """Longest time without poses within a part, s."""
     return limits.pose_gap or max(GAP_MIN, GAP_STEPS * float(np.median(np.diff(times))))
 
 
@@ -158,14 +164,14 @@ def segments(poses: Samples, tracks: Rows, held: Rows, commands: HeldCommands, g
     """Indices of the poses of each part.
 
     Args:
-        poses: all of them.
-        tracks: number of each one's track, shape (n,).
-        held: number of each one's interval of the dead-man switch, negative while it is released, shape (n,).
-        commands: to leave out what is driven without.
+        poses: all poses.
+        tracks: number of the track of each pose, shape (n,).
+        held: number of the interval of the dead-man switch of each pose, negative while it is released, shape (n,).
+        commands: commands; poses without a command in force are left out.
         gap: longest time without poses within a part, s.
     """
     index = commands.in_force(poses.times)
-    run = np.searchsorted(commands.gaps, index, side="left")  # changes where the commands had a gap
+    run = np.searchsorted(commands.gaps, index, side="left")  # changes at gaps in the commands
     good: Flags = (index >= 0) & (tracks != OUTLIER) & (held >= 0)
     chosen = np.flatnonzero(good)
     if not len(chosen):
@@ -176,9 +182,9 @@ def segments(poses: Samples, tracks: Rows, held: Rows, commands: HeldCommands, g
 
 
 def make_part(times: Array, poses: Array, commands: HeldCommands, since: float) -> Part:
-    """Make a part of its poses, shape (n, 3), and of the commands from at most `HISTORY` before them.
+    """Make a part from its poses, shape (n, 3), and the commands from at most `HISTORY` before them.
 
-    ``since`` is when commands began to be obeyed, s: one that was in force before then counts from then.
+    Commands take effect from ``since`` on, s: one that was in force before begins then.
     """
     begin = max(since, times[0] - HISTORY)
     first = max(0, int(np.searchsorted(commands.times, begin, side="right")) - 1)
@@ -194,21 +200,21 @@ def make_part(times: Array, poses: Array, commands: HeldCommands, since: float) 
 
 
 def planar(poses: Samples, findings: Findings) -> tuple[Samples, Array]:
-    """Poses that have an orientation, and these as x, y and yaw, shape (n, 3).
+    """Poses with an orientation, and their x, y and yaw, shape (n, 3).
 
     Raises:
         InputError: if none has.
     """
     if poses.stream.roles[2] == "yaw":
         return poses, poses.values
-    none = np.linalg.norm(poses.values[:, 2:], axis=1) < 0.5  # trackers write zeros when they see nothing
+    none = np.linalg.norm(poses.values[:, 2:], axis=1) < 0.5  # trackers write zeros without a detection
     if none.all():
         columns = ", ".join(channel.column for channel in poses.stream.channels[2:])
-        raise poses.refuse(f"{columns} are no orientation", "expected a quaternion of length 1", 0)
+        raise poses.refuse(f"{columns} are not an orientation", "expected a quaternion of length 1", 0)
     add_left_out("nan", poses, none, "have no orientation", findings)
     poses = poses.keep(~none)
     x, y, z, w = (poses.values[:, 2:] / np.linalg.norm(poses.values[:, 2:], axis=1, keepdims=True)).T
     if np.median(1 - 2 * (x * x + y * y)) < UPRIGHT_COSINE_MIN:
-        findings.add("tilted", 1, f"{poses.stream.table.name}: the vehicle does not stand upright; is z not up?")
+        findings.add("tilted", 1, f"{poses.stream.table.name}: the vehicle is not upright; is z not up?")
     yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return poses, np.column_stack([poses.values[:, :2], yaw])

@@ -1,4 +1,4 @@
-"""Take a column of one table for one role: the one that the mapping file names, else the one whose name fits best."""
+"""Match of the columns of a table to roles: the column that the mapping file names, else the best match by name."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from kraft.text import nearest, suggestion
 
 Score = Callable[[str], int | None]
 TYPO_LENGTH_MIN: Final = 4
-"""Letters that a word must have for another one to be a slip of it."""
+"""Least number of letters of a word whose misspellings are recognised."""
 TYPO_SIMILARITY_MIN: Final = 0.75
-"""How alike the two must be."""
-MAPPING_HINT = "a mapping file says which column it is"
+"""Least similarity of a misspelling."""
+MAPPING_HINT = "a mapping file can name the column"
 
 
 @dataclass(frozen=True)
 class ColumnMatch:
-    """A column and how well it fits, or why there is none: nothing fits the role, or something is wrong."""
+    """The column for a role with its score, or the reason why there is none: no match, or a problem."""
 
     channel: Channel | None
     score: int = 0
@@ -38,11 +38,11 @@ class ColumnMatch:
 
 @dataclass(frozen=True)
 class ColumnMatcher:
-    """Picks columns of one table.
+    """Matches the columns of one table.
 
     Attributes:
-        table: where to look.
-        mapping: what the mapping file says.
+        table: the table.
+        mapping: the mapping file.
     """
 
     table: Table
@@ -70,22 +70,22 @@ class ColumnMatcher:
         return ColumnMatch(self.channel(role, names[0], quantity), best)
 
     def clock(self, family: set[str], mapped_column: Column | None, *path: str) -> ColumnMatch:
-        """Pick the clock of a family of columns (of commands, or of poses); ``path`` is where the family is mapped."""
+        """Match the clock of a family of columns (commands or poses); ``path`` is the key of the family."""
         if (
             self.table.topic and mapped_column is None
-        ):  # which of a message's two stamps to trust is decided once all are chosen
+        ):  # the choice between the two stamps of a message follows when all streams are chosen
             stamp = STAMP if STAMP in self.table.columns else LOG_TIME
             return ColumnMatch(self.channel("time", stamp, "time"))
         return self.match("time", lambda column: time_score(column, family), "time", (*path, "time"), mapped_column)
 
     def mapped(self, role: str, mapped_column: Column, quantity: Quantity, path: KeyPath) -> ColumnMatch:
-        """Take the column that the mapping file names."""
+        """The column that the mapping file names."""
         if mapped_column.column not in self.table.columns:
             problem = f"there is no column {mapped_column.column!r} in {self.table.name}"
-            said = self.mapping.source.diagnostic(
+            diagnostic = self.mapping.source.diagnostic(
                 path, problem, suggestion(mapped_column.column, self.table.columns), code=Code.UNKNOWN
             )
-            return ColumnMatch(None, problem=said)
+            return ColumnMatch(None, problem=diagnostic)
         channel = self.channel(role, mapped_column.column, quantity, mapped_column.unit)
         place = self.mapping.source.diagnostic(path, "", "")
         full = Channel(
@@ -101,11 +101,11 @@ class ColumnMatcher:
         return ColumnMatch(full, 1000)
 
     def channel(self, role: str, name: str, quantity: Quantity, unit: Unit | None = None) -> Channel:
-        """Make a channel of a column, with the unit that is given, that its name says, or that is expected."""
-        said = unit or parse(name).unit
+        """Channel of a column, with the unit that is given, that its name states, or that is expected."""
+        named = unit or parse(name).unit
         allowed = ALLOWED[quantity]
-        stated = said in allowed or bool(self.table.topic)  # in ROS messages it is SI (REP 103)
-        found = said if said is not None and said in allowed else allowed[0]
+        stated = named in allowed or bool(self.table.topic)  # in ROS messages it is SI (REP 103)
+        found = named if named is not None and named in allowed else allowed[0]
         note = ""
         if quantity == "time" and not stated:
             found, note = _clock_unit(self.table.columns[name])
@@ -115,13 +115,13 @@ class ColumnMatcher:
 
 
 def written_at(path: KeyPath, mapping: Mapping) -> KeyPath:
-    """Where the mapping file has the name of the column that it describes at `path`."""
+    """Key of the name of the column that the mapping file describes at `path`."""
     written = (*path, "column")
     return written if written in mapping.source.values else path
 
 
 def missing_columns(table: Table, roles: Sequence[str]) -> Diagnostic:
-    """Say for which roles nothing fits in a table."""
+    """Diagnostic for the roles that no column of a table matches."""
     names = list(table.columns)
     shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
     noun = "field" if table.topic else "column"
@@ -132,7 +132,7 @@ def missing_columns(table: Table, roles: Sequence[str]) -> Diagnostic:
 
 
 def _near_miss(role: str, names: Sequence[str]) -> str | None:
-    """The column most like a role, or one with a word that is much like a name of the role: cmd_stear for steering."""
+    """The column most similar to a role, or with a word similar to a name of the role: cmd_stear for steering."""
     known = [word for word in SYNONYMS.get(role, YAW if role == "yaw" else ()) if len(word) >= TYPO_LENGTH_MIN]
     misspelt = (
         name
@@ -143,7 +143,7 @@ def _near_miss(role: str, names: Sequence[str]) -> str | None:
 
 
 def _clock_unit(values: np.ndarray) -> tuple[Unit, str]:
-    """Unit of stamps since 1970, told from their size; smaller numbers are seconds."""
+    """Unit of stamps since 1970, by their magnitude; smaller numbers are seconds."""
     finite = values[np.isfinite(values)]
     size = float(np.max(np.abs(finite))) if len(finite) else 0.0
     for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):

@@ -1,4 +1,4 @@
-"""Read a CSV file as people and tools write them: any separator, with units, comments and gaps, but with a heading."""
+"""CSV files: any separator, with units, comments and empty cells, but with a heading."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def read_csv(path: Path, content: bytes) -> Table:
 
 
 def _clean_table(file: str, names: Sequence[str], separator: str, lines: list[str], above: int) -> Table | None:
-    """Read lines that hold nothing but numbers, as most files do, in one go; None if there is anything else."""
+    """Table of lines that hold only numbers, as in most files; None if there is anything else."""
     try:
         cells = np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2)
     except ValueError:
         return None
-    if cells.shape != (len(lines), len(names)):  # lines without anything are not counted
+    if cells.shape != (len(lines), len(names)):  # loadtxt skips empty lines
         return None
     return Table(file, "", dict(zip(names, cells.T, strict=True)), above + 1 + np.arange(len(lines)))
 
@@ -77,7 +77,7 @@ def _fields(file: str, lines: Sequence[str], separator: str, above: int) -> Iter
     """Fields of each row with the number of its last line; ``above`` is how many lines come before.
 
     Raises:
-        InputError: if a quote is opened and not closed, which would swallow the rows below.
+        InputError: if a quote is opened and not closed, which would include the rows below.
     """
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
     while True:

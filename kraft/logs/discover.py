@@ -1,4 +1,4 @@
-"""Find the logs in files and folders: which files belong together, and of which kind they are."""
+"""Discovery of logs in files and folders: which files form a log, and of which kind it is."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from kraft.text import counted, nearest
 CSV: Final = (".csv", ".tsv", ".txt")
 BAGS: Final = (".bag", ".mcap", ".db3")
 COMPRESSED: Final = ".zstd"
-"""Of a file in the folder of a bag."""
+"""Suffix of a compressed file in the folder of a bag."""
 TRUTH: Final = "truth.csv"
-"""Of a recorded run, for people who want to compare: never opened."""
+"""Ground truth of a recorded run, which is never read."""
 FORMATS: Final = (
     "expected CSV files, ROS bags (.bag, .mcap, .db3 or their folders), or folders of kraft record or kraft run"
 )
@@ -35,11 +35,11 @@ _HEAD = 65536  # bytes; a heading is in them
 
 @dataclass(frozen=True)
 class Candidate:
-    """What looks like one log.
+    """Files that form one log.
 
     Attributes:
-        name: unique among those found together.
-        kind: how to read it.
+        name: unique among the logs found together.
+        kind: format of the files.
         files: CSV files, or the one file or folder of a bag.
     """
 
@@ -53,7 +53,7 @@ class Candidate:
         return self.files[0] if len(self.files) == 1 else self.files[0].parent
 
     def content(self) -> frozenset[Path]:
-        """Files with its samples, under the one name that each has whatever links lead to it."""
+        """Files with its samples, as real paths without links."""
         if self.kind == "bag" and self.files[0].is_dir():
             inside = self.files[0].iterdir()
             return frozenset(Path(realpath(path)) for path in inside if path.suffix in (*BAGS, COMPRESSED))
@@ -63,9 +63,9 @@ class Candidate:
 def discover(
     paths: Sequence[Path], controls: Sequence[str], mapping: Mapping
 ) -> tuple[list[Candidate], list[Diagnostic]]:
-    """Find the logs in ``paths``, in the order of their names, and what is wrong with paths that are none.
+    """Find the logs in ``paths``, in the order of their names, and the problems of paths that are no logs.
 
-    A log that is found more than once is returned once, and that is said.
+    A log that is found more than once is returned once, with a problem that reports it.
     """
     found: list[Candidate] = []
     problems: list[Diagnostic] = []
@@ -83,7 +83,10 @@ def discover(
             problems += error.diagnostics
         except OSError as error:
             problems.append(Diagnostic(str(path), f"cannot be read: {error.strerror}", FORMATS, code=Code.UNREADABLE))
-    for (folder, _), files in loose.items():  # files of one folder may belong together, but none to itself
+    for (
+        folder,
+        _,
+    ), files in loose.items():  # files of one folder may form a log; a file given twice does not pair with itself
         found += _logs_of(files, folder, controls, mapping)
     found, repeated = without_repeated(found)
     return _named_apart(found), problems + repeated
@@ -94,17 +97,20 @@ def _check_file(path: Path) -> None:
         siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
         near = nearest(path.name, siblings)
         raise InputError.of(
-            str(path), "is not there", f"did you mean {str(path.parent / near)!r}?" if near else FORMATS, Code.NOT_FOUND
+            str(path),
+            "does not exist",
+            f"did you mean {str(path.parent / near)!r}?" if near else FORMATS,
+            Code.NOT_FOUND,
         )
     if path.name == TRUTH:
         raise InputError.of(
             str(path),
-            "is the truth of a recorded run, which is never opened",
-            "expected the folder that it is in",
+            "is the ground truth of a recorded run, which is never read",
+            "expected its folder",
             Code.MISMATCH,
         )
     if path.suffix.lower() not in CSV + BAGS:
-        raise InputError.of(str(path), "is no log that kraft reads", FORMATS, Code.MISMATCH)
+        raise InputError.of(str(path), "is not a log that kraft reads", FORMATS, Code.MISMATCH)
 
 
 def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> list[Candidate]:
@@ -128,7 +134,7 @@ def _scan(folder: Path, root: Path, controls: Sequence[str], mapping: Mapping, d
         return [Candidate(name, "run", (folder / "steps.csv", folder / "observations.csv"))]
     files = [path for path in entries if path.is_file() and path.suffix.lower() in (".csv", ".tsv", *BAGS)]
     found = _logs_of(files, root, controls, mapping)
-    if len(found) == 1 and len(found[0].files) > 1:  # one log per folder: the folder's name is the log's
+    if len(found) == 1 and len(found[0].files) > 1:  # the only log of a folder has its name
         found = [Candidate(name, "csv", found[0].files)]
     for child in entries if depth < _DEPTH else ():
         if child.is_dir():
@@ -149,41 +155,41 @@ def _name(path: Path, root: Path) -> str:
 
 
 def _shared_name(paths: Sequence[Path], root: Path) -> str:
-    """What the names of the files begin with: ``run1`` for ``run1_commands.csv`` and ``run1_poses.csv``."""
+    """Common prefix of the names of files: ``run1`` for ``run1_commands.csv`` and ``run1_poses.csv``."""
     names = [_name(path, root) for path in paths]
     return os.path.commonprefix(names).rstrip("_-. /") or names[0]  # noqa: RUF071 - characters are meant
 
 
 def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:
-    """Give candidates of the same name (from different folders) the names of their files."""
+    """Candidates with unique names: those that share a name (from different folders) get the paths of their files."""
     count = Counter(candidate.name for candidate in found)
     return [c if count[c.name] == 1 else Candidate(str(c.files[0]), c.kind, c.files) for c in found]
 
 
 def without_repeated(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnostic]]:
-    """Leave out candidates whose files are all in one that is kept, and say so in one diagnostic.
+    """Leave out candidates whose files are all in one that is kept, and report them in one diagnostic.
 
-    A log that is fitted twice would count twice, and be held out to test the very fit that it is in.
+    A log that is used twice would count twice, and could be fitted and held out at once.
     """
     owners: dict[Path, set[int]] = {}
     kept: set[int] = set()
     contents = [candidate.content() for candidate in found]
-    for i in sorted(range(len(found)), key=lambda i: -len(contents[i])):  # the whole before its parts
+    for i in sorted(range(len(found)), key=lambda i: -len(contents[i])):  # a whole bag before its files
         if not set.intersection(*(owners.setdefault(path, set()) for path in contents[i])):
             kept.add(i)
             for path in contents[i]:
                 owners[path].add(i)
     again = list(dict.fromkeys(candidate.place for i, candidate in enumerate(found) if i not in kept))
-    said = []
+    repeated = []
     if again:
         others = f", as {'is' if len(again) == 2 else 'are'} {counted(len(again) - 1, 'other log')}"
         problem = "is found more than once" + (others if len(again) > 1 else "")
-        said = [Diagnostic(str(again[0]), problem, "each log counts once", code=Code.DUPLICATE)]
-    return [found[i] for i in sorted(kept)], said
+        repeated = [Diagnostic(str(again[0]), problem, "each log counts once", code=Code.DUPLICATE)]
+    return [found[i] for i in sorted(kept)], repeated
 
 
 def group_files(files: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> list[tuple[Path, ...]]:
-    """Group files of one folder: each group is a log. What is recognised as nothing is a group of its own."""
+    """Groups of files of one folder, each of which is a log; a file that is not recognised is a group of its own."""
     stated = _stated(files, mapping)
     if stated:
         return [stated]
@@ -212,7 +218,7 @@ def _offers(path: Path, controls: Sequence[str], mapping: Mapping) -> tuple[bool
     try:
         with path.open("rb") as file:
             names = read_heading(path, file.read(_HEAD))
-    except (InputError, OSError):  # said when the file is read as a log
+    except (InputError, OSError):  # reported when the file is read as a log
         return False, False
     none = np.zeros(0)
     return offers(Table(str(path), "", dict.fromkeys(names, none), none.astype(np.int64)), controls, mapping)

@@ -1,4 +1,4 @@
-"""Say what was found in a log: how often, where first, and what becomes of it."""
+"""Findings of cleaning: how often each was found, where first, and what was left out because of it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DROPOUT_STEPS: Final = 1.6
 
 
 def add_broken_lines(choice: Choice, findings: Findings) -> None:
-    """Lines that are no rows."""
+    """Add lines with a wrong number of fields."""
     for table in {id(stream.table): stream.table for _, stream in choice.streams()}.values():
         if table.broken:
             text = f"{counted(len(table.broken), 'line')} of {table.name} with too few or too many fields"
@@ -29,7 +29,7 @@ def add_broken_lines(choice: Choice, findings: Findings) -> None:
 
 
 def add_left_out(kind: str, poses: Samples, flags: Flags, what: str, findings: Findings) -> None:
-    """Poses that are left out for some reason."""
+    """Add poses that are left out for the reason `what`."""
     if flags.any():
         bad = int(flags.sum())
         text = f"{bad} of {len(poses)} poses {what}, first in {poses.where(int(np.argmax(flags)))}; left out"
@@ -37,7 +37,7 @@ def add_left_out(kind: str, poses: Samples, flags: Flags, what: str, findings: F
 
 
 def add_dropouts(poses: Samples, gap: float, findings: Findings) -> None:
-    """Missing poses that end no part."""
+    """Add missing poses that do not end a part."""
     steps = np.diff(poses.times)
     usual = float(np.median(steps))
     missing = (steps > DROPOUT_STEPS * usual) & (steps <= gap)
@@ -48,13 +48,13 @@ def add_dropouts(poses: Samples, gap: float, findings: Findings) -> None:
 
 
 def add_pose_gaps(poses: Samples, gap: float, findings: Findings) -> None:
-    """Gaps in the poses, which end a part."""
+    """Add gaps in the poses, which end a part."""
     steps = np.diff(poses.times)
     _add_gaps("gap", "poses", poses, steps > gap, steps, findings)
 
 
 def add_command_gaps(streams: Sequence[Samples], limits: Limits, findings: Findings) -> None:
-    """Gaps in the commands, which end a part."""
+    """Add gaps in the commands, which end a part."""
     for samples in streams:
         steps = np.diff(samples.times)
         _add_gaps("command gap", "commands", samples, steps > timeout(samples.times, limits), steps, findings)
@@ -68,8 +68,8 @@ def _add_gaps(kind: str, what: str, samples: Samples, long: Flags, steps: Array,
 
 
 def add_teleports(poses: Samples, labels: Rows, speed: float, findings: Findings) -> None:
-    """Poses that the vehicle cannot have reached, and where it goes on elsewhere."""
-    what = f"are where the vehicle cannot be (more than {speed:.3g} m/s)"
+    """Add poses that the vehicle cannot have reached, and teleports."""
+    what = f"are unreachable (more than {speed:.3g} m/s)"
     add_left_out("outlier", poses, labels == OUTLIER, what, findings)
     settled = np.flatnonzero(labels != OUTLIER)
     jumps = np.flatnonzero(np.diff(labels[settled]) > 0)
@@ -80,7 +80,7 @@ def add_teleports(poses: Samples, labels: Rows, speed: float, findings: Findings
 
 
 def add_uncommanded(poses: Samples, commands: HeldCommands, findings: Findings) -> None:
-    """Poses for which no command is known."""
+    """Add poses without a command in force."""
     early = poses.times < commands.times[0]
     late = (commands.in_force(poses.times) < 0) & ~early
     add_left_out("uncommanded", poses, early, "before the first command", findings)
@@ -88,7 +88,7 @@ def add_uncommanded(poses: Samples, commands: HeldCommands, findings: Findings) 
 
 
 def add_wraps(poses: Samples, yaw: Array, findings: Findings) -> None:
-    """Jumps of the yaw by a full turn; ``yaw`` has shape (n,)."""
+    """Add jumps of the yaw by a full turn; ``yaw`` has shape (n,)."""
     jumps = np.abs(np.diff(yaw)) > np.pi
     if jumps.any():
         first = poses.where(int(np.argmax(jumps)) + 1)

@@ -1,4 +1,4 @@
-"""Choose tables and columns for commands, poses and dead man: what the mapping file says, and guesses for the rest."""
+"""Choice of tables and columns for commands, poses and dead man: by the mapping file, else by their names."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _TOPIC_HINTS: Final = {
     **dict.fromkeys(("inferred", "amcl", "slam", "localization"), 5),
     **dict.fromkeys(("odom", "odometry"), -5),  # often integrated from the commands
     **dict.fromkeys(("goal", "initialpose", "target", "waypoint", "goals", "clicked"), -60),
-    **dict.fromkeys(("output", "out", "muxed"), 3),  # what the vehicle was sent, rather than what someone asked for
+    **dict.fromkeys(("output", "out", "muxed"), 3),  # commands to the vehicle, rather than inputs of a multiplexer
     **dict.fromkeys(("teleop", "safety", "nav", "navigation", "input", "joy", "raw"), -3),
 }
 DEAD_MAN_SWITCH = "the dead-man switch"
@@ -38,7 +38,7 @@ DEAD_MAN_SWITCH = "the dead-man switch"
 
 @dataclass(frozen=True)
 class TableMatch:
-    """One table read as commands or as poses: what was found and what is missing."""
+    """Match of one table as commands, poses or dead man: found and missing columns."""
 
     table: Table
     time: ColumnMatch
@@ -46,33 +46,33 @@ class TableMatch:
 
     @property
     def problems(self) -> list[Diagnostic]:
-        """What is wrong: all roles that nothing fits in one, then the rest."""
-        picked = (self.time, *self.found)
-        roles = [one.missing for one in picked if one.missing]
-        said = [one.problem for one in picked if one.problem is not None]
-        return [missing_columns(self.table, roles), *said] if roles else said
+        """Problems: one for all roles without a column, then the others."""
+        matches = (self.time, *self.found)
+        roles = [one.missing for one in matches if one.missing]
+        problems = [one.problem for one in matches if one.problem is not None]
+        return [missing_columns(self.table, roles), *problems] if roles else problems
 
     @property
     def missing_count(self) -> int:
-        """How many roles have no column."""
+        """Number of roles without a column."""
         return sum(picked.channel is None for picked in (self.time, *self.found))
 
     @property
     def score(self) -> int:
-        """How well the names of columns and topic fit."""
+        """Score of the names of the columns and the topic."""
         return sum(picked.score for picked in self.found) + 10 * _topic_score(self.table)
 
     def stream(self) -> Stream:
-        """What was found, of a table in which nothing is missing."""
+        """Stream of the matched columns, if none is missing."""
         assert self.time.channel is not None
         return Stream(self.table, self.time.channel, tuple(p.channel for p in self.found if p.channel is not None))
 
 
 def choose(tables: Sequence[Table], controls: Sequence[str], mapping: Mapping) -> Choice:
-    """Choose what a log is read from.
+    """Choose the streams of a log.
 
     Raises:
-        InputError: with every role for which nothing or too much fits.
+        InputError: with every role without a match or with several equal ones.
     """
     problems: list[Diagnostic] = []
     commands = _collect(lambda: guess_commands(tables, controls, mapping), problems)
@@ -85,7 +85,7 @@ def choose(tables: Sequence[Table], controls: Sequence[str], mapping: Mapping) -
 
 
 def offers(table: Table, controls: Sequence[str], mapping: Mapping) -> tuple[bool, bool]:
-    """Whether a table has all of the commands, and whether it has poses; clocks apart."""
+    """Whether a table has all commands, and whether it has poses, regardless of the clock."""
     commands = match_commands(table, controls, mapping).found
     poses = match_poses(table, mapping).found
     names = (None, table.name, table.file)
@@ -96,7 +96,7 @@ def offers(table: Table, controls: Sequence[str], mapping: Mapping) -> tuple[boo
 
 
 def _collect(guess: Callable[[], Guess], problems: list[Diagnostic]) -> Guess | None:
-    """What is guessed; if that fails, None, and ``problems`` has why: those of all guesses are said together."""
+    """The guess, or None with its problems added to ``problems``, so that those of all guesses are raised together."""
     try:
         return guess()
     except InputError as error:
@@ -139,7 +139,7 @@ def best_match(matches: Sequence[TableMatch], what: str) -> tuple[Stream, tuple[
             [
                 Diagnostic(
                     complete[0].table.file,
-                    f"{both} both look like {what}",
+                    f"{both} match {what} equally well",
                     f"expected one; {MAPPING_HINT}",
                     code=Code.CONFLICT,
                 )
@@ -151,10 +151,10 @@ def best_match(matches: Sequence[TableMatch], what: str) -> tuple[Stream, tuple[
 def guess_commands(
     tables: Sequence[Table], controls: Sequence[str], mapping: Mapping
 ) -> tuple[tuple[Stream, ...], tuple[str, ...]]:
-    """Streams that together have every control once, and the names of other tables that fit.
+    """Streams that together have every control once, and the names of other matching tables.
 
     Raises:
-        InputError: if nothing or too much fits, or the mapping file names what is not there.
+        InputError: without a match or with several equal ones, or if the mapping file names what does not exist.
     """
     if unknown := unknown_controls(controls, mapping):
         raise InputError(unknown)
@@ -177,18 +177,18 @@ def guess_commands(
 
 
 def match_commands(table: Table, controls: Sequence[str], mapping: Mapping) -> TableMatch:
-    """Read a table as commands of these controls."""
+    """Match a table as commands of these controls."""
     matcher = ColumnMatcher(table, mapping)
     time = matcher.clock(COMMAND, mapping.commands.time, "commands")
     return TableMatch(table, time, tuple(_control(matcher, name) for name in controls))
 
 
 def unknown_controls(controls: Sequence[str], mapping: Mapping) -> list[Diagnostic]:
-    """Controls that the mapping file has columns for, and the vehicle has not."""
+    """Controls with a column in the mapping file that the vehicle does not have."""
     return [
         mapping.source.diagnostic(
             ("commands", "controls", name),
-            "is no control of the vehicle",
+            "is not a control of the vehicle",
             suggestion(name, controls),
             at_key=True,
             code=Code.UNKNOWN,
@@ -208,23 +208,23 @@ def _control(matcher: ColumnMatcher, name: str) -> ColumnMatch:
         and picked.channel is not None
         and parse(picked.channel.column).words[-2:] == ("angular", "z")
     ):
-        note = "a turning rate by convention, taken as the steering command"
+        note = "a turning rate by convention, used as the steering command"
         return ColumnMatch(Channel(name, picked.channel.column, "1", note=note), picked.score)
     return picked
 
 
 def guess_poses(tables: Sequence[Table], mapping: Mapping) -> tuple[Stream, tuple[str, ...]]:
-    """Stream of the poses, and the names of other tables that fit.
+    """Stream of the poses, and the names of other matching tables.
 
     Raises:
-        InputError: if nothing or too much fits, or the mapping file names what is not there.
+        InputError: without a match or with several equal ones, or if the mapping file names what does not exist.
     """
     found = named_tables(tables, mapping.poses.table, mapping, "poses", "table")
     return best_match([match_poses(table, mapping) for table in found], "poses")
 
 
 def match_poses(table: Table, mapping: Mapping) -> TableMatch:
-    """Read a table as poses."""
+    """Match a table as poses."""
     matcher, mapped_columns = ColumnMatcher(table, mapping), mapping.poses
     x = matcher.match("x", lambda name: axis_score(name, "x"), "length", ("poses", "x"), mapped_columns.x)
     beside = _around(x, "x")
@@ -242,7 +242,7 @@ def match_poses(table: Table, mapping: Mapping) -> TableMatch:
 
 
 def _around(picked: ColumnMatch, axis: str) -> tuple[str, ...]:
-    """Words of a column's name without the axis: columns of one pose share them."""
+    """Words of a column name without the axis, which columns of one pose share."""
     words = parse(picked.channel.column).words if picked.channel else ()
     return tuple(word for word in words if word != axis)
 
@@ -270,10 +270,10 @@ def _quaternion(matcher: ColumnMatcher) -> tuple[ColumnMatch, ...]:
 
 
 def guess_dead_man(tables: Sequence[Table], mapping: Mapping) -> tuple[Stream | None, tuple[str, ...]]:
-    """Stream of the switch, None if no column looks like one, and the columns of other tables that fit.
+    """Stream of the switch, None if no column matches, and the matching columns of other tables.
 
     Raises:
-        InputError: if too much fits, or the mapping file names what is not there.
+        InputError: with several equal matches, or if the mapping file names what does not exist.
     """
     mapped_column = mapping.dead_man
     found = named_tables(tables, mapped_column.table if mapped_column else None, mapping, "dead_man", "table")
@@ -281,7 +281,7 @@ def guess_dead_man(tables: Sequence[Table], mapping: Mapping) -> tuple[Stream | 
     if mapped_column is not None:
         return best_match(matches, DEAD_MAN_SWITCH)
     fitting = [each for each in matches if not each.found[0].missing]
-    # a switch that is doubtful must not be ignored: what was driven while it was released would be believed
+    # an ambiguous switch must not be ignored: poses while it was released would be used
     problems = list(chain.from_iterable(each.problems for each in fitting))
     if problems:
         raise InputError(problems)

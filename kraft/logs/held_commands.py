@@ -17,22 +17,22 @@ GAP_MIN: Final = 0.5
 
 
 GAP_STEPS: Final = 10.0
-"""A gap is longer than `GAP_MIN` s and than this many usual steps."""
+"""A gap is longer than `GAP_MIN` s and than this many median steps."""
 
 
 RATE_STEP_RATIO: Final = 3.0
-"""Commands whose steps are rarely longer than this many usual ones are sent at a rate; others when they change."""
+"""Commands whose steps are rarely longer than this many median steps are periodic; others are logged on change."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldCommands:
-    """Commands, each of them held until the next one.
+    """Commands, each held until the next one.
 
     Attributes:
         times: strictly ascending, shape (m,), s.
         values: shape (m, nu).
-        until: when each ceases to be known to be in force, if no other follows, shape (m,), s; infinite if
-            commands are logged only when they change.
+        until: time until which each is in force if no other follows, shape (m,), s; infinite if commands are logged on
+            change.
     """
 
     times: Array
@@ -41,17 +41,17 @@ class HeldCommands:
 
     @property
     def gaps(self) -> Rows:
-        """Indices of commands that cease before the next one begins."""
+        """Indices of commands that end before the next one begins."""
         return np.flatnonzero(self.until[:-1] < self.times[1:])
 
     def in_force(self, times: Array) -> Rows:
-        """Index of the command in force at each time, -1 where none is known. Shape as ``times``."""
+        """Index of the command in force at each time, -1 where there is none. Shape as ``times``."""
         index = np.searchsorted(self.times, times, side="right") - 1
         return np.where((index >= 0) & (times <= self.until[index]), index, -1)
 
 
 def timeout(times: Array, limits: Limits) -> float:
-    """How long a command of a stream is known to be in force, s."""
+    """Time for which a command of a stream is in force if no other follows, s."""
     if limits.command_gap is not None:
         return limits.command_gap
     if len(times) < 10:
@@ -64,7 +64,7 @@ def timeout(times: Array, limits: Limits) -> float:
 
 
 def merge_commands(streams: Sequence[Samples], controls: Sequence[str], limits: Limits) -> HeldCommands:
-    """Put the controls of all streams on one clock, in the order of ``controls``, from when all are known."""
+    """Controls of all streams on one clock, in the order of ``controls``, from the time on at which all are known."""
     times = np.unique(np.concatenate([samples.times for samples in streams]))
     times = times[times >= max(samples.times[0] for samples in streams)]
     columns = {}

@@ -1,4 +1,4 @@
-"""What a log is once it was read and cleaned: uninterrupted parts of commands and poses, and what was found."""
+"""A log after reading and cleaning: uninterrupted parts of commands and poses, and findings."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something in a log that a reader of the results should know.
+    """An irregularity in a log.
 
     Attributes:
         kind: a short word to sort by: gap, dropout, duplicate, backward, wrap, teleport, outlier, ...
-        count: how often it was found.
-        text: what was found, where first (file or topic, row), and what was left out because of it.
+        count: number of occurrences.
+        text: description with the first place (file or topic, row) and what was left out because of it.
     """
 
     kind: str
@@ -45,12 +45,12 @@ class Finding:
 
 @dataclass
 class Findings:
-    """What was found so far, in the order in which it was found."""
+    """Findings so far, in the order in which they were added."""
 
     found: list[Finding] = field(default_factory=list)
 
     def add(self, kind: str, count: int, text: str) -> None:
-        """Note a finding; one that was not found even once is none."""
+        """Add a finding unless its count is 0."""
         finding = Finding(kind, int(count), text)
         if count and finding not in self.found:  # commands and poses may share their rows
             self.found.append(finding)
@@ -62,15 +62,15 @@ class Findings:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """An uninterrupted stretch of a log, ready to use.
+    """An uninterrupted part of a log.
 
     Both clocks are the same one; its zero is the first stamp of the log. The command in force at the first
     pose is always there, so ``command_times[0] <= pose_times[0]``.
 
     Attributes:
-        command_times: when each command was given, or began to count because the dead man was held, strictly
-            ascending, shape (m,), s. The vehicle may obey late. A command is held until the next one; the last one
-            is held to the last pose.
+        command_times: when each command was given, or took effect because the dead-man switch was held, strictly
+            ascending, shape (m,), s. The vehicle may respond with a delay. A command is held until the next one, the
+            last one until the last pose.
         commands: their values, one column per control, shape (m, nu).
         pose_times: when each pose was measured, strictly ascending, shape (n,), s.
         poses: x and y in m, yaw in rad and continuous (unwrapped), shape (n, 3).
@@ -92,12 +92,12 @@ class Log:
     """One drive.
 
     Attributes:
-        name: what to call it, unique among the logs read together.
+        name: unique among the logs read together.
         sources: the files it was read from.
         controls: names of the columns of ``Part.commands``.
         parts: in the order of time, at least one.
-        findings: what was found while reading and cleaning.
-        guess: which column or topic was taken for what, as one line to print.
+        findings: irregularities that reading and cleaning found.
+        guess: assignment of columns and topics, as one line of text.
     """
 
     name: str
@@ -109,13 +109,13 @@ class Log:
 
     @property
     def duration(self) -> float:
-        """Of all parts together, s."""
+        """Duration of all parts together, s."""
         return sum(part.duration for part in self.parts)
 
 
 @dataclass(frozen=True, eq=False)
 class LogSet:
-    """Logs that were read together, and what was wrong with those that could not be.
+    """Logs that were read together, and the problems of those that could not be read.
 
     Attributes:
         logs: at least one; those of a folder in the order of their names, its own before those of its folders.

@@ -1,4 +1,4 @@
-"""The mapping file: says which column is what, where the guess from the names is wrong or impossible."""
+"""The mapping file: names columns and topics, where the guess from their names is wrong or impossible."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SHORT: Final[dict[str, Any]] = {"type": "string", "description": "its name alon
 
 
 def _or_name(schema: dict[str, Any]) -> None:
-    """Let the JSON schema allow what `_name_alone` does."""
+    """Allow in the JSON schema what `_name_alone` allows."""
     full = dict(schema)
     schema.clear()
     schema.update(anyOf=[_SHORT, full])

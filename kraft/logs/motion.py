@@ -9,10 +9,10 @@ import numpy as np
 from kraft.logs.log import Array
 
 CHORD_MIN = 0.1
-"""Least distance over which a direction of motion is told, m; noise may ask for more."""
+"""Least distance that determines a direction of motion, m; noise may require more."""
 
 AVERAGING_TIME = 0.5
-"""Time over which noise is averaged where it is asked how far the vehicle gets, at most, s."""
+"""Longest time over which poses are averaged to determine the extent of the motion, s."""
 
 
 def position_noise(positions: Array) -> float:
@@ -25,7 +25,7 @@ def position_noise(positions: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Chords:
-    """Straight lines between poses that are far enough apart to have a direction.
+    """Chords: straight lines between poses whose distance determines a direction.
 
     Attributes:
         directions: of each chord, shape (c,), rad.
@@ -56,7 +56,7 @@ def chords(times: Array, positions: Array) -> Chords:
 
 
 def agreement(found: Chords, yaw: Array) -> tuple[float, float]:
-    """How well a yaw, shape (n,), rad, follows the direction of motion, forward or backward.
+    """Agreement of a yaw, shape (n,), rad, with the direction of motion, forward or backward.
 
     Returns:
         A number from 0 (not at all) to 1 (with a constant difference), and that difference in rad, from -pi/2 to pi/2.
@@ -69,7 +69,7 @@ def agreement(found: Chords, yaw: Array) -> tuple[float, float]:
 
 
 def extent(times: Array, poses: Array) -> tuple[float, float]:
-    """How far the vehicle gets (m) and turns (rad), between means over equal times of at most `AVERAGING_TIME`.
+    """Extent of the motion (m) and of the turn (rad), between means over equal times of at most `AVERAGING_TIME`.
 
     Args:
         times: of two poses or more, shape (n,), s.

@@ -27,11 +27,11 @@ _GLUED: Final = {
 
 @dataclass(frozen=True)
 class Name:
-    """A name taken apart.
+    """A name as words and unit.
 
     Attributes:
         words: in lower case, without the unit.
-        unit: what the name says about the unit, if it does.
+        unit: unit that the name states, if it does.
     """
 
     words: tuple[str, ...]
@@ -40,7 +40,7 @@ class Name:
 
 @cache
 def parse(name: str) -> Name:
-    """Take a name apart: ``pose.heading_deg`` is ``pose heading`` in ``deg``."""
+    """Words and unit of a name: ``pose.heading_deg`` is ``pose heading`` in ``deg``."""
     bracketed = _BRACKETS.search(name)
     unit = SPELLINGS.get(bracketed.group(1).lower()) if bracketed else None
     found = _WORD.findall(_BRACKETS.sub(" ", name) if unit else name)
@@ -98,9 +98,9 @@ SYNONYMS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "steering": ("steering", "steer", "delta", "servo", "str", "turn"),
 }
-"""Names under which controls appear in logs, the best first."""
+"""Names of controls in logs, the best match first."""
 TWIST: Final = {"throttle": ("linear", "x"), "steering": ("angular", "z")}
-"""Where they are in a geometry_msgs/Twist. That of an Odometry, twist.twist, is measured and no command."""
+"""Fields of controls in a geometry_msgs/Twist; that of an Odometry, twist.twist, is measured and not a command."""
 DEAD_MAN: Final = {"deadman", "enabled", "enable", "engaged", "autonomous", "armed"}
 _MEASURED: Final = {
     "meas",
@@ -119,7 +119,7 @@ _MEASURED: Final = {
 
 
 def time_score(name: str, family: set[str]) -> int | None:
-    """How well a column fits as the clock of a family (of commands, or of poses)."""
+    """Score of a column as the clock of a family (commands or poses)."""
     words = parse(name).words
     if not words or not TIME & {words[-1], words[0]} or {"arrival", "received", "delay", "cov"} & set(words):
         return None
@@ -129,13 +129,13 @@ def time_score(name: str, family: set[str]) -> int | None:
 
 
 def axis_score(name: str, axis: str) -> int | None:
-    """How well a column fits as ``x`` or ``y`` of a position."""
+    """Score of a column as ``x`` or ``y`` of a position."""
     words = parse(name).words
     return _pose_score(words, words[-1:] == (axis,) or words[:1] == (axis,), axis)
 
 
 def yaw_score(name: str) -> int | None:
-    """How well a column fits as a yaw."""
+    """Score of a column as a yaw."""
     words = parse(name).words
     found = next((word for word in YAW if word in words), None)
     if found is None:
@@ -152,7 +152,7 @@ def _pose_score(words: tuple[str, ...], fits: bool, key: str) -> int | None:
 
 
 def quaternion_score(name: str, axis: str) -> int | None:
-    """How well a column fits as a component of an orientation."""
+    """Score of a column as a component of an orientation."""
     words = parse(name).words
     if words[-1:] != (axis,) or not ROTATION & set(words) or (COMMAND | {"imu", "goal", "covariance"}) & set(words):
         return None
@@ -160,7 +160,7 @@ def quaternion_score(name: str, axis: str) -> int | None:
 
 
 def control_score(name: str, control: str) -> int | None:
-    """How well a column fits as a control of this name."""
+    """Score of a column as the control of this name."""
     words = parse(name).words
     exact = parse(control).words
     commanded = bool(COMMAND & set(words))
@@ -183,7 +183,7 @@ def control_score(name: str, control: str) -> int | None:
 
 
 def dead_man_score(name: str) -> int | None:
-    """How well a column fits as a dead-man switch."""
+    """Score of a column as a dead-man switch."""
     words = parse(name).words
     if _contains(words, ("dead", "man")) or DEAD_MAN & set(words):
         return 100 - len(words)

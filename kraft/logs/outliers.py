@@ -11,22 +11,22 @@ from kraft.logs.motion import chords, position_noise
 from kraft.logs.table import Flags, Rows
 
 TOP_SPEED_MIN: Final = 3.0
-"""Speed that any vehicle is believed to reach, m/s."""
+"""Least top speed that is assumed of a vehicle, m/s."""
 
 
 NOISE_MARGIN: Final = 10.0
-"""Standard deviations of a position that are no teleport."""
+"""Standard deviations of a position within which a jump is noise."""
 
 
 YAW_STEP_MAX: Final = 1.2
-"""Change of yaw between two poses that is no flip, rad, besides what `YAW_RATE_MAX` allows."""
+"""Largest change of yaw between two poses, rad, besides that of `YAW_RATE_MAX`."""
 
 
 YAW_RATE_MAX: Final = 10.0
 
 
 TRACK_POSES_MIN: Final = 8
-"""Poses in a row that agree with each other before the vehicle is believed to be elsewhere."""
+"""Number of consecutive consistent poses that begin a new track."""
 
 
 OUTLIER: Final = -1
@@ -36,18 +36,18 @@ FIRST_TRACK: Final = 0
 
 
 def top_speed(times: Array, positions: Array) -> float:
-    """Speed that the vehicle does not exceed: three times what it stays below for nine tenths of the time."""
+    """Estimated top speed, m/s: three times the speed that is not exceeded for nine tenths of the time."""
     path = chords(times, positions)
     if not len(path.speeds):
         return TOP_SPEED_MIN
     order = np.argsort(path.speeds)
-    passed = np.cumsum(path.durations[order])  # weighed by time: jumps to and fro are many, but short
+    passed = np.cumsum(path.durations[order])  # weighted by time: jumps to and fro are many, but short
     usual = path.speeds[order][int(np.searchsorted(passed, 0.9 * passed[-1]))]
     return max(TOP_SPEED_MIN, 3.0 * float(usual))
 
 
 def tracks(times: Array, poses: Array, speed: float) -> Rows:
-    """Number the poses, shape (n, 3), by the track they belong to, from 0; an outlier has -1. Shape (n,)."""
+    """Number of the track of each pose, shape (n, 3), from 0; -1 for an outlier. Shape (n,)."""
     reach = max(0.05, NOISE_MARGIN * position_noise(poses[:, :2]))
     labels = np.full(len(times), FIRST_TRACK, np.int64)
     if _reachable(times[:-1], poses[:-1], times[1:], poses[1:], speed, reach).all():
@@ -84,7 +84,9 @@ def _reachable(t0: Array, p0: Array, t1: Array, p1: Array, speed: float, reach: 
 
 
 def stale(times: Array, poses: Array) -> Flags:
-    """Poses that repeat the one before bit for bit while the vehicle drives on: nothing was measured. Shape (n,)."""
+    """Poses that repeat the previous one bit for bit while the vehicle moves, so that nothing was measured. Shape
+    (n,).
+    """
     flags = np.zeros(len(times), bool)
     fresh = np.flatnonzero(np.concatenate([[True], np.any(np.diff(poses, axis=0) != 0, axis=1)]))
     if len(fresh) == len(times) or len(fresh) < 3:

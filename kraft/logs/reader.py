@@ -1,4 +1,4 @@
-"""Read logs: from files and folders to parts that system identification can use."""
+"""Reading of logs: from files and folders to parts for system identification."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from kraft.text import suggestion
 
 CONTROLS: Final = ("throttle", "steering")
 _SHOWN: Final = 3
-"""Names of tables in one sentence."""
+"""Largest number of tables that a message names."""
 
 
 class MismatchError(InputError):
-    """The mapping file or the vehicle does not fit any of the logs, whatever they hold."""
+    """The mapping file or the vehicle fits none of the logs."""
 
 
 def read_logs(
@@ -45,7 +45,7 @@ def read_logs(
     Args:
         paths: files and folders, see ``docs/logs.md`` for what they may hold.
         controls: names of the vehicle's controls.
-        mapping: what `load_mapping` returned, where the names of the columns say too little.
+        mapping: a mapping file (`load_mapping`), where the names of the columns are not sufficient.
 
     Raises:
         InputError: if there is no log at all, or if none can be read; with every problem.  It is a `MismatchError`
@@ -77,7 +77,7 @@ def read_logs(
     logs, alike = _without_degrees(read, degrees)
     problems += alike
     if not logs:
-        # a table that cannot be read may have what is looked for
+        # a log that cannot be read may have the column
         if not unread and tables and (wrong := mapping_mismatch(_common(candidates), tables, controls, stated)):
             raise MismatchError([*places, *wrong])
         raise InputError(problems)
@@ -85,7 +85,7 @@ def read_logs(
 
 
 def _common(candidates: Sequence[Candidate]) -> str:
-    """The folder that all logs are in, or the only one."""
+    """The common folder of the logs, or the only log."""
     return os.path.commonpath([candidate.place for candidate in candidates]) or "."
 
 
@@ -119,7 +119,7 @@ def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:
 
 
 def _without_truth(table: Table) -> Table:
-    """Commands of the steps of a run; what was seen of it is in another file."""
+    """The commands in the steps of a run, without its true states; its observations are in another file."""
     if not table.file.endswith("steps.csv"):
         return table
     kept = {name: values for name, values in table.columns.items() if name == "time" or name.startswith("command_")}
@@ -127,7 +127,7 @@ def _without_truth(table: Table) -> Table:
 
 
 def _bag(path: Path, mapping: Mapping) -> tuple[list[Source], list[Table]]:
-    from kraft.logs.bag_tables import read_bag  # takes 0.2 s to import, and most logs are no bags
+    from kraft.logs.bag_tables import read_bag  # takes 0.2 s to import, and most logs are not bags
 
     named = [mapping.commands.table, mapping.poses.table, mapping.dead_man.table if mapping.dead_man else None]
     named += [column.table for column in mapping.commands.controls.values()]
@@ -144,7 +144,7 @@ def _hashed(path: Path) -> Source:
 def _without_degrees(
     read: Sequence[tuple[Log, Choice]], columns: set[tuple[str, str]]
 ) -> tuple[list[Log], list[Diagnostic]]:
-    """Leave out logs whose columns hold degrees in other logs, even where a straight drive does not show it."""
+    """Leave out logs whose columns hold degrees in other logs, even if a straight drive does not reveal it."""
     logs, problems = [], []
     for log, choice in read:
         channels = [
@@ -152,7 +152,7 @@ def _without_degrees(
         ]
         alike = [(table, channel) for table, channel in channels if (channel.role, channel.column) in columns]
         for table, channel in alike:
-            problem = f"{channel.column!r} is in degrees in other logs, so it is not believed to be in radians here"
+            problem = f"{channel.column!r} is in degrees in other logs, so that radians are not assumed here"
             problems.append(table.diagnostic(problem, "expected radians, or the unit in a mapping file"))
         if not alike:
             logs.append(log)
@@ -168,13 +168,13 @@ def heading(table: Table) -> Table:
 def mapping_mismatch(
     where: str, tables: Sequence[Table], controls: Sequence[str], mapping: Mapping
 ) -> tuple[Diagnostic, ...]:
-    """What is wrong with the mapping file for all logs alike, else with the controls, each in one diagnostic.
+    """Problems of the mapping file with all logs, else of the controls, each in one diagnostic.
 
     Args:
-        where: the logs are, none of which could be used.
-        tables: all of theirs; their columns are looked at alone.
-        controls: of the vehicle.
-        mapping: what the mapping file says.
+        where: folder of the logs, none of which could be used.
+        tables: tables of all logs; only their columns are used.
+        controls: names of the vehicle's controls.
+        mapping: the mapping file.
     """
     unknown = unknown_controls(controls, mapping)
     wrong = [
@@ -189,7 +189,7 @@ def mapping_mismatch(
 
 
 def _mapped_columns(mapping: Mapping) -> Iterator[tuple[KeyPath, Column | None, KeyPath, str | None]]:
-    """Each column that may be named: where, what is said, and the table that its family is in with its place."""
+    """Each column that a mapping file may name: its key, its value, and key and name of the table of its family."""
     commands, poses, switch = mapping.commands, mapping.poses, mapping.dead_man
     yield ("commands", "time"), commands.time, ("commands", "table"), commands.table
     for name, column in commands.controls.items():
@@ -211,7 +211,7 @@ def _missing(
     tables: Sequence[Table],
     mapping: Mapping,
 ) -> Iterator[Diagnostic]:
-    """That no log has the table, or that no such table has the column."""
+    """The problem that no log has the table, or that no such table has the column."""
     if isinstance(column, Control) and column.table is not None:
         family, table = (*path, "table"), column.table
     among = [each for each in tables if table is None or table in (each.name, each.file)]
@@ -229,7 +229,7 @@ def _missing(
 
 
 def _other_vehicle(where: str, controls: Sequence[str], mapping: Mapping, tables: Sequence[Table]) -> list[Diagnostic]:
-    """That the logs are of a vehicle with other controls, where they show those of a car and no control of this one."""
+    """The problem that the logs are of a car, and the vehicle has other controls, if so."""
     columns = list(dict.fromkeys(name for table in tables for name in table.columns))
 
     def shown(names: Iterable[str]) -> list[str]:
@@ -238,11 +238,11 @@ def _other_vehicle(where: str, controls: Sequence[str], mapping: Mapping, tables
     if mapping.commands.controls or shown(controls) or not shown(SYNONYMS):
         return []
     problem = f"the logs have {', '.join(shown(SYNONYMS))}; the vehicle needs {', '.join(controls)}"
-    expected = "expected logs of this vehicle, another vehicle, or a mapping file that says which columns they are"
+    expected = "expected logs of this vehicle, another vehicle, or a mapping file that names the columns"
     return [Diagnostic(where, problem, expected, code=Code.MISMATCH)]
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Names for a sentence, not more than a few."""
+    """At most `_SHOWN` names for a message."""
     each = list(dict.fromkeys(names))
     return ", ".join(each) if len(each) <= _SHOWN else f"{', '.join(each[:_SHOWN])} and {len(each) - _SHOWN} more"

@@ -1,4 +1,4 @@
-"""Take a stream's rows out of its table: without rows that hold no numbers, in the order of time, each time once."""
+"""Samples of a stream: rows of its table with numbers, in the order of time, with unique times."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from kraft.logs.log import Array, Findings
 from kraft.logs.table import Flags, Rows
 
 BACKWARD_MAX: Final = 0.2
-"""Share of rows that may run backwards in time; a file with more holds several recordings."""
+"""Largest share of rows that run backwards in time; a file with more holds several recordings."""
 
 VALUE_MAX: Final = 1e30
-"""No quantity of a log is as large in any unit: what is larger are bytes that were no number."""
+"""Largest plausible value in any unit; larger ones are corrupt bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Samples:
 
     Attributes:
         what: commands, poses, ...
-        stream: where they are from.
+        stream: stream of the samples.
         times: strictly ascending, shape (n,), s.
         values: SI units and radians, shape (n, channels).
-        index: of each in the table, shape (n,).
+        index: row of each sample in the table, shape (n,).
     """
 
     what: str
@@ -41,11 +41,11 @@ class Samples:
         return len(self.times)
 
     def where(self, i: int) -> str:
-        """Say which row sample ``i`` is."""
+        """Row of sample ``i``, as text."""
         return self.stream.table.where(int(self.index[i]))
 
     def keep(self, flags: Flags) -> Samples:
-        """Return the samples with a flag."""
+        """Return the flagged samples."""
         return Samples(self.what, self.stream, self.times[flags], self.values[flags], self.index[flags])
 
     def shifted(self, origin: float) -> Samples:
@@ -62,10 +62,10 @@ class Samples:
 
 
 def read_samples(what: str, stream: Stream, findings: Findings, rows: str = "") -> Samples:
-    """Read the samples of a stream; ``rows`` is what to call them when it is about time, if not ``what``.
+    """Read the samples of a stream; findings about times name them ``rows``, if given, instead of ``what``.
 
     Raises:
-        InputError: if there are none, or if time runs backwards too often.
+        InputError: if there are no samples, or if time runs backwards too often.
     """
     index = np.flatnonzero(stream.present())
     samples = Samples(what, stream, stream.times()[index], stream.values()[index], index)
@@ -74,7 +74,7 @@ def read_samples(what: str, stream: Stream, findings: Findings, rows: str = "") 
 
 def _numbers(samples: Samples, findings: Findings) -> Samples:
     cells = np.column_stack([samples.times, samples.values])
-    finite = np.abs(cells) < VALUE_MAX  # neither NaN nor infinite, and squares of it are finite
+    finite = np.abs(cells) < VALUE_MAX  # neither NaN nor infinite, and its square is finite
     good: Flags = np.all(finite, axis=1)
     if not good.any():
         columns = [c.column for c in (samples.stream.time, *samples.stream.channels)]

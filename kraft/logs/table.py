@@ -1,4 +1,4 @@
-"""What every format is read into first: named columns of numbers, and which row each came from."""
+"""Common form of all formats: named columns of numbers, with the row of each number."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Rows = NDArray[np.int64]
 LOG_TIME: Final = "log_time"
 """Column of a topic: when the recorder received the message, s."""
 STAMP: Final = "header.stamp"
-"""Column of a topic: when the sender says that it is from, s."""
+"""Column of a topic: time stamp of the sender, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class Table:
         topic: the topic of a bag, empty for a CSV file.
         columns: numbers of each column, NaN where there is none, each of shape (n,).
         rows: the line in the file, or the number of the message on its topic from 1, shape (n,).
-        blank: where a cell was empty rather than wrong, for columns that have such cells, each of shape (n,).
-        broken: lines that are no rows of this table, because they have too few or too many fields.
+        blank: whether a cell was empty rather than not a number, for columns with such cells, each of shape (n,).
+        broken: lines with too few or too many fields, which are not rows.
     """
 
     file: str
@@ -46,11 +46,11 @@ class Table:
 
     @property
     def name(self) -> str:
-        """What to call it in a sentence: its topic, or the file's own name."""
+        """Name for messages: the topic, or the name of the file."""
         return self.topic or self.file.replace("\\", "/").rsplit("/", 1)[-1]
 
     def where(self, index: int) -> str:
-        """Say which row: ``line 12 of a.csv``, ``message 3 of /odom``."""
+        """Row as text: ``line 12 of a.csv``, ``message 3 of /odom``."""
         return f"{'message' if self.topic else 'line'} {self.rows[index]} of {self.name}"
 
     def diagnostic(self, problem: str, expected: str, index: int | None = None, code: Code = Code.DATA) -> Diagnostic:

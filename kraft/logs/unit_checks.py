@@ -1,4 +1,4 @@
-"""Tell from the numbers when they are not in the units that they are taken for: degrees, millimetres, milliseconds."""
+"""Detection of wrong units from the numbers: degrees for radians, millimetres for metres, milliseconds for seconds."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from kraft.logs.motion import Chords, agreement, chords
 from kraft.logs.samples import Samples
 
 SPEED_MAX: Final = 30.0
-"""Speed above which positions are not metres, m/s: small vehicles are meant here."""
+"""Speed above which positions are not in metres, m/s; logs are of small vehicles."""
 POSE_INTERVAL_MAX: Final = 2.0
-"""Time between poses above which stamps are not seconds, s."""
+"""Time between poses above which stamps are not in seconds, s."""
 STEERING_MAX: Final = 1.6
 """Steering command above which it is no angle in radians, a little more than a right angle."""
 _CHORDS_MIN: Final = 5
 
 
 class DegreesError(InputError):
-    """Columns that are taken for radians hold degrees; in other logs with the same columns they do too."""
+    """Columns that are assumed to hold radians hold degrees; so do the same columns of other logs."""
 
     columns: frozenset[tuple[str, str]]
     """Role and name of each."""
@@ -34,15 +34,15 @@ class DegreesError(InputError):
 
 
 def assumed_radians(channel: Channel) -> bool:
-    """Whether a column is only believed to be in radians."""
+    """Whether radians are only assumed for a column."""
     return channel.unit == "rad" and not (channel.place is not None and channel.stated)
 
 
 def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, findings: Findings) -> None:
-    """Check clock, positions, yaw and commands; ``xyyaw`` are the poses as taken so far, shape (n, 3).
+    """Check clock, positions, yaw and commands; ``xyyaw`` are the poses in the assumed units, shape (n, 3).
 
     Raises:
-        DegreesError: if yaw or steering are in degrees and nothing says so.
+        DegreesError: if yaw or steering are in degrees and neither name nor mapping file states it.
         InputError: if another unit is wrong.
     """
     problems = _clock(poses)
@@ -54,17 +54,17 @@ def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, fin
     path = chords(poses.times, xyyaw[:, :2])
     degrees = [found for samples in commands for found in _steering(samples)]
     degrees += _yaw(poses, path, xyyaw[:, 2])
-    said = [problem for problem, _ in degrees]
+    in_degrees = [problem for problem, _ in degrees]
     lengths = _lengths(poses, path)
     if lengths:
-        raise InputError([*lengths, *said])
+        raise InputError([*lengths, *in_degrees])
     if degrees:
-        raise DegreesError(said, ((channel.role, channel.column) for _, channel in degrees))
+        raise DegreesError(in_degrees, ((channel.role, channel.column) for _, channel in degrees))
     _heading(poses, path, xyyaw[:, 2], findings)
 
 
 def in_mapping(channel: Channel, key: str, unit: str) -> str:
-    """Say how to write a unit in the mapping file."""
+    """How to state a unit in the mapping file, for a message."""
     return f"write {key}: {{column: {channel.column!r}, unit: {unit}}} into a mapping file, or name the column so"
 
 
@@ -75,7 +75,7 @@ def _clock(poses: Samples) -> list[Diagnostic]:
     step = float(np.median(np.diff(poses.times)))
     if POSE_INTERVAL_MAX > step > 1e-5:
         return []
-    problem = f"{time.column!r} taken in {time.unit} means a pose every {step:.4g} s"
+    problem = f"{time.column!r} in {time.unit} means a pose every {step:.4g} s"
     return [poses.diagnostic(problem, f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} ({time.column}_ms)")]
 
 
@@ -86,7 +86,7 @@ def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnosti
         f"{channel.column!r} goes from {values.min():g} to {values.max():g}: these look like pulse widths of a servo"
     )
     how = f"commands.controls.{channel.role}: {{column: {channel.column!r}, zero: 1500, scale: 0.002}}"
-    return [samples.diagnostic(problem, f"expected a command; say what they mean in a mapping file, as in {how}")]
+    return [samples.diagnostic(problem, f"expected a command; state their meaning in a mapping file, as in {how}")]
 
 
 def _steering(samples: Samples) -> list[tuple[Diagnostic, Channel]]:
@@ -104,7 +104,7 @@ def _lengths(poses: Samples, path: Chords) -> list[Diagnostic]:
     if len(path.speeds) < _CHORDS_MIN or np.median(path.speeds) < SPEED_MAX:
         return []
     x, y = poses.stream.channels[:2]
-    problem = f"{x.column!r} and {y.column!r} taken in {x.unit} mean a speed of {np.median(path.speeds):.3g} m/s"
+    problem = f"{x.column!r} and {y.column!r} in {x.unit} mean a speed of {np.median(path.speeds):.3g} m/s"
     return [poses.diagnostic(problem, f"expected metres; {in_mapping(x, 'poses.x', 'mm')} ({x.column}_mm), and y too")]
 
 
@@ -123,7 +123,7 @@ def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[tuple[Diagnostic, Cha
 
 
 def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
-    """Whether yaw follows the motion as degrees and not as radians; up to 7 it may as well be noise on a straight."""
+    """Whether yaw follows the motion in degrees and not in radians; values up to 7 may be noise on a straight drive."""
     if len(path.directions) < _CHORDS_MIN or float(np.abs(yaw).max()) < 7.0:
         return False
     as_radians, offset = agreement(path, yaw)

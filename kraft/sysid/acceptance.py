@@ -21,43 +21,44 @@ from kraft.errors import InputError
 from kraft.sysid.data import LogSplit
 from kraft.sysid.result import Identification, PredictionErrors, correlations
 from kraft.sysid.settings import Settings
+from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 
 SIMILAR_ERROR_RATIO: Final = 1.01
-"""Position errors within a hundredth of each other are alike, as when the initial values come from the same logs."""
+"""Ratio of position errors up to which they count as equal, as when the initial values come from the same logs."""
 EXCESSIVE_ERROR_RATIO: Final = 1.5
-"""Factor from which the initial values are better beyond doubt.  What five logs of the bundled car say, where the
-initial values come from forty, is up to 1.2 times worse by chance; a test of the scatter between windows would object
-to a difference that does not matter if it is steady, and would need more windows than a few held-out logs have."""
+"""Ratio of position errors from which the identified values are rejected.  Values from five logs of the bundled car,
+beside initial values from forty, are up to 1.2 times worse by chance.  A test of the scatter between windows would also
+reject small but steady differences, and needs more windows than a few held-out logs have."""
 
 
 @dataclass(frozen=True)
 class PredictionPair:
-    """Windows of the same logs, predicted with the identified parameters and with those before."""
+    """Windows of the same logs, predicted with the identified and with the initial parameters."""
 
     identified: tuple[Window, ...]
     initial: tuple[Window, ...]
 
     @cached_property
     def errors(self) -> PredictionErrors:
-        """Of the identified parameters."""
+        """Errors with the identified parameters."""
         return window_errors(self.identified)
 
     @cached_property
     def initial_errors(self) -> PredictionErrors:
-        """Of those before."""
+        """Errors with the initial parameters."""
         return window_errors(self.initial)
 
 
 @dataclass(frozen=True)
 class PredictionEvaluation:
-    """Forecasts of the logs that were fitted, and of those held out if there are any that can be predicted.
+    """Predictions of the fitted logs, and of the held-out logs if any of them can be predicted.
 
     Attributes:
-        fitted: of the logs that were fitted.
-        held_out: of those held out, None if there are none or none can be predicted.
-        warnings: that the initial values predict better, which held-out logs cannot be predicted, and why.
+        fitted: predictions of the fitted logs.
+        held_out: predictions of the held-out logs; None if there are none or none can be predicted.
+        warnings: that the initial values predict better, or that held-out logs cannot be predicted.
     """
 
     fitted: PredictionPair
@@ -68,9 +69,9 @@ class PredictionEvaluation:
 def evaluate_predictions(
     vehicle: VehicleConfig | Vehicle, log_split: LogSplit, result: Identification, settings: Settings
 ) -> PredictionEvaluation:
-    """Predict every log.
+    """Predict every log with the identified and with the initial parameters.
 
-    Held-out logs that cannot be predicted leave the fit as it is: that it could not be tested is a warning.
+    Held-out logs that cannot be predicted do not invalidate the fit; a warning reports that it was not tested.
 
     Raises:
         InputError: if the fitted logs are too short to predict anything.
@@ -88,40 +89,42 @@ def evaluate_predictions(
         unseen = pair(log_split.held_out)
     except InputError as error:
         why = "; ".join(f"{problem.file} {problem.problem}" for problem in error.diagnostics)
-        said = f"the fit is not tested: the {len(log_split.held_out)} held out cannot be predicted ({why})"
-        return PredictionEvaluation(fitted, None, (said,))
+        warning = (
+            f"the fit is not tested: {counted(len(log_split.held_out), 'held-out log')} cannot be predicted ({why})"
+        )
+        return PredictionEvaluation(fitted, None, (warning,))
     return PredictionEvaluation(
         fitted, unseen, (*prediction_warnings(unseen), *_unpredicted(log_split.held_out, unseen))
     )
 
 
 def _unpredicted(logs: tuple[Log, ...], pair: PredictionPair) -> tuple[str, ...]:
-    """That some logs are too short for a window, if there are such."""
+    """The warning that some logs are too short for a window, if any are."""
     predicted = {window.log for window in pair.identified}
     missed = [log.name for log in logs if log.name not in predicted]
-    return (f"held out, but too short to be predicted: {', '.join(missed)}",) if missed else ()
+    return (f"held-out logs too short to be predicted: {', '.join(missed)}",) if missed else ()
 
 
 def prediction_warnings(pair: PredictionPair) -> tuple[str, ...]:
-    """The warning that the initial values predict better, if they do."""
+    """The warning that the identified values predict no better than the initial ones, if so."""
     if _ratio(pair) <= SIMILAR_ERROR_RATIO:
         return ()
     return (
         f"the identified values predict held-out logs no better than the initial values do ({_errors(pair)}): "
-        "look for logs of another floor, slope, load or car and leave them out, record more logs, or choose "
-        "a model that has what these lack; the page shows the prediction",
+        "exclude logs of another floor, slope, load or car, record more logs, or choose a model with the missing "
+        "effect; the page shows the prediction",
     )
 
 
 def prediction_objections(pair: PredictionPair) -> tuple[str, ...]:
-    """The objection that the initial values predict far better, as part of a sentence, if they do."""
+    """The objection that the initial values predict far better, as part of a sentence, if so."""
     if _ratio(pair) < EXCESSIVE_ERROR_RATIO:
         return ()
     return (f"held-out logs are predicted far better with the initial values ({_errors(pair)})",)
 
 
 def _ratio(pair: PredictionPair) -> float:
-    """Position error of the identified values in that of the initial ones."""
+    """Position error of the identified values over that of the initial values."""
     after, before = pair.errors.overall_position, pair.initial_errors.overall_position
     return after / max(before, 1e-12)
 
@@ -132,22 +135,22 @@ def _errors(pair: PredictionPair) -> str:
 
 
 def objections(identification: Identification, evaluation: PredictionEvaluation) -> tuple[str, ...]:
-    """Why the parameters are not identified, as parts of a sentence; nothing if they are."""
+    """Reasons why the parameters are not identified, as parts of a sentence; empty if they are identified."""
     found = [] if identification.converged else ["the fit did not converge"]
     if not identification.names:
-        found.append("every parameter that is left is frozen, and the data show no other")
-    hidden = [name for name in identification.unidentified if name not in identification.auxiliary]
-    if hidden:
-        found.append(f"the logs do not show {', '.join(hidden)}")
-    found += [f"{a} and {b} cannot be told apart" for a, b in _pairs(identification)]
+        found.append("every parameter of the model is frozen, and the data show no auxiliary parameter")
+    unidentified = [name for name in identification.unidentified if name not in identification.auxiliary]
+    if unidentified:
+        found.append(f"the logs do not identify {', '.join(unidentified)}")
+    found += [f"{a} and {b} are indistinguishable" for a, b in _pairs(identification)]
     return (*found, *(() if evaluation.held_out is None else prediction_objections(evaluation.held_out)))
 
 
 def _pairs(identification: Identification) -> list[tuple[str, str]]:
-    """Pairs of parameters that are one by the stated noise; how far the logs differ says nothing about that."""
-    names, alike = (
+    """Pairs of parameters that are indistinguishable under the stated noise, however much the logs differ."""
+    names, indistinguishable = (
         identification.names,
         np.abs(correlations(identification.graph_covariance)) > CORRELATION_INDISTINGUISHABLE,
     )
-    rows, columns = np.nonzero(np.triu(alike, 1))
+    rows, columns = np.nonzero(np.triu(indistinguishable, 1))
     return [(names[i], names[j]) for i, j in zip(rows, columns, strict=True)]

@@ -1,9 +1,10 @@
-"""The control that acts in each step: the mean over the step of the commands as they arrive.
+"""Actuator model: the mean control that acts in each step, from the commands.
 
-Commands are held until the next one, lose their dead band, and act after a delay through a first-order lag; the mean
-of that over a step is a difference of integrals.  Where the delay or the lag is unknown, the mean is taken with a hat
-twice as wide as the step instead of a box: its derivative with respect to them is then continuous, and the optimiser
-does not get caught where a jump crosses from one step into the next.  Both have the same area and centre.
+A command is held until the next one, reduced by a dead band, and acts after a delay through a first-order lag; its mean
+over a step is a difference of integrals.  Where the delay or the lag is unknown, the mean is weighted with a hat
+(triangular) function twice as wide as the step instead of a box: the derivative with respect to delay and lag is then
+continuous, so that the optimiser does not stop where a jump of the command crosses into the next step.  Both functions
+have the same area and centre.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Ints, Matrix
 
 LAG_MIN = 1e-6
-"""A shorter lag is none, s."""
+"""Lag below which a control counts as immediate, s."""
 
 
 class ActuatorModel:
-    """Commands of some stretches, and which extras shift or shrink them."""
+    """Controls that act in the steps of some segments, as functions of delays, lags and dead bands."""
 
     def __init__(self, segments: Sequence[Segment], parameters: Parameters) -> None:
-        """Look up which extras there are."""
+        """Look up the auxiliary parameters that apply to each control."""
         self._stretches, self._size = segments, len(parameters.names)
         self._controls = list(parameters.vehicle.controls)
         bounds = parameters.vehicle.control_bounds
@@ -42,7 +43,7 @@ class ActuatorModel:
     def mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho.
 
-        Those of the last rho are kept: a point's cost, its factors and the step from it all ask for them.
+        The values of the last rho are cached: the cost of a point, its factors and the step from it all need them.
         """
         key = rho.tobytes()
         if self._last is None or self._last[0] != key:
@@ -61,7 +62,7 @@ class ActuatorModel:
         return means, slopes
 
     def _one(self, segment: Segment, k: int, rho: Floats, slopes: Floats) -> Floats:
-        """Means of one control of one stretch; its derivatives are written to `slopes` (steps, np)."""
+        """Means of one control of one segment; the derivatives are written to `slopes` (steps, np)."""
         times, values = segment.part.command_times, segment.part.commands[:, k]
         before = self._rest[k] if segment.resting else values[0]
         values = np.concatenate([[before], values])
@@ -76,7 +77,7 @@ class ActuatorModel:
         return means.values
 
     def _means(self, segment: Segment, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
-        """Means over a stretch's steps of what control k makes of held values."""
+        """Means over the steps of a segment of control k, delayed and lagged, with derivatives."""
         delays, lag = self._delays[k], self._lags[k]
         at = segment.times - sum(float(rho[j]) for j in delays)
         if not delays and lag < 0:
@@ -86,17 +87,18 @@ class ActuatorModel:
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """Means (steps,) of a signal between neighbouring times, and what they change with."""
+    """Means (steps,) of a signal between neighbouring times, with derivatives."""
 
     values: Floats
     by_time: Floats
-    """with all of the times"""
+    """derivative with respect to a shift of all times"""
     by_lag: Floats
+    """derivative with respect to the lag"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Integrals:
-    """Of the lagged signal at some times (n,): what it is there, its first and second integral, and their slopes."""
+    """Value, first and second integral of the lagged signal at some times (n,), and derivatives by the lag."""
 
     now: Floats
     once: Floats
@@ -106,13 +108,13 @@ class _Integrals:
 
 
 def box_means(times: Floats, values: Floats, at: Floats, h: float) -> Means:
-    """Means between neighbouring times `at`, `h` apart, of a signal without lag: values[i] before times[i]."""
+    """Means between neighbouring times `at`, `h` apart, of a signal without lag that has values[i] before times[i]."""
     found = _integrals(times, values, at, 0.0)
     return Means(*(np.diff(each) / h for each in (found.once, found.now, found.once_by_lag)))
 
 
 def hat_means(times: Floats, values: Floats, at: Floats, h: float, lag: float) -> Means:
-    """The same weighted with a hat that is highest in the middle and reaches half a step beyond; `lag` is in s."""
+    """Means weighted with a hat function that reaches half a step beyond the interval; `lag` is in s."""
     middle = at[0] + h * (np.arange(len(at) + 1) - 0.5)
     found = _integrals(times, values, middle, lag)
     return Means(*(np.diff(each, 2) / h**2 for each in (found.twice, found.once, found.twice_by_lag)))
@@ -135,11 +137,11 @@ def _integrals(times: Floats, values: Floats, at: Floats, lag: float) -> _Integr
 
 
 def _lag_deviation(spans: Floats, values: Floats, i: Ints, d: Floats, lag: float) -> Matrix:
-    """(n, 2) how far the lagged signal is from the held one `d` s after knot `i`, and its change with the lag."""
+    """(n, 2) lagged signal less the held one, `d` s after knot `i`, and its derivative with respect to the lag."""
     if lag < LAG_MIN:
         return np.zeros((len(d), 2))
     left = np.exp(-spans / lag)
-    # after each jump the lagged signal is as far behind as it still was, less the jump: a chain, solved at once
+    # the deviation decays between jumps and changes by each jump: a bidiagonal system
     jumps = np.concatenate([[0.0], -np.diff(values)])
     chain = np.array([np.ones(len(values)), np.append(-left, 0.0)])
     behind = solve_banded((1, 0), chain, jumps, check_finite=False)

@@ -11,44 +11,44 @@ YAW_RATES = ("omega", "yaw_rate", "r", "w")
 
 
 FRICTION_SHARE_MAX = 0.5
-"""Share of the full throttle that friction may take."""
+"""Largest friction, as a share of the full throttle."""
 
 
 DEAD_BAND_SHARE_MAX = {"throttle": 0.5, "steering": 0.25}
-"""Controls that a dead band makes sense for, and the share of their range that it may take."""
+"""Controls that may have a dead band, and the largest dead band as a share of the largest command."""
 
 
 def affects_motion(name: str) -> bool:
-    """Whether an extra belongs to how the vehicle moves: planning does not know it, and is off by as much.
+    """Whether an auxiliary parameter affects the motion: planning does not model it, and is wrong by its effect.
 
-    The others belong to how the vehicle is seen, which planning need not know.
+    The others affect only how the vehicle is observed, which planning does not need.
     """
     return name.startswith(("delay", "lag_", "dead_band_", "friction"))
 
 
 def speed_index(vehicle: Vehicle) -> int:
-    """Which state component is the speed, -1 if none is: the first of those that are nothing at rest."""
+    """Index of the speed in the state: the first component that is 0 at rest; -1 if there is none."""
     return vehicle.rest_indices[0] if vehicle.rest and vehicle.rest[0] not in YAW_RATES else -1
 
 
 @dataclass(frozen=True)
 class AuxiliaryParameter:
-    """A parameter that every model may be given; 0 is its nominal value and means that it is not there."""
+    """A parameter that any model may be extended with; its nominal value is 0, which means no effect."""
 
     name: str
     unit: str
     min: float
     max: float
     std: float
-    """of what is known beforehand"""
+    """standard deviation of the prior"""
     description: str
 
 
 def auxiliary_parameters(vehicle: Vehicle) -> dict[str, AuxiliaryParameter]:
-    """The extras that make sense for a vehicle, by name; none that has the name of a parameter of its model."""
+    """Auxiliary parameters that apply to a vehicle, by name; none shares a name with a parameter of the model."""
     found = [AuxiliaryParameter("delay", "s", 0.0, 0.5, 0.3, "time until a command takes effect")]
     found += [
-        AuxiliaryParameter(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"time that {name} takes effect later still")
+        AuxiliaryParameter(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"additional time until {name} takes effect")
         for name in vehicle.controls
     ]
     found += [
@@ -63,7 +63,7 @@ def auxiliary_parameters(vehicle: Vehicle) -> dict[str, AuxiliaryParameter]:
         if name in vehicle.controls:
             most = share * max(map(abs, vehicle.controls[name]))
             unit = "rad" if name == "steering" else "1"
-            found.append(AuxiliaryParameter(f"dead_band_{name}", unit, 0.0, most, most, f"{name} that does nothing"))
+            found.append(AuxiliaryParameter(f"dead_band_{name}", unit, 0.0, most, most, f"{name} without effect"))
     if vehicle.index("theta") >= 0:
         found += [
             AuxiliaryParameter("lever", "m", -1.0, 1.0, 0.5, "tracked point ahead of the model's point"),

@@ -22,13 +22,13 @@ from ompl_ext.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class BaseVehicle:
-    """A vehicle to identify.
+    """The vehicle whose parameters are identified.
 
     Attributes:
-        reference: as it was asked for.
-        definition: the vehicle file, or the code, with bounds and priors if it has any.
-        vehicle: the same as the planner has it.
-        model: reference to the code; a file's path is absolute.
+        reference: name, file or code as the user gave it.
+        definition: the vehicle file, with bounds and priors, or the vehicle from code.
+        vehicle: the same vehicle as the planner uses it.
+        model: reference to the code; the path of a file is absolute.
     """
 
     reference: str
@@ -38,25 +38,25 @@ class BaseVehicle:
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the vehicle."""
         return self.vehicle.name
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
-        """Parameters as a vehicle file has them; those of code have no more than a value."""
+        """Parameters as in a vehicle file; those of code have a value only."""
         if isinstance(self.definition, VehicleConfig):
             return self.definition.parameters
         return {name: Parameter(value=value, unit="?") for name, value in self.vehicle.parameters.items()}
 
     @property
     def footprint(self) -> Footprint:
-        """What must not touch anything."""
+        """Footprint as in a vehicle file."""
         shape = self.vehicle.footprint
         return Footprint(length=shape.length, width=shape.width, offset=shape.offset)
 
     @property
     def top_speed(self) -> float | str:
-        """Top speed, m/s, or the parameter that is that speed."""
+        """Top speed, m/s, or the name of the parameter that is the top speed."""
         return (
             self.definition.top_speed if isinstance(self.definition, VehicleConfig) else float(self.vehicle.top_speed)
         )

@@ -1,7 +1,8 @@
-"""Logs cut into equal steps: chains of states, with the poses seen between them, all chains in the same arrays.
+"""Segments of logs on equal time steps: chains of states with the poses observed between them, in common arrays.
 
 Chain c has states first[c] ... first[c + 1] - 1, one more than it has steps.  Step i leads from state `state[i]` to the
-next one; pose j was seen in step `step[j]` a share `share[j]` of it after its beginning (the paper's epsilon).
+next one; pose j was observed in step `step[j]`, the share `share[j]` of the step after its beginning (epsilon in the
+paper).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Segment:
     """A part of a log, or a piece of it, on its time grid."""
 
     log: int
-    """which log it belongs to"""
+    """index of its log"""
     part: Part
     begin: float
     """time of the first state, s"""
@@ -33,9 +34,9 @@ class Segment:
     h: float
     """s"""
     poses: slice
-    """those of the part's poses that are seen"""
+    """the observed poses among those of the part"""
     resting: bool
-    """whether the part begins at rest, so that nothing was commanded before its first command"""
+    """whether the part begins at rest, so that no control acted before its first command"""
 
     @property
     def times(self) -> Floats:
@@ -46,7 +47,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """All stretches in common arrays: S states, N steps, n poses."""
+    """All segments in common arrays: S states, N steps, n poses."""
 
     segments: tuple[Segment, ...]
     first: Ints
@@ -69,29 +70,29 @@ class Chains:
 
     @property
     def states(self) -> int:
-        """How many there are in all."""
+        """Number of states."""
         return int(self.first[-1])
 
 
 def whole_segment(part: Part, log: int, step: float) -> Segment:
-    """All of a part, in steps of at most `step` s."""
+    """Segment of a whole part, in steps of at most `step` s."""
     return segment_between(part, log, step, 0, len(part.pose_times), begins_at_rest(part))
 
 
 def segment_between(part: Part, log: int, step: float, first: int, last: int, resting: bool) -> Segment:
-    """From pose `first` to the one before `last`, in steps of at most `step` s."""
+    """Segment of a part from pose `first` to the pose before `last`, in steps of at most `step` s."""
     begin, end = float(part.pose_times[first]), float(part.pose_times[last - 1])
     steps = max(1, math.ceil((end - begin) / step - 1e-9))
     return Segment(log, part, begin, steps, max(end - begin, 1e-6) / steps, slice(first, last), resting)
 
 
 def chains_of(segments: Sequence[Segment], logs: int) -> Chains:
-    """Stack stretches."""
+    """Stack segments of `logs` logs."""
     steps = np.array([s.steps for s in segments])
     first = np.concatenate([[0], np.cumsum(steps + 1)])
     offset = np.concatenate([[0], np.cumsum(steps)])
-    places = [_places(s) for s in segments]
-    step = np.concatenate([at + offset[c] for c, (at, _) in enumerate(places)])
+    pose_steps = [_pose_steps(s) for s in segments]
+    step = np.concatenate([at + offset[c] for c, (at, _) in enumerate(pose_steps)])
     return Chains(
         segments=tuple(segments),
         first=first.astype(np.int64),
@@ -101,12 +102,12 @@ def chains_of(segments: Sequence[Segment], logs: int) -> Chains:
         h=np.concatenate([np.full(s.steps, s.h) for s in segments]),
         seen=np.searchsorted(step, np.arange(offset[-1] + 1)).astype(np.int64),
         step=step.astype(np.int64),
-        share=np.concatenate([share for _, share in places]),
+        share=np.concatenate([share for _, share in pose_steps]),
         poses=np.ascontiguousarray(np.concatenate([s.part.poses[s.poses] for s in segments]), dtype=np.float64),
     )
 
 
-def _places(segment: Segment) -> tuple[Ints, Floats]:
+def _pose_steps(segment: Segment) -> tuple[Ints, Floats]:
     """Step and share of each pose."""
     since = (segment.part.pose_times[segment.poses] - segment.begin) / segment.h
     step = np.clip(np.floor(since + 1e-9), 0, segment.steps - 1).astype(np.int64)

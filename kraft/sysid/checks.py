@@ -1,4 +1,4 @@
-"""What is doubtful about an identification, said in sentences that name what to drive or to change."""
+"""Warnings about an identification; each names the manoeuvre to drive or the setting to change."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from kraft.text import counted
 from ompl_ext.arrays import Floats
 
 PRIOR_STD_RATIO = 0.7
-"""Share of the prior's standard deviation that the data must stay below."""
+"""Standard deviation by the stated noise over that of the prior, above which the data do not identify a parameter."""
 RESIDUAL_RATIO_HIGH, RESIDUAL_RATIO_LOW = 2.0, 0.4
-"""Mean squared residual, in those that the noise lets expect."""
+"""Ratio of the squared residual of a typical pose to its expectation under the stated noise."""
 DISAGREEMENT_RATIO = 3.0
-"""Standard deviations by the logs, in those by the stated noise."""
+"""Ratio of the standard deviation between logs to that under the stated noise."""
 STEERING_CORRELATION_LOW = 0.5
-"""Correlation of steering and curvature."""
+"""Correlation of steering and curvature below which they count as unrelated."""
 STEERING_CORRELATION_PRESENT = 0.7
-"""Correlation from which the vehicle turns with the steering, however little that is said to be."""
+"""Correlation of steering and curvature above which a small steering signal counts as the cause of turning."""
 MOVING_SPEED_SHARE = 0.3
-"""Share of the highest speed below which curvature is not looked at."""
+"""Share of the highest speed below which curvature is not evaluated."""
 STEERING_STD_MIN = 0.02
-"""Standard deviation of a steering that shows anything, rad."""
+"""Least standard deviation of a steering signal that identifies anything, rad."""
 _ARCS: Final = "arcs to the left and to the right, of several radii"
 _THROTTLE_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
-_THROTTLE_LEVELS: Final = "stretches at several constant throttles, low ones too"
+_THROTTLE_LEVELS: Final = "several constant throttles, low ones too, for some seconds each"
 _COMMAND_CHANGES: Final = "sudden changes of the commands while driving"
 _MANOEUVRES: Final = {
     "L": _ARCS,
@@ -53,7 +53,7 @@ _MANOEUVRES: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Everything that the checks look at."""
+    """A solved problem with its data: what the checks and the result are made from."""
 
     problem: Problem
     optimum: Optimum
@@ -63,23 +63,23 @@ class Solution:
     """names"""
     noise_measured: bool
     iterations: int
-    """of the optimiser, trying extras included"""
+    """of the optimiser, those of model selection included"""
 
     @property
     def names(self) -> list[str]:
-        """Of the parameters that were estimated."""
+        """Names of the estimated parameters."""
         parameters = self.problem.parameters
         return [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
 
 
 def warnings_of(solution: Solution) -> tuple[str, ...]:
-    """All that is doubtful, most important first."""
+    """All warnings, the most important first."""
     checks = (_convergence, _steering, _bounds, _unidentified, _unbounded, _correlation, _residuals, _disagreement)
     return tuple(warning for check in checks for warning in check(solution))
 
 
 def at_bound(solution: Solution) -> dict[str, str]:
-    """Parameters at a bound and which one it is; 0 of an extra that cannot be negative is none."""
+    """Parameters at a bound, with `lower` or `upper`."""
     p = solution.problem.parameters
     margin = AT_BOUND * (p.high - p.low)
     rho = solution.optimum.point.rho
@@ -91,7 +91,7 @@ def at_bound(solution: Solution) -> dict[str, str]:
 
 
 def unidentified(solution: Solution) -> tuple[str, ...]:
-    """Parameters of the model about which the data say next to nothing beyond the prior."""
+    """Parameters whose uncertainty the data hardly reduce below that of the prior."""
     p = solution.problem.parameters
     prior = p.std[p.free]
     std = np.sqrt(np.diag(solution.uncertainty.graph))
@@ -102,7 +102,7 @@ def _convergence(solution: Solution) -> Iterator[str]:
     if not solution.optimum.converged:
         yield (
             f"the optimiser had not converged after {counted(solution.iterations, 'iteration')}: values and intervals "
-            "are where it stopped; freeze parameters that the logs do not show, or leave out extra ones (extras none)"
+            "are where it stopped; freeze parameters that the logs do not identify, or exclude auxiliary parameters"
         )
 
 
@@ -111,12 +111,12 @@ def _bounds(solution: Solution) -> Iterator[str]:
     for name, which in at_bound(solution).items():
         spec = p.specs[p.index(name)]
         if name in p.auxiliary and spec.min == 0.0 and which == "lower":
-            yield f"{name} is 0, the least it can be: the data show none"
+            yield f"{name} is 0, its lower bound: the data show no such effect"
             continue
         bound = spec.min if which == "lower" else spec.max
         yield (
             f"{name} is at its {which} bound {bound:g} {spec.unit}".rstrip()
-            + ": widen the bound if it is wrong, else the model lacks something that this parameter stands in for"
+            + ": widen the bound if it is wrong; otherwise the model lacks an effect that the parameter compensates for"
         )
 
 
@@ -124,7 +124,7 @@ def _unidentified(solution: Solution) -> Iterator[str]:
     p = solution.problem.parameters
     for name in unidentified(solution):
         yield (
-            f"{name} is known no better than before: the logs do not show it; "
+            f"the logs do not identify {name}: its uncertainty is hardly smaller than before; "
             f"drive {informative_manoeuvres(p, name)}, or freeze it"
         )
 
@@ -133,7 +133,7 @@ def _unbounded(solution: Solution) -> Iterator[str]:
     p, known = (
         solution.problem.parameters,
         {*at_bound(solution), *unidentified(solution)},
-    )  # those have warnings of their own
+    )  # these have warnings of their own
     half = solution.uncertainty.quantile * solution.uncertainty.std
     values = solution.optimum.point.rho[p.free]
     for name, value, reach in zip(solution.names, values, half, strict=True):
@@ -143,7 +143,7 @@ def _unbounded(solution: Solution) -> Iterator[str]:
         yield (
             f"the data do not bound {name}: its 95 % interval, {value - reach:.3g} to {value + reach:.3g}, "
             f"reaches beyond its bounds {spec.min:g} to {spec.max:g} {spec.unit}".rstrip()
-            + f" and is cut there; drive {informative_manoeuvres(p, name)}, or freeze it"
+            + f" and is truncated there; drive {informative_manoeuvres(p, name)}, or freeze it"
         )
 
 
@@ -151,13 +151,13 @@ def _correlation(solution: Solution) -> Iterator[str]:
     reported, stated = correlations(solution.uncertainty.covariance), correlations(solution.uncertainty.graph)
     names = solution.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
-        # either says that one makes up for the other; the one that is reported is named first
+        # either correlation counts; the reported one has precedence
         by_noise = abs(reported[i, j]) <= CORRELATION_HIGH
         found = stated[i, j] if by_noise else reported[i, j]
         if abs(found) > CORRELATION_HIGH:
             yield (
-                f"{names[j]} and {names[i]} are hardly told apart (correlation {found:.2f}"
-                f"{' by the stated noise' if by_noise else ''}): drive "
+                f"{names[j]} and {names[i]} are nearly indistinguishable (correlation {found:.2f}"
+                f"{' under the stated noise' if by_noise else ''}): drive "
                 f"{informative_manoeuvres(solution.problem.parameters, names[j], names[i])}, or freeze one of them"
             )
 
@@ -166,14 +166,16 @@ def _residuals(solution: Solution) -> Iterator[str]:
     ratio = residual_ratio(solution.problem, solution.optimum.point)
     whose = "measured" if solution.noise_measured else "stated"
     noise = solution.problem.noise.noise
-    said = f"the {whose} noise ({noise.position:.3g} m, {noise.yaw:.3g} rad) and the process noise"
+    expectation = (
+        f"expected under the {whose} noise ({noise.position:.3g} m, {noise.yaw:.3g} rad) and the process noise"
+    )
     if ratio > RESIDUAL_RATIO_HIGH:
         yield (
-            f"residuals are {np.sqrt(ratio):.1f} times as large as {said} let expect: one is stated too small, or "
-            "the model lacks something"
+            f"residuals are {np.sqrt(ratio):.1f} times as large as {expectation}: one of the two is stated too small, "
+            "or the model lacks an effect"
         )
     elif ratio < RESIDUAL_RATIO_LOW:
-        yield f"residuals are {np.sqrt(ratio):.2f} times as large as {said} let expect: one is stated too large"
+        yield f"residuals are {np.sqrt(ratio):.2f} times as large as {expectation}: one of the two is stated too large"
 
 
 def _disagreement(solution: Solution) -> Iterator[str]:
@@ -187,10 +189,10 @@ def _disagreement(solution: Solution) -> Iterator[str]:
         share = solution.uncertainty.shifts[odd, worst] ** 2 / max(
             np.sum(solution.uncertainty.shifts[:, worst] ** 2), 1e-300
         )
-        said = f"; {solution.logs[odd]} differs most" if share > 2.0 / len(solution.logs) else ""
+        deviating = f"; {solution.logs[odd]} differs most" if share > 2.0 / len(solution.logs) else ""
         yield (
-            f"the logs disagree about {solution.names[worst]}, {ratio[worst]:.1f} times what noise explains{said}: "
-            "something changed between them, or the model lacks something"
+            f"the logs disagree about {solution.names[worst]}, {ratio[worst]:.1f} times the uncertainty "
+            f"under the stated noise{deviating}: something changed between them, or the model lacks an effect"
         )
 
 
@@ -209,7 +211,7 @@ def _steering(solution: Solution) -> Iterator[str]:
     if not enough or np.std(steering[moving]) < STEERING_STD_MIN:
         low, high = (float(np.min(steering)), float(np.max(steering))) if len(steering) else (0.0, 0.0)
         hint = (
-            "the vehicle turns with it all the same: were radians taken for degrees?"
+            "nevertheless the vehicle turns with it: were radians taken for degrees?"
             if abs(correlation) > STEERING_CORRELATION_PRESENT
             else "drive arcs to the left and to the right"
         )
@@ -228,7 +230,7 @@ def _steering(solution: Solution) -> Iterator[str]:
 
 
 def _best_correlation(steering: Floats, curvature: Floats, moving: Floats) -> float:
-    """Rank correlation (outliers do not count), the largest in size over delays of up to half a second."""
+    """Rank correlation, robust to outliers; the largest in magnitude over delays of up to half a second."""
     best = 0.0
     for shift in range(0, 11, 2):
         chosen = moving[shift:]
@@ -242,14 +244,14 @@ def _best_correlation(steering: Floats, curvature: Floats, moving: Floats) -> fl
 
 
 def _ranks(values: Floats) -> Floats:
-    """Ranks, equal for equal values."""
+    """Ranks (n,) of values (n,); equal values share a rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     ranks: Floats = (np.cumsum(counts) - 0.5 * counts)[inverse]
     return ranks
 
 
 def informative_manoeuvres(parameters: Parameters, *names: str) -> str:
-    """The manoeuvres that would show some parameters, for a sentence."""
+    """Manoeuvres that identify the named parameters, as part of a sentence."""
     controls = ", ".join(parameters.vehicle.controls)
     general = f"steps of each command ({controls}) one at a time, at several levels and of both signs"
     found = dict.fromkeys(_of(name, general) for name in names)

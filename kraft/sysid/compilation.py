@@ -1,4 +1,4 @@
-"""Compile what identification needs for this machine and a vehicle: once, before its clock runs."""
+"""Compilation of the kernels for a vehicle on this machine: once, before the identification is timed."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 
 
-def ensure_compiled(vehicle: Vehicle, asked: str, say: Callable[[str], None]) -> None:
-    """Compile the model's steps and the graph's elimination, unless they were; `say` is told before and after.
+def ensure_compiled(vehicle: Vehicle, reference: str, info: Callable[[str], None]) -> None:
+    """Compile the steps of the model and the elimination of the graph, unless their machine code is cached.
 
     Args:
-        vehicle: whose model it is.
-        asked: name or file that it was asked for by.
-        say: is told.
+        vehicle: the vehicle with the model.
+        reference: name or file of the vehicle as the user gave it.
+        info: receives a message before and after the compilation.
     """
     if are_steps_cached(vehicle) and is_cached():
         return
-    say(f"compiling the model of {asked} for identification on this machine: once, about 8 s ...")
+    info(f"compiling the model of {reference} for identification on this machine: once, about 8 s ...")
     began = time.perf_counter()
     _exercise(vehicle)
-    say(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
+    info(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 
 def _exercise(vehicle: Vehicle) -> None:
-    """Make one step of a graph of a drive of a moment: kernels compile when they are first called."""
+    """Make one step of the graph of a short drive: kernels compile at their first call."""
     settings = Settings()
     times = np.array([0.0, 0.1])
     part = Part(times[:1], np.zeros((1, len(vehicle.controls))), times, np.zeros((2, 3)))

@@ -1,4 +1,4 @@
-"""What logs must have before anything is estimated from them."""
+"""Logs prepared for identification: requirements, and the split into fitted and held-out logs."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 POSES_MIN = 5
 MOTION_MIN = 0.05
-"""Distance from its first pose that a part must get to, m, for a log to show motion."""
+"""Least distance from the first poses that counts as motion, m."""
 HOLDOUT_FRACTION: Final = 0.25
 HOLDOUT_LOGS_MIN: Final = 4
-"""With fewer logs than this none is held out, unless it is asked for: the fit needs them all."""
+"""Number of logs below which none is held out by default: the fit needs them all."""
 
 
 @dataclass(frozen=True)
 class ScreenedLogs:
-    """Logs of which only parts long enough to say something are left.
+    """Logs without parts that are too short.
 
     Attributes:
-        logs: those that have such a part.
-        shortened: for those of them that lost other parts, what was left out.
-        problems: for each log that has no such part, that it is left out.
+        logs: logs with at least one part that is long enough.
+        shortened: for each of them that lost parts, a message.
+        problems: for each log that was left out, the reason.
     """
 
     logs: tuple[Log, ...]
@@ -40,7 +40,7 @@ class ScreenedLogs:
 
 
 def screen_logs(logs: Sequence[Log]) -> ScreenedLogs:
-    """Leave out parts with fewer than `POSES_MIN` poses, and logs that have no other."""
+    """Leave out parts with fewer than `POSES_MIN` poses, and logs that have no longer part."""
     kept, shortened, problems = [], [], []
     for log in logs:
         parts = tuple(part for part in log.parts if len(part.pose_times) >= POSES_MIN and len(part.command_times) > 0)
@@ -51,15 +51,13 @@ def screen_logs(logs: Sequence[Log]) -> ScreenedLogs:
             continue
         if len(parts) < len(log.parts):
             short = len(log.parts) - len(parts)
-            shortened.append(
-                f"{log.name}: {short} of {len(log.parts)} parts left out, with less than {POSES_MIN} poses"
-            )
+            shortened.append(f"{log.name}: {short} of {len(log.parts)} parts left out: fewer than {POSES_MIN} poses")
         kept.append(replace(log, parts=parts))
     return ScreenedLogs(tuple(kept), tuple(shortened), tuple(problems))
 
 
 def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
-    """The logs with their commands in the vehicle's order, less parts too short to say anything (see `screen_logs`).
+    """The logs with their commands in the vehicle's order, without parts that are too short (see `screen_logs`).
 
     Raises:
         InputError: with every log whose commands are not the vehicle's, or whose numbers are not finite; if there are
@@ -70,12 +68,12 @@ def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
     problems = [problem for log in logs for problem in _problems(vehicle, log)]
     if problems:
         raise InputError(problems)
-    usable = [_shaped(vehicle, log) for log in screen_logs(logs).logs]
+    usable = [_ordered(vehicle, log) for log in screen_logs(logs).logs]
     if not usable:
         raise InputError.of("logs", f"have no part with {POSES_MIN} poses", "expected longer drives", Code.DATA)
     if not any(_moves(part) for log in usable for part in log.parts):
         raise InputError.of(
-            "logs", "show no motion", "expected drives: nothing can be learnt from a vehicle at rest", Code.DATA
+            "logs", "show no motion", "expected drives: a vehicle at rest identifies nothing", Code.DATA
         )
     return usable
 
@@ -104,7 +102,7 @@ def _problems(vehicle: Vehicle, log: Log) -> list[Diagnostic]:
     return problems
 
 
-def _shaped(vehicle: Vehicle, log: Log) -> Log:
+def _ordered(vehicle: Vehicle, log: Log) -> Log:
     order = [log.controls.index(name) for name in vehicle.controls]
     parts = tuple(
         replace(part, commands=np.ascontiguousarray(part.commands[:, order], dtype=float)) for part in log.parts
@@ -119,7 +117,7 @@ def _moves(part: Part) -> bool:
 
 @dataclass(frozen=True)
 class LogSplit:
-    """Logs to fit and logs to test with, each in their order, and what was decided, as a sentence."""
+    """Logs to fit and logs to test with, each in their order, and the decision as a message."""
 
     fitted: tuple[Log, ...]
     held_out: tuple[Log, ...]
@@ -129,11 +127,11 @@ class LogSplit:
 def split_logs(logs: Sequence[Log], holdout: float | None = None) -> LogSplit:
     """Hold out a fraction of the logs, by default a quarter if there are at least `HOLDOUT_LOGS_MIN`.
 
-    Which ones depends on how many there are and on nothing else.  One log at least is fitted; a fraction above 0 holds
-    out one at least.
+    The choice depends on the number of logs alone.  At least one log is fitted; a fraction above 0 holds out at least
+    one.
 
     Raises:
-        InputError: if the fraction is not in [0, 1), or the only log is asked to be held out.
+        InputError: if the fraction is not in [0, 1), or would hold out the only log.
     """
     if holdout is not None and not 0.0 <= holdout < 1.0:
         raise InputError.of_argument("holdout", f"is {holdout:g}", "expected a fraction of at least 0 and below 1")
@@ -149,7 +147,7 @@ def split_logs(logs: Sequence[Log], holdout: float | None = None) -> LogSplit:
             "holdout", f"is {holdout:g}, and there is one log", "expected at least two logs, or 0"
         )
     held = min(max(round(fraction * count), 1), count - 1)
-    # drawn, since every fourth or fifth log may well be of the same manoeuvre
+    # at random: every fourth or fifth log may be of the same manoeuvre
     chosen = set(np.random.default_rng(0).permutation(count)[:held].tolist())
     out = tuple(log for k, log in enumerate(logs) if k in chosen)
     fitted = tuple(log for k, log in enumerate(logs) if k not in chosen)

@@ -1,11 +1,11 @@
-"""The model's steps with friction of the drive, which the model does not know.
+"""Discrete dynamics: steps of the vehicle model, with friction of the drive as an auxiliary parameter.
 
-While the vehicle moves, friction takes its share of the throttle away, whatever is commanded: also of none, so that a
-coasting vehicle comes to rest sooner than a lag alone would bring it there.  A dead band cannot do that.  What is left
-of the full throttle counts as full: the model's speed at full throttle stays what it says.
+While the vehicle moves, friction reduces the throttle by a constant, even if no throttle is commanded, so that a
+coasting vehicle comes to rest sooner than with a lag alone.  A dead band cannot model that.  The throttle that remains
+of the full throttle counts as full, so that the speed at full throttle remains that of the model.
 
-Friction follows the speed at the end of a step, not at its beginning (implicit Euler's rule): however much it is, it
-brings a vehicle to rest and never throws it back.
+Friction depends on the speed at the end of a step, not at its beginning (implicit Euler rule): friction of any size
+brings a vehicle to rest and never reverses it.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
 
 BREAKAWAY = 0.05
-"""Share of the top speed over which friction rises from nothing: smooth, so that it has derivatives at standstill."""
+"""Share of the top speed over which friction rises from 0: smooth, so that it is differentiable at standstill."""
 SENSE_TOLERANCE = 1e-10
-"""Of the sense of motion, between -1 and 1."""
+"""Tolerance of the sense of motion, which is between -1 and 1."""
 SENSE_ITERATIONS_MAX = 20
-"""At finding it; two where the model's speed is linear in the throttle."""
+"""Most iterations for the sense of motion; two are needed where the speed is linear in the throttle."""
 DIFFERENCE_STEP = 1e-4
-"""Change of a central difference, of what the component is about: errors of 1e-8 by curvature and 1e-12 by rounding."""
+"""Relative step of central differences: errors of 1e-8 by curvature and of 1e-12 by rounding."""
 
 
 class Dynamics:
     """Steps of a vehicle's motion and their derivatives with respect to all of rho, of `nx` components."""
 
     def __init__(self, parameters: Parameters) -> None:
-        """Load or compile the model's steps, and look up the friction."""
+        """Load or compile the steps of the model, and look up the friction."""
         vehicle = parameters.vehicle
         self._parameters, self.discrete_model = parameters, DiscreteModel(vehicle)
         self.nx, self.nu = self.discrete_model.nx, self.discrete_model.nu
@@ -49,7 +49,7 @@ class Dynamics:
         )
 
     def linearise(self, x: Matrix, u: Matrix, rho: Floats, h: Floats) -> tuple[Matrix, Floats]:
-        """The same, and derivatives (n, nx, nx + nu + np) with respect to state, control and rho."""
+        """States (n, nx) after the steps, and derivatives (n, nx, nx + nu + np) by state, control and rho."""
         own, count = self._parameters.model_size, self.nx + self.nu
         left, sense = self._effective_controls(x, u, rho, h)
         after, jacobian = self.discrete_model.linearise(x, left, self._parameters.model_values(rho), h)
@@ -61,7 +61,7 @@ class Dynamics:
             full[:, :, self.nx + self._throttle] = by_throttle
             lost = (sense - u[:, self._throttle] / self._full) / share
             full[:, :, count + self._friction] = -by_throttle * lost[:, None]
-            # all of these change the speed, that the sense, and that all components
+            # each argument changes the speed, the speed changes the sense, and the sense changes all components
             rising = rho[self._friction] * self._sense_slope(after[:, self._speed])
             follows = rising / (1.0 + rising * by_throttle[:, self._speed])
             full -= by_throttle[:, :, None] * (follows[:, None] * full[:, self._speed])[:, None, :]
@@ -79,10 +79,10 @@ class Dynamics:
         return states
 
     def _effective_controls(self, x: Matrix, u: Matrix, rho: Floats, h: Floats) -> tuple[Matrix, Floats]:
-        """Controls (n, nu) that friction leaves, and which way the vehicle moves (n,): 1 forward, -1 backward.
+        """Controls (n, nu) less friction, and the sense of motion (n,): 1 forward, -1 backward.
 
-        The speed falls with the sense, and the sense rises with the speed, so there is one that fits: it is found along
-        the line through the speeds for -1 and 1, then along parallels to it.
+        The speed decreases with the sense, and the sense increases with the speed, so that the solution is unique.  The
+        search starts on the line through the speeds for -1 and 1 and continues on parallels to it.
         """
         if self._friction < 0:
             return u, np.zeros(len(x))
@@ -97,25 +97,25 @@ class Dynamics:
         return self._less_friction(u, rho, sense), sense
 
     def _speed_after(self, x: Matrix, u: Matrix, rho: Floats, h: Floats, sense: Floats) -> Floats:
-        """Speeds (n,) after the steps if the vehicle moves in this `sense` (n,)."""
+        """Speeds (n,) after the steps for a given `sense` (n,) of motion."""
         own = self._parameters.model_values(rho)
         speed: Floats = self.discrete_model.step(x, self._less_friction(u, rho, sense), own, h)[:, self._speed]
         return speed
 
     def _less_friction(self, u: Matrix, rho: Floats, sense: Floats) -> Matrix:
-        """What friction leaves of controls: all of the full throttle, which drives as the model says."""
+        """Controls (n, nu) less friction, scaled so that the full throttle remains the full throttle."""
         left = u.copy()
         left[:, self._throttle] = (u[:, self._throttle] - rho[self._friction] * sense) / self._remaining_share(rho)
         return left
 
     def _remaining_share(self, rho: Floats) -> float:
-        """What friction leaves of the full throttle."""
+        """Share of the full throttle that remains with friction."""
         return 1.0 - float(rho[self._friction]) / self._full
 
     def _sense(self, middle: Floats, change: Floats) -> Floats:
         """The sense s (n,) of the speed v = middle - change * s, by Newton's method.
 
-        For v > 0 the left side of v + change * s(v) = middle is concave, so steps from below stay below its solution.
+        For v > 0 the left side of v + change * s(v) = middle is concave, so that steps from below stay below.
         """
         size, e = np.abs(middle), self._breakaway
         v = np.maximum(size - change, 0.0)
@@ -134,7 +134,7 @@ class Dynamics:
 
 
 class DiscreteModel:
-    """Steps of one vehicle's model, of `nx` state components, `nu` controls and `np` parameters."""
+    """Steps of the model of one vehicle, with `nx` state components, `nu` controls and `np` parameters."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Load or compile the steps."""
@@ -150,7 +150,7 @@ class DiscreteModel:
         return after
 
     def linearise(self, x: Matrix, u: Matrix, p: Floats, h: Floats) -> tuple[Matrix, Floats]:
-        """The same, and derivatives (n, nx, nx + nu + np) with respect to state, control and parameters."""
+        """States (n, nx) after the steps, and derivatives (n, nx, nx + nu + np) by state, control and parameters."""
         change = np.concatenate(
             [np.full(self.nx, DIFFERENCE_STEP), self._control_change, DIFFERENCE_STEP * np.maximum(np.abs(p), 0.05)]
         )

@@ -1,10 +1,10 @@
 """Eliminate each log's controls and states, in the order of time, onto the parameters they share.
 
-The graph of a log is a chain: step i ties states x_i and x_(i+1) to rho, and so do the poses seen in it.  Its normal
-equations are block tridiagonal with a border for rho.  Eliminating the control of a step adds its noise to that of the
-dynamics; eliminating the states from first to last leaves one Gaussian factor on rho per log.  That is what GTSAM does
-with the ordering "controls, states, rho", here in compiled loops over preallocated arrays.  All in one file: numba
-knows from its time stamp when machine code is stale.
+The graph of a log is a chain: step i connects the states x_i and x_(i+1) with rho, and so do the poses observed in it.
+Its normal equations are block tridiagonal with a border for rho.  Eliminating the control of a step adds its noise to
+that of the dynamics; eliminating the states from first to last leaves one Gaussian factor on rho per log.  GTSAM does
+the same with the ordering "controls, states, rho"; here it is done in compiled loops over preallocated arrays.  All
+kernels are in one file because numba detects stale machine code by the time stamp of the file.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.jit import cache_folder, compiled, part
 
 TINY = 1e-12
-"""Added to each state's information, so that a component that nothing depends on does no harm."""
+"""Added to the information of each state, so that a component without information does not make it singular."""
 
 
 class Graph(NamedTuple):
-    """The chains' shape, and everything about a point that the elimination needs."""
+    """Shape of the chains, and residuals and derivatives at a point."""
 
     first: Ints  # (C + 1,) where chains begin
     log: Ints  # (C,)
@@ -46,10 +46,10 @@ class Graph(NamedTuple):
 
 
 class Eliminated(NamedTuple):
-    """What the elimination leaves: a factor on rho per log, and what is needed to find the states again."""
+    """Result of the elimination: a factor on rho per log, and the intermediate values of the back substitution."""
 
     diagonal: Floats  # (S, nx, nx) information of each state, factorised in place
-    solved: Floats  # (S, nx, nx + np + 1) what follows for each state from the next one, from rho, and at all
+    solved: Floats  # (S, nx, nx + np + 1) coefficients of each state: of the next state, of rho, and the constant
     noise: Floats  # (N, nx, nx) information of the dynamics with the control's noise
     left: Matrix  # (N, nx) residual of the dynamics with the control at the command
     by_rho: Floats  # (N, nx, np) its derivative, negative
@@ -106,7 +106,7 @@ def solve(factor: Matrix, n: int, b: Matrix, columns: int) -> None:
 
 @part
 def fold_control(i: int, g: Graph, out: Eliminated) -> None:
-    """Eliminate the control of step i: it is at the command, and its noise is added to that of the dynamics."""
+    """Eliminate the control of step i: fix it at the command, and add its noise to that of the dynamics."""
     nx, nu, own = g.dynamics.shape[1], g.control.shape[1], g.jacobian.shape[2]
     own -= nx + nu
     np_ = g.command.shape[2]
@@ -289,15 +289,15 @@ def _back_substitute(g: Graph, out: Eliminated, rho: Floats, states: Matrix, con
 
 
 def is_cached() -> bool:
-    """Whether the machine code of both is kept on this machine."""
+    """Whether the machine code of both kernels is cached on this machine."""
     return all(any(_FOLDER.rglob(f"*.{name}-*.nbi")) for name in ("_eliminate", "_back_substitute"))
 
 
 _FOLDER = cache_folder(f"sysid-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")
 
 eliminate = compiled(_eliminate, folder=_FOLDER)
-"""eliminate(graph, damping, out): fill `out`, each state's own information raised by the share `damping`."""
+"""eliminate(graph, damping, out): fill `out`; the information of each state is raised by the share `damping`."""
 
 back_substitute = compiled(_back_substitute, folder=_FOLDER)
-"""back_substitute(graph, out, rho, states, controls): changes of states (S, nx) and of the deviations of controls from
-commands (N, nu) that go with a change of rho (np,), written to the last two."""
+"""back_substitute(graph, out, rho, states, controls): write the changes of the states (S, nx) and of the deviations of
+controls from commands (N, nu) that follow from a change of rho (np,) to the last two arguments."""

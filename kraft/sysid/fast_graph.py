@@ -1,4 +1,4 @@
-"""The paper's graph in its fast form: all steps linearised at once, controls and states eliminated in compiled code."""
+"""The factor graph of the paper in its fast form: steps linearised together, elimination in compiled code."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ class FastGraph:
     """Linearises a problem at a point, reduces it to rho, and moves the point by a change of rho."""
 
     def __init__(self, problem: Problem) -> None:
-        """Allocate what the elimination needs."""
+        """Allocate the arrays of the elimination."""
         self.problem = problem
         self._out: Eliminated = allocate(problem.chains, problem.dynamics.nx, len(problem.parameters.names))
 
     def cost(self, point: Point) -> float:
-        """What a point costs."""
+        """Cost of a point."""
         return self.problem.cost(point)
 
     def linearise(self, point: Point) -> None:
-        """Make the factors at a point."""
+        """Linearise all factors at a point."""
         p, chains, noise = self.problem, self.problem.chains, self.problem.noise
         x = point.states[chains.state]
         led, jacobian = p.dynamics.linearise(x, point.controls, point.rho, chains.h)
@@ -52,7 +52,7 @@ class FastGraph:
         )
 
     def reduce(self, damping: float) -> RhoFactors:
-        """Eliminate controls and states; `damping` raises the states' own information by that share."""
+        """Eliminate controls and states; `damping` raises the information of the states by that share."""
         eliminate(self._graph, damping, self._out)
         parameters = self.problem.parameters
         inverse = np.where(parameters.free, 1.0 / parameters.std, 0.0)
@@ -64,9 +64,9 @@ class FastGraph:
         )
 
     def moved(self, change: Floats) -> Point:
-        """The point that minimises the linearised problem among those whose rho has changed by `change`.
+        """The point that minimises the linearised problem among those whose rho changes by `change`.
 
-        What controls deviate from commands is kept, not the controls: a delay moves commands by more than is linear.
+        The deviations of controls from commands are kept, not the controls: commands are not linear in a delay.
         """
         states, deviations = np.empty_like(self._point.states), np.empty_like(self._point.controls)
         back_substitute(self._graph, self._out, change, states, deviations)

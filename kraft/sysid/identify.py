@@ -1,4 +1,4 @@
-"""Identify a vehicle from logs: from data to initial values, through the graph to parameters and their doubts."""
+"""Identification of a vehicle from logs: initial values, factor graph, model selection, parameters and warnings."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 
 RESIDUAL_SCALE_TOLERANCE = 1.5
-"""Residuals by this factor larger or smaller than the noise lets expect set the threshold of the robust loss."""
+"""Factor between residuals and their expectation from which the residuals set the threshold of the robust loss."""
 REFITS_MAX = 3
-"""Most times that extras are dropped and the rest is fitted anew."""
+"""Most rounds of model selection, each of which removes auxiliary parameters and fits the others again."""
 TURN_SECONDS, TURN_STEP = 3.0, 0.02
 TURN_STEERING_SHARE = 0.1
-"""Of the full steering: a gentle turn."""
+"""Steering of the simulated turn, as a share of the full steering."""
 
 
 def identify(
@@ -56,13 +56,13 @@ def identify(
         vehicle: a vehicle file, whose parameters have bounds and priors, or a vehicle from code, which gets wide ones;
             or a reference to either.
         logs: of `kraft.logs.reader.read_logs`; the sandwich interval treats them as independent of each other.
-        settings: by default what suits most logs.
+        settings: None for the defaults.
         on_iteration: called after each iteration with the number of iterations, those of model selection included,
             and the cost.
 
     Raises:
-        InputError: if the logs cannot be used (no motion, controls that the vehicle does not have), or a setting names
-            a parameter that does not exist, or they leave none to identify.
+        InputError: if the logs cannot be used (no motion, other controls than those of the vehicle), or if the settings
+            name a parameter that does not exist or leave none to identify.
     """
     settings = settings or Settings()
     vehicle = load_base_vehicle(vehicle).definition if isinstance(vehicle, str) else vehicle
@@ -93,7 +93,7 @@ def identify(
 
 @dataclass(frozen=True, eq=False)
 class _InitialProblem:
-    """A problem and where to begin with it."""
+    """A problem and its initial point."""
 
     problem: Problem
     point: Point
@@ -101,7 +101,7 @@ class _InitialProblem:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A problem solved."""
+    """A problem and its solution."""
 
     problem: Problem
     optimum: Optimum
@@ -109,7 +109,7 @@ class _Fit:
 
 
 class _Estimator:
-    """What stays the same while extras come and go."""
+    """Fits of the same logs with different auxiliary parameters."""
 
     def __init__(
         self,
@@ -131,9 +131,9 @@ class _Estimator:
         self.requested = requested_names(settings)
 
     def rescale(self, fit: _Fit) -> bool:
-        """Count outliers by how large residuals are where that is not what the noise says, and whether it is not.
+        """Set the threshold of the robust loss by the residuals if they differ from the noise; return whether they do.
 
-        Noise that is stated too small would make an outlier of every pose.
+        Otherwise noise that is stated too small would make every pose an outlier.
         """
         scale = math.sqrt(residual_ratio(fit.problem, fit.optimum.point))
         if 1.0 / RESIDUAL_SCALE_TOLERANCE < scale < RESIDUAL_SCALE_TOLERANCE or not self.noise.robust:
@@ -142,11 +142,11 @@ class _Estimator:
         return True
 
     def problem(self, parameters: Parameters) -> Problem:
-        """The problem with some parameters."""
+        """The problem with the given parameters."""
         return assemble(self.segments, len(self.logs), parameters, self.noise)
 
     def start(self, auxiliary: tuple[str, ...]) -> _InitialProblem:
-        """Begin with what the data alone say."""
+        """The problem with initial values from the data alone."""
         problem = self.problem(parameters_of(self.vehicle, self.settings, auxiliary))
         self.data: SmoothedPoses = smooth_chains(problem.chains)
         nominal = problem.parameters.nominal
@@ -160,7 +160,7 @@ class _Estimator:
         return _InitialProblem(problem, starting_point(problem, self.data, search.best()))
 
     def without(self, fit: _Fit, auxiliary: tuple[str, ...]) -> _InitialProblem:
-        """Begin where a fit with more extras ended."""
+        """The problem with fewer auxiliary parameters, from the solution of a fit with more."""
         problem = self.problem(parameters_of(self.vehicle, self.settings, auxiliary))
         before = dict(zip(fit.problem.parameters.names, fit.optimum.point.rho, strict=True))
         rho: Floats = np.array([before[name] for name in problem.parameters.names])
@@ -169,7 +169,7 @@ class _Estimator:
         return _InitialProblem(problem, replace(fit.optimum.point, rho=rho, controls=controls))
 
     def fit(self, start: _InitialProblem, iterations: int) -> _Fit:
-        """Solve a problem."""
+        """Solve a problem from its initial point."""
         before = self.iterations
         optimum = optimise(
             self._graph(start.problem),
@@ -215,7 +215,7 @@ def ahead_of_axle(parameters: Parameters, discrete_model: DiscreteModel, rho: Fl
 
 
 def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes: tuple[str, ...]) -> Identification:
-    """The result."""
+    """The result of an identification."""
     p, noise = solution.problem.parameters, solution.problem.noise
     vehicle, rho = p.vehicle, solution.optimum.point.rho
     axle = ahead_of_axle(p, solution.problem.dynamics.discrete_model, rho)

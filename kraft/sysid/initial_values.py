@@ -1,9 +1,9 @@
 """Initial values from the data alone: smoothed poses, parameters by search over their bounds, speeds by simulation.
 
-Each part of a log is simulated from its beginning; what the model covers in windows of one second, seen from where it
-is at their beginning, is compared with what the smoothed poses say.  Errors therefore do not add up over a log, and the
-hidden components of the state (speeds) come from the commands.  Many parameter vectors are simulated together, as
-lanes; the best few are refined.  Works for any model whose motion does not depend on where it is.
+Each part of a log is simulated from its beginning.  The displacement of the model in windows of one second, in the
+frame of the first pose of each, is compared with that of the smoothed poses.  Errors therefore do not accumulate over a
+log, and the hidden components of the state (speeds) follow from the commands.  Many parameter vectors are simulated
+together, as lanes; the best few are refined.  The search works for any model whose motion is invariant to its pose.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
 WINDOW_LENGTH = 1.0
-"""Of motion that is compared, s."""
+"""Length of the windows that are compared, s."""
 CANDIDATES = 128
 REFINED = 6
 REFINEMENT_ITERATIONS = 12
 CHAINS_MAX, STEPS_MAX = 12, 400
-"""Data that the search looks at: enough to come close."""
+"""Most chains and steps that the search uses; more would hardly improve the initial values."""
 LOGARITHMIC_RATIO = 5.0
-"""Bounds further apart than this factor are searched in logarithms."""
+"""Ratio of the bounds above which a parameter is searched on a logarithmic scale."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +43,13 @@ class SmoothedPoses:
 
 
 def smooth_chains(chains: Chains) -> SmoothedPoses:
-    """Smooth the poses of all chains."""
+    """Smoothed poses of all chains."""
     found = [smoothed(s.part.pose_times[s.poses], s.part.poses[s.poses], s.times) for s in chains.segments]
     return SmoothedPoses(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]))
 
 
 def initial_states(vehicle: Vehicle, chains: Chains, data: SmoothedPoses) -> Matrix:
-    """(chains, nx) state at each chain's beginning, as far as poses tell it."""
+    """(chains, nx) state at the beginning of each chain, as far as the poses determine it."""
     at = chains.first[:-1]
     states = np.zeros((len(at), len(vehicle.state)))
     poses, rates = data.poses[at], data.rates[at]
@@ -67,7 +67,7 @@ def initial_states(vehicle: Vehicle, chains: Chains, data: SmoothedPoses) -> Mat
 
 
 class InitialSearch:
-    """Finds parameters with which simulated windows cover what the observed ones do."""
+    """Search for parameters with which the displacements of simulated windows match the observed ones."""
 
     def __init__(
         self, parameters: Parameters, discrete_model: DiscreteModel, chains: Chains, data: SmoothedPoses, mean: Matrix
@@ -94,12 +94,12 @@ class InitialSearch:
         offset = chains.first[chosen][self._lane]
         self._pose = [parameters.vehicle.index(name) for name in ("x", "y", "theta")]
         before, after = (self._turning(data.poses[offset + self._index[:, k]]) for k in (0, 1))
-        self._observed = observed = _covered(before, after)
+        self._observed = observed = _displacement(before, after)
         typical = np.median(np.hypot(observed[:, 0], observed[:, 1]))
         self._scale = np.array([0.05 * typical + 0.005, 0.05 * typical + 0.005, 0.05 * np.std(observed[:, 2]) + 0.01])
 
     def best(self) -> Floats:
-        """The parameters rho (np,) that explain the windows best; frozen ones and extras keep their values."""
+        """The parameters rho (np,) that fit the windows best; frozen and auxiliary ones keep their values."""
         free = self._parameters.free.copy()
         free[self._parameters.model_size :] = False
         if not free.any():
@@ -116,12 +116,12 @@ class InitialSearch:
         lower = np.where(logarithmic, np.log(np.where(logarithmic, low, 1.0)), low)
         upper = np.where(logarithmic, np.log(np.where(logarithmic, high, 1.0)), high)
         values = lower + unit * (upper - lower)
-        spread = np.tile(p.nominal, (CANDIDATES, 1))  # the last one stays nominal
+        spread = np.tile(p.nominal, (CANDIDATES, 1))  # the last candidate remains nominal
         spread[:-1, free] = np.where(logarithmic, np.exp(np.where(logarithmic, values, 0.0)), values)
         return spread
 
     def _refine(self, rho: Matrix, free: np.typing.NDArray[np.bool_]) -> Floats:
-        """Damped Gauss-Newton steps of several starts together, under Cauchy's loss."""
+        """Damped Gauss-Newton steps of several starts together, under the Cauchy loss."""
         p, count, columns = self._parameters, len(rho), np.flatnonzero(free)
         change = 1e-4 * np.maximum(np.abs(p.high - p.low), 1e-6)
         damping = np.full(count, 1e-2)
@@ -167,8 +167,8 @@ class InitialSearch:
         )
         lane = self._lane[None] + lanes * np.arange(count)[:, None]
         before, after = (self._pose_of(states[self._index[:, k][None], lane]) for k in (0, 1))
-        covered = _covered(before, after)
-        residuals = (covered - self._observed) / self._scale
+        displacement = _displacement(before, after)
+        residuals = (displacement - self._observed) / self._scale
         residuals = np.nan_to_num(residuals, nan=1e6, posinf=1e6, neginf=-1e6)
         limited: Matrix = np.clip(residuals, -1e6, 1e6).reshape(count, -1)
         return limited
@@ -177,18 +177,18 @@ class InitialSearch:
         return self._turning(states[..., self._pose])
 
     def _turning(self, poses: Floats) -> Floats:
-        """Poses (..., 3), with a yaw of 0 if the vehicle has none: what is logged of it says nothing about its way."""
+        """Poses (..., 3), with a yaw of 0 if the state has none: its logged yaw is unrelated to its path."""
         return poses if self._pose[2] >= 0 else poses * [1.0, 1.0, 0.0]
 
 
-def _covered(before: Floats, after: Floats) -> Floats:
-    """(..., 3) from one pose to another, as seen from the first."""
+def _displacement(before: Floats, after: Floats) -> Floats:
+    """(..., 3) displacement from one pose to another, in the frame of the first."""
     c, s = np.cos(before[..., 2]), np.sin(before[..., 2])
     d = after - before
     return np.stack([c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0], d[..., 2]], axis=-1)
 
 
 def _loss(residuals: Matrix) -> Floats:
-    """Cauchy's loss of each candidate (candidates,): windows with outliers hardly count."""
+    """Cauchy loss of each candidate (candidates,), which limits the influence of windows with outliers."""
     loss: Floats = np.mean(np.log1p(residuals**2), axis=1)
     return loss

@@ -1,7 +1,7 @@
-"""The paper's observation: a pose seen between two states is that of the state interpolated between them.
+"""Observation model of the paper: a pose between two states is that of the state interpolated between them.
 
-Interpolation is linear, also of the continuous yaw, so that the factor is linear in the states where the tracked point
-is the model's own.
+Interpolation is linear, also of the continuous yaw, so that the factor is linear in the states if the tracked point is
+the reference point of the model.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
 PROCESS_POSITION = 0.001
-"""What a model misses of the position, m per square root of a second."""
+"""Process noise of the position, m per square root of a second."""
 PROCESS_YAW = 0.002
-"""Of the heading, rad per square root of a second."""
+"""Process noise of the yaw, rad per square root of a second."""
 PROCESS_OTHER = 0.005
-"""Of a speed or another hidden component, in its unit per square root of a second."""
+"""Process noise of a speed or another hidden component, in its unit per square root of a second."""
 CONTROL_SHARE = 0.01
-"""Of a control's range: how far the applied control strays from the command."""
+"""Standard deviation of the applied control from the command, as a share of the control's range."""
 
 
 class Observation:
-    """Poses that a camera sees of a vehicle's states, with a lever arm and a yaw offset if rho has them."""
+    """Poses observed of a vehicle's states, with a lever arm and a yaw offset if rho has them."""
 
     def __init__(self, parameters: Parameters) -> None:
-        """Look up where pose and extras are."""
+        """Look up the indices of the pose in the state and of the auxiliary parameters in rho."""
         self._np = len(parameters.names)
         self._x, self._y, self._theta = (parameters.vehicle.index(name) for name in ("x", "y", "theta"))
         self._lever, self._side, self._offset = (
@@ -39,7 +39,7 @@ class Observation:
         )
 
     def predict(self, states: Matrix, rho: Floats, out: Matrix | None = None) -> Matrix:
-        """Poses (n, 3) seen of states (n, nx); yaw is 0 for a vehicle that does not turn."""
+        """Poses (n, 3) observed of states (n, nx); yaw is 0 for a vehicle without yaw."""
         poses = np.zeros((len(states), 3)) if out is None else out
         poses[:, 0], poses[:, 1] = states[:, self._x], states[:, self._y]
         if self._theta < 0:
@@ -88,7 +88,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Variances, and the robust loss' threshold on a whole pose."""
+    """Standard deviations of poses, process and controls, and the threshold of the robust loss of a pose."""
 
     noise: Noise
     process: Floats
@@ -96,7 +96,7 @@ class NoiseModel:
     control: Floats
     """(nu,) standard deviations"""
     threshold: float
-    """Mahalanobis distance of a pose above which it counts less, inf for never"""
+    """Mahalanobis distance of a pose above which its weight decreases; inf for no robust loss"""
 
     @property
     def pose_sigmas(self) -> Floats:
@@ -109,7 +109,7 @@ class NoiseModel:
         return distance
 
     def weights(self, residuals: Matrix) -> Floats:
-        """(n,) weight of each pose by Huber's loss: 1 up to the threshold, then falling with the distance."""
+        """(n,) weight of each pose by the Huber loss: 1 up to the threshold, then decreasing with the distance."""
         return (
             self.threshold / np.maximum(self.distance(residuals), self.threshold)
             if self.robust
@@ -117,7 +117,7 @@ class NoiseModel:
         )
 
     def loss(self, residuals: Matrix) -> float:
-        """Sum of Huber's losses: half the squared distance up to the threshold, then linear."""
+        """Sum of the Huber losses: half the squared distance up to the threshold, then linear."""
         distance = self.distance(residuals)
         if not self.robust:
             return float(0.5 * np.sum(distance**2))
@@ -126,12 +126,12 @@ class NoiseModel:
 
     @property
     def robust(self) -> bool:
-        """Whether there is a threshold."""
+        """Whether the loss of poses is robust."""
         return math.isfinite(self.threshold)
 
 
 def noise_model(vehicle: Vehicle, settings: Settings, noise: Noise) -> NoiseModel:
-    """The noise that settings state, defaults for the rest."""
+    """The noise that the settings state, with defaults for what they leave open."""
     default = {"x": PROCESS_POSITION, "y": PROCESS_POSITION, "theta": PROCESS_YAW}
     process = [settings.process.get(name, default.get(name, PROCESS_OTHER)) for name in vehicle.state]
     control = [
@@ -142,7 +142,7 @@ def noise_model(vehicle: Vehicle, settings: Settings, noise: Noise) -> NoiseMode
 
 
 def threshold(robust: float | None, shown: int) -> float:
-    """Threshold for the `shown` residuals of a pose together that as many good ones exceed as one exceeds `robust`."""
+    """Threshold of the distance of `shown` residuals that inliers exceed as often as one residual exceeds `robust`."""
     if robust is None:
         return math.inf
     return math.sqrt(float(chi2.isf(2.0 * float(norm.sf(robust)), shown)))

@@ -1,6 +1,6 @@
-"""Levenberg-Marquardt over linearisations that Python owns.
+"""Levenberg-Marquardt optimisation of a factor graph, with the loop in Python.
 
-GTSAM's own optimisers hand every custom factor a copy of all values, which costs the square of the graph's size.
+The optimisers of GTSAM pass a copy of all values to every custom factor: quadratic time in the size of the graph.
 """
 
 from __future__ import annotations
@@ -17,41 +17,41 @@ from ompl_ext.arrays import Bools, Floats, Matrix
 
 RHO = gtsam.symbol("r", 0)
 COST_TOLERANCE = 1e-9
-"""Share of the cost by which a step must change it, else it has converged."""
+"""Relative change of the cost below which the optimiser has converged ..."""
 DECREASE_TOLERANCE = 1e-6
-"""And the decrease that is then expected: a change of rho by a thousandth of its standard deviation."""
+"""... if the expected decrease is below this: a change of rho by a thousandth of its standard deviation."""
 RELAXATIONS = 2
-"""Of the states, before a step is refused."""
+"""Relaxations of states and controls before a step is refused."""
 DAMPING_INITIAL = 1e-4
 DAMPING_MIN = 1e-9
 DAMPING_MAX = 1e10
 
 
 OnIteration = Callable[[int, float], None]
-"""Is told how many iterations were made, and the cost."""
+"""Called with the number of iterations and the cost."""
 
 
 class LinearisedGraph(Protocol):
-    """One of the two forms of the graph."""
+    """Interface of the two forms of the factor graph."""
 
     problem: Problem
 
     def cost(self, point: Point) -> float:
-        """What a point costs."""
+        """Cost of a point."""
 
     def linearise(self, point: Point) -> None:
-        """Make the factors at a point."""
+        """Linearise all factors at a point."""
 
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate all but rho."""
 
     def moved(self, change: Floats) -> Point:
-        """The best point whose rho has changed by `change`."""
+        """The point that minimises the linearised problem among those whose rho changes by `change`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where the optimiser stopped."""
+    """Last point of the optimiser."""
 
     point: Point
     cost: float
@@ -62,7 +62,7 @@ class Optimum:
 
 
 def ignore_iteration(_: int, __: float) -> None:
-    """For those who do not want to be told."""
+    """Ignore an iteration."""
 
 
 def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIteration = ignore_iteration) -> Optimum:
@@ -89,7 +89,7 @@ def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIt
 
 
 def _relaxed(graph: LinearisedGraph, candidate: Point, cost: float) -> tuple[Point, float]:
-    """A candidate and its cost; one that costs too much after states and controls followed where the model bends."""
+    """A candidate and its cost; if the cost is too high, after states and controls are relaxed with rho fixed."""
     lower = graph.cost(candidate)
     for _ in range(RELAXATIONS):
         if lower <= cost or not np.isfinite(lower):
@@ -127,12 +127,12 @@ class RhoFactors:
         return total
 
     def decrease(self, change: Floats) -> float:
-        """How much lower the cost is after a change of rho, states and controls following it."""
+        """Expected decrease of the cost by a change of rho with optimal states and controls."""
         return float(-(self.total_gradient + 0.5 * self.total_information @ change) @ change)
 
 
 def held_at_bounds(factors: RhoFactors, low: Floats, high: Floats) -> Bools:
-    """(np,) whether a component is at a bound and downhill leads out; changes may be from `low` to `high` (np,)."""
+    """(np,) whether a component is at a bound and the descent direction leaves it; changes are in [`low`, `high`]."""
     gradient = factors.total_gradient
     held: Bools = ((low >= 0.0) & (gradient > 0.0)) | ((high <= 0.0) & (gradient < 0.0))
     return held
@@ -141,7 +141,7 @@ def held_at_bounds(factors: RhoFactors, low: Floats, high: Floats) -> Bools:
 def bounded_step(factors: RhoFactors, damping: float, low: Floats, high: Floats, free: Bools) -> Floats:
     """The best change (np,) of rho with low <= change <= high and 0 where not free.
 
-    Components that the unbounded step would carry out of their bounds are held there, and the others follow.
+    Components that the unbounded step would move out of their bounds are held there; the others are solved again.
     """
     change, free = np.zeros(len(free)), free & ~held_at_bounds(factors, low, high)
     while free.any():

@@ -1,8 +1,9 @@
-"""The paper's graph with every factor explicit, as in its figure of Sec. IV-A: to read, and to compare.
+"""The factor graph of the paper with every factor explicit, as in its figure of Sec. IV-A, for comparison.
 
 Variables: states x_k, applied controls u_k, and the parameters rho.  Factors: a prior on each control at the command of
-its step, dynamics between neighbouring states, an observation between the two states that a pose was seen between.
-GTSAM linearises and eliminates; one graph per log, because the sandwich asks what each log says about rho.
+its step, dynamics between neighbouring states, an observation between the two states before and after a pose.
+GTSAM linearises and eliminates; there is one graph per log, because the sandwich covariance needs the information of
+each log on rho.
 
 A CustomFactor must fill every H it is given, with the right shape, and must never return a NaN: GTSAM does not check.
 """
@@ -24,10 +25,10 @@ Evaluate = Callable[[list[Floats]], tuple[Floats, list[Matrix]]]
 
 
 class PaperGraph:
-    """The same interface as `FastGraph`: linearise at a point, reduce to rho, move the point by a change of rho."""
+    """Linearises a problem, reduces it to rho, and moves the point by a change of rho, as `FastGraph` does."""
 
     def __init__(self, problem: Problem) -> None:
-        """Make all factors."""
+        """Make all nonlinear factors."""
         self.problem = problem
         chains = problem.chains
         self._graphs = [gtsam.NonlinearFactorGraph() for _ in range(chains.logs)]
@@ -40,19 +41,19 @@ class PaperGraph:
                 self._orderings[log].push_back(_x(s))
 
     def cost(self, point: Point) -> float:
-        """What GTSAM says that all factors cost, and the priors on rho."""
+        """Cost of a point: all factors of GTSAM, and the priors on rho."""
         values = self._values(point)
         priors = 0.5 * float(np.sum(self.problem.prior_residuals(point.rho) ** 2))
         return priors + sum(graph.error(values) for graph in self._graphs)
 
     def linearise(self, point: Point) -> None:
-        """Make the linear factors at a point."""
+        """Linearise all factors at a point."""
         self._point = point
         values = self._values(point)
         self._linear = [graph.linearize(values) for graph in self._graphs]
 
     def reduce(self, damping: float) -> RhoFactors:
-        """Eliminate controls and states of each log; only rho is damped, later."""
+        """Eliminate controls and states of each log; `damping` is not used, only rho is damped later."""
         del damping
         p = self.problem.parameters
         size = len(p.names)
@@ -67,7 +68,7 @@ class PaperGraph:
         return RhoFactors(information, gradient, inverse**2, inverse * self.problem.prior_residuals(self._point.rho))
 
     def moved(self, change: Floats) -> Point:
-        """The point that minimises the linearised problem among those whose rho has changed by `change`."""
+        """The point that minimises the linearised problem among those whose rho changes by `change`."""
         given = gtsam.VectorValues()
         given.insert(RHO, change)
         states, controls = self._point.states.copy(), self._point.controls.copy()
@@ -81,7 +82,7 @@ class PaperGraph:
         rho = self.problem.parameters.within_bounds(self._point.rho + change)
         mean = self.problem.actuators.mean
         before, slopes = mean(self._point.rho)
-        bend = mean(rho)[0] - before - slopes @ change  # a delay moves commands by more than is linear
+        bend = mean(rho)[0] - before - slopes @ change  # commands are not linear in a delay
         return Point(states, controls + bend, rho)
 
     def _add_step(self, graph: gtsam.NonlinearFactorGraph, i: int, s: int) -> None:

@@ -1,4 +1,4 @@
-"""The numbers that an identification may change: the model's own parameters, then the extras."""
+"""Parameter vector rho of an identification: the parameters of the model, then the auxiliary parameters."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ompl_ext.arrays import Bools, Floats
 from ompl_ext.vehicle import Vehicle
 
 DEFAULT_BOUND_FACTOR = 10.0
-"""Without bounds a parameter is taken to be known to this factor."""
+"""Factor between the nominal value of a parameter and its default bounds."""
 
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """One parameter: nominal value, bounds, prior."""
+    """Nominal value, bounds and prior of one parameter."""
 
     name: str
     value: float
@@ -33,12 +33,12 @@ class ParameterSpec:
     unit: str
     description: str
     stated: bool
-    """whether the prior was stated, not assumed"""
+    """whether the prior was stated rather than assumed"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """What is estimated, in the order of the vector rho: `own` parameters of the vehicle's model, then extras."""
+    """Parameters in the order of the vector rho: `model_size` of the vehicle's model, then the auxiliary ones."""
 
     vehicle: Vehicle
     specs: tuple[ParameterSpec, ...]
@@ -46,25 +46,25 @@ class Parameters:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of rho's components."""
+        """Names of the components of rho."""
         return tuple(spec.name for spec in self.specs)
 
     @property
     def model_size(self) -> int:
-        """How many of rho's first components are the model's."""
+        """Number of parameters of the model, the first components of rho."""
         return len(self.vehicle.parameters)
 
     @cached_property
     def auxiliary(self) -> tuple[str, ...]:
-        """Names of the extras."""
+        """Names of the auxiliary parameters."""
         return self.names[self.model_size :]
 
     def index(self, name: str) -> int:
-        """Place of a parameter in rho, -1 if it is not there."""
+        """Index of a parameter in rho, -1 if it is not in rho."""
         return self.names.index(name) if name in self.names else -1
 
     def auxiliary_index(self, name: str) -> int:
-        """Place of an extra in rho, -1 if it is not there; a parameter of the model that is called so is none."""
+        """Index of an auxiliary parameter in rho, -1 if it is not in rho or is a parameter of the model."""
         return self.model_size + self.auxiliary.index(name) if name in self.auxiliary else -1
 
     @cached_property
@@ -93,25 +93,25 @@ class Parameters:
         return np.array([spec.name not in self.frozen for spec in self.specs], dtype=bool)
 
     def within_bounds(self, rho: Floats) -> Floats:
-        """Values (np,) at most a rounding error beyond the bounds, within them: low + (high - low) may exceed high."""
+        """Values (np,) clipped to the bounds, which rounding errors may exceed: low + (high - low) may exceed high."""
         clipped: Floats = np.clip(rho, self.low, self.high)
         return clipped
 
     def model_values(self, rho: Floats) -> Floats:
-        """The part of rho that the model takes, at least one number long (as `Vehicle.parameter_array`)."""
+        """The parameters of the model in rho, at least one number (as `Vehicle.parameter_array`)."""
         return np.ascontiguousarray(rho[: self.model_size]) if self.model_size else np.zeros(1)
 
 
 def vehicle_of(vehicle: VehicleConfig | Vehicle) -> Vehicle:
-    """The model with its values."""
+    """The vehicle with the parameter values of its file."""
     return configured(vehicle) if isinstance(vehicle, VehicleConfig) else vehicle
 
 
 def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, auxiliary: tuple[str, ...]) -> Parameters:
-    """The model's parameters and the named extras with their bounds and priors.
+    """The parameters of the model and the named auxiliary parameters with their bounds and priors.
 
     Raises:
-        InputError: if settings name a parameter that does not exist, or a value outside its bounds.
+        InputError: if a value in the settings is outside the bounds.
     """
     specs = tuple(_with_value(spec, settings.values) for spec in parameter_specs(vehicle, auxiliary))
     frozen = frozenset(settings.frozen) & {spec.name for spec in specs}
@@ -119,7 +119,7 @@ def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, auxiliar
 
 
 def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]) -> tuple[ParameterSpec, ...]:
-    """The model's parameters and the named extras as they are where no setting changes them."""
+    """The parameters of the model and the named auxiliary parameters, before any setting is applied."""
     model = vehicle_of(vehicle)
     stated = vehicle.parameters if isinstance(vehicle, VehicleConfig) else {}
     own = (_spec(name, value, stated.get(name)) for name, value in model.parameters.items())
@@ -132,20 +132,20 @@ def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]
 
 
 def _spec(name: str, value: float, stated: Parameter | None) -> ParameterSpec:
-    """A parameter of the model; what its file leaves open is wide."""
+    """A parameter of the model, with default bounds and prior where its file states none."""
     low, high = _default_bounds(value)
     if stated is None:
         return ParameterSpec(name, value, low, high, high - low, "", "", False)
     low = low if stated.min is None else stated.min
     high = high if stated.max is None else stated.max
-    if not low <= value <= high:  # one bound is stated, and the nominal value lies far from it
+    if not low <= value <= high:  # one bound is stated, and the nominal value is far beyond the default of the other
         low, high = min(low, value), max(high, value)
     std = stated.std if stated.std is not None else high - low
     return ParameterSpec(name, value, low, high, std, stated.unit, stated.description, stated.std is not None)
 
 
 def _default_bounds(value: float) -> tuple[float, float]:
-    """Bounds for a value of which nothing else is known: its sign and magnitude, or that it is about 1 at most."""
+    """Default bounds of a value: its sign and magnitude are known, or for 0 that it is at most 1."""
     if value == 0.0:
         return -1.0, 1.0
     ends = sorted((value / DEFAULT_BOUND_FACTOR, value * DEFAULT_BOUND_FACTOR))
@@ -159,7 +159,7 @@ def _with_value(spec: ParameterSpec, values: Mapping[str, float]) -> ParameterSp
 
 
 def out_of_bounds(spec: ParameterSpec, values: Mapping[str, float]) -> Diagnostic | None:
-    """What is wrong with the value that a number is given, if it is given one."""
+    """The problem with the value that `values` gives a parameter; None if it is within the bounds."""
     value = values.get(spec.name, spec.value)
     if spec.min <= value <= spec.max:
         return None

@@ -1,8 +1,8 @@
-"""How far the model's open-loop prediction is off after 1, 2 and 3 s.
+"""Open-loop prediction of the model over windows of 3 s, and its errors after 1, 2 and 3 s.
 
-A window's prediction knows the commands, and the poses up to its beginning, no later ones (but for how noisy they
-are).  A part that begins at rest begins its first window there, at its first pose; every other window begins at the
-state that the graph, with the parameters held, makes of the three seconds before.
+The prediction of a window uses the commands and the poses up to its beginning; of later poses it uses only the measured
+noise.  The first window of a part that begins at rest begins at its first pose, at rest; every other window begins at
+the state that the graph, with fixed parameters, estimates from the 3 s before.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 
 
 WINDOW_LENGTH = 3.0
-"""Of a window, s; and of what is seen before it."""
+"""Length of a window, and of the history before it, s."""
 HISTORY_PROCESS_FACTOR = 3.0
-"""Process noise of what is seen before a window, in that of an identification: a start shall follow the poses even
-where the parameters are wrong."""
+"""Process noise in the history of a window over that of an identification: the initial state shall follow the poses
+even if the parameters are wrong."""
 HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
-"""s"""
+"""Least length of a history and of a window, s."""
 HORIZONS = (1.0, 2.0, 3.0)
-"""When errors are taken, s after a window's beginning."""
+"""Times after the beginning of a window at which errors are evaluated, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A stretch of at most 3 s that was predicted from its start."""
+    """A piece of a log of at most 3 s, predicted from its beginning."""
 
     log: str
     times: Floats
@@ -65,9 +65,9 @@ def predict_windows(
     values: Mapping[str, float] | None = None,
     settings: Settings | None = None,
 ) -> tuple[Window, ...]:
-    """Predict every window of the logs with the parameters and extras `values`.
+    """Predict every window of the logs with the parameters `values`, auxiliary ones included.
 
-    Those that are not among them have the value that `settings` gives them, else the vehicle's, and extras are nothing.
+    Parameters without a value have that of `settings`, else that of the vehicle; auxiliary parameters are 0.
 
     Raises:
         InputError: if the logs cannot be used, or `values` has a parameter that does not exist.
@@ -105,7 +105,7 @@ def prediction_errors(
     values: Mapping[str, float] | None = None,
     settings: Settings | None = None,
 ) -> PredictionErrors:
-    """Root mean square errors over all windows of the logs with the parameters and extras `values`.
+    """Root mean square errors over all windows of the logs with the parameters `values`, auxiliary ones included.
 
     Raises:
         InputError: as `windows`.
@@ -114,9 +114,9 @@ def prediction_errors(
 
 
 def window_errors(predicted: Sequence[Window]) -> PredictionErrors:
-    """Root mean square errors of windows that were predicted."""
+    """Root mean square errors of predicted windows."""
     since = np.concatenate([w.times - w.times[0] for w in predicted])
-    # of each window's own poses, lest those seen less often than most be missed
+    # the pose interval of each window, so that windows with a lower pose rate count too
     interval = np.concatenate([np.full(len(w.times), np.median(np.diff(w.times))) for w in predicted])
     off = np.concatenate([w.predicted - w.poses for w in predicted])
     position, yaw = np.hypot(off[:, 0], off[:, 1]), off[:, 2]
@@ -138,7 +138,7 @@ def _rms(values: Floats, chosen: Bools) -> float:
 
 
 def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Segment | None, Segment]]:
-    """What is seen before each window (None: it begins at rest), and the window."""
+    """History of each window (None if it begins at rest), and the window."""
     times = part.pose_times
     resting = begins_at_rest(part)
     begin = times[0] if resting else times[0] + HISTORY_MIN
@@ -169,7 +169,7 @@ def _starts(
     parameters: Parameters,
     settings: Settings,
 ) -> Matrix:
-    """(windows, nx) states at which the windows begin."""
+    """(windows, nx) initial states of the windows."""
     model = parameters.vehicle
     rho = parameters.nominal
     start = np.zeros((len(pieces), len(model.state)))
@@ -188,7 +188,7 @@ def _starts(
 
 
 def _at_rest(model: Vehicle, parameters: Parameters, pose: Floats) -> Floats:
-    """State at rest that shows an observed pose."""
+    """State at rest with an observed pose."""
     lever, side, offset = (
         float(parameters.nominal[k]) if (k := parameters.auxiliary_index(name)) >= 0 else 0.0
         for name in ("lever", "side", "yaw_offset")

@@ -1,4 +1,4 @@
-"""The least-squares problem of Sec. IV-A: what is unknown, and what a value of it costs."""
+"""The least-squares problem of Sec. IV-A: unknowns, residuals and cost."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ompl_ext.arrays import Floats, Matrix
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A value of everything that is unknown."""
+    """Values of all unknowns."""
 
     states: Matrix
     """(S, nx)"""
@@ -31,7 +31,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Chains of data, the model that shall explain them, and what deviations cost."""
+    """Chains of data, the models of dynamics, actuators and observation, and the noise."""
 
     parameters: Parameters
     chains: Chains
@@ -41,7 +41,7 @@ class Problem:
     noise: NoiseModel
 
     def at_poses(self, states: Matrix) -> Matrix:
-        """States (n, nx) at the poses, interpolated."""
+        """States (n, nx) interpolated at the times of the poses."""
         at = self.chains.state[self.chains.step]
         share = self.chains.share[:, None]
         result: Matrix = (1.0 - share) * states[at] + share * states[at + 1]
@@ -52,10 +52,10 @@ class Problem:
         return self.observation.residual(self.at_poses(point.states), point.rho, self.chains.poses)
 
     def dynamics_residuals(self, point: Point) -> Matrix:
-        """(N, nx) next state less where the model leads."""
+        """(N, nx) next state less the step of the model."""
         x = point.states[self.chains.state]
-        led = self.dynamics.step(x, point.controls, point.rho, self.chains.h)
-        difference: Matrix = point.states[self.chains.state + 1] - led
+        predicted = self.dynamics.step(x, point.controls, point.rho, self.chains.h)
+        difference: Matrix = point.states[self.chains.state + 1] - predicted
         return difference
 
     def control_residuals(self, point: Point) -> Matrix:
@@ -69,7 +69,7 @@ class Problem:
         return residuals
 
     def cost(self, point: Point) -> float:
-        """Half of the squared residuals in standard deviations, poses under the robust loss."""
+        """Half of the sum of squared residuals in standard deviations, with the robust loss for poses."""
         variance = self.noise.process**2 * self.chains.h[:, None]
         squares = np.sum(self.dynamics_residuals(point) ** 2 / variance)
         squares += np.sum((self.control_residuals(point) / self.noise.control) ** 2)
@@ -90,7 +90,7 @@ def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noi
 
 
 def starting_point(problem: Problem, data: SmoothedPoses, rho: Floats) -> Point:
-    """Poses as smoothed, what poses do not show as simulated with the parameters rho, controls as commanded."""
+    """Initial point: smoothed poses, other components of the state simulated with rho, controls as commanded."""
     controls = problem.actuators.mean(rho)[0]
     states = simulated(problem, initial_states(problem.parameters.vehicle, problem.chains, data), controls, rho)
     for k, name in enumerate(("x", "y", "theta")):
@@ -119,9 +119,9 @@ def _stacked(states: Floats, chains: Chains) -> Matrix:
 
 
 def residual_ratio(problem: Problem, point: Point) -> float:
-    """Squared residual of a typical pose in what the noise lets expect, 1 if everything is as stated.
+    """Ratio of the squared residual of a typical pose to its expectation under the stated noise.
 
-    The median, so that outliers do not count; the states take up some of the noise, one per degree of freedom.
+    The median is robust to outliers; the expectation accounts for the degrees of freedom of the states.
     """
     squares = problem.noise.distance(problem.pose_residuals(point)) ** 2
     shown = 3.0 if problem.observation.turns else 2.0

@@ -1,4 +1,4 @@
-"""What an identification hands back: plain data, nothing of GTSAM or numba in it."""
+"""Result of an identification: plain data, without types of GTSAM or numba."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ CORRELATION_INDISTINGUISHABLE: Final = 0.99
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One parameter as the data see it, in its unit."""
+    """Estimate of one parameter, in its unit."""
 
     value: float
     std: float
     """0 for a frozen parameter"""
     ci95: tuple[float, float]
-    """95 % interval, as `Identification.interval` says, cut at the bounds"""
+    """95 % interval of the kind `Identification.interval`, truncated at the bounds"""
     unit: str
     description: str
     initial: float
@@ -39,23 +39,23 @@ class ParameterEstimate:
 
     @property
     def is_zero(self) -> bool:
-        """Whether it is 0: an extra that is not there."""
+        """Whether the value is 0: an auxiliary parameter without effect."""
         return abs(self.value) <= AT_BOUND * (self.max - self.min)
 
     @property
     def truncated(self) -> bool:
-        """Whether its interval reaches to a bound that the value is not at: the data do not bound it on that side."""
+        """Whether the interval reaches a bound although the value is not at one: the data do not bound it there."""
         return not (self.frozen or self.at_bound) and (self.ci95[0] <= self.min or self.ci95[1] >= self.max)
 
     @property
     def interval_note(self) -> str:
-        """What is said after its interval, if anything."""
-        return ", at its bound" if self.at_bound else ", cut at its bound" if self.truncated else ""
+        """Note after the interval in a table; empty if there is none."""
+        return ", at its bound" if self.at_bound else ", truncated at its bound" if self.truncated else ""
 
 
 @dataclass(frozen=True)
 class PartFit:
-    """An uninterrupted stretch of a log, as the graph explains it: K + 1 states, n poses."""
+    """Fit of an uninterrupted part of a log: K + 1 states, n poses."""
 
     times: Floats
     """(K + 1,) of the states, s"""
@@ -68,9 +68,9 @@ class PartFit:
     poses: Floats
     """(n, 3) observed x, y (m), yaw (rad)"""
     fitted: Floats
-    """(n, 3) the same as the smoothed states say"""
+    """(n, 3) the same poses predicted from the smoothed states"""
     weights: Floats
-    """(n,) what the robust loss leaves of each observation, 1 for all of it"""
+    """(n,) weight of each observation under the robust loss, 1 for inliers"""
 
     @property
     def residuals(self) -> Floats:
@@ -81,7 +81,7 @@ class PartFit:
 
 @dataclass(frozen=True)
 class LogFit:
-    """What the graph makes of a log."""
+    """Fit of a log."""
 
     name: str
     parts: tuple[PartFit, ...]
@@ -89,26 +89,26 @@ class LogFit:
 
 @dataclass(frozen=True)
 class Identification:
-    """Parameters, how well they are known, and what is wrong with them."""
+    """Identified parameters with their uncertainty, warnings and the fit of each log."""
 
     model: str
     parameters: Mapping[str, ParameterEstimate]
-    """the model's own in its order, then the extras that were kept"""
+    """those of the model in its order, then the auxiliary parameters that were kept"""
     auxiliary: tuple[str, ...]
-    """names of those"""
+    """names of the auxiliary parameters"""
     names: tuple[str, ...]
-    """of the parameters that were estimated, in the order of `covariance`"""
+    """names of the estimated parameters, in the order of `covariance`"""
     covariance: Floats
-    """(names, names), of the kind that `interval` says"""
+    """(names, names), of the kind `interval`"""
     interval: Literal["graph", "sandwich"]
-    """whether uncertainty follows from the stated noise, or from how much the logs differ"""
+    """source of the uncertainty: the stated noise, or the differences between logs"""
     graph_covariance: Floats
-    """(names, names) that follows from the stated noise"""
+    """(names, names) under the stated noise"""
     unidentified: tuple[str, ...]
-    """parameters about which the data say next to nothing beyond the prior"""
+    """parameters whose uncertainty the data hardly reduce below that of the prior"""
     converged: bool
     iterations: int
-    """of the optimiser, trying extras included"""
+    """of the optimiser, those of model selection included"""
     cost: float
     """half of the weighted squared residuals at the end, priors included"""
     noise: Noise
@@ -118,24 +118,24 @@ class Identification:
     """by state component, per square root of a second"""
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    """decisions that were taken for the user, such as which extras were kept"""
+    """decisions that were taken, such as which auxiliary parameters were kept"""
     logs: tuple[LogFit, ...]
     rear_axle: float | None
-    """how far the tracked point is ahead of the axle that does not slip sideways, m; None without steering"""
+    """distance of the tracked point ahead of the rear axle, m; None without steering"""
 
     @property
     def values(self) -> dict[str, float]:
-        """Value of each parameter, extras included."""
+        """Value of each parameter, auxiliary ones included."""
         return {name: parameter.value for name, parameter in self.parameters.items()}
 
     @property
     def correlation(self) -> Floats:
-        """(names, names) correlation of what was estimated."""
+        """(names, names) correlation of the estimated parameters."""
         return correlations(self.covariance)
 
 
 def correlations(covariance: Floats) -> Floats:
-    """(n, n) correlations of what has this covariance (n, n)."""
+    """(n, n) correlations for a covariance (n, n)."""
     std = covariance.diagonal() ** 0.5
     found: Floats = covariance / (std[:, None] * std[None, :])
     return found

@@ -1,8 +1,9 @@
-"""Which extras the data show: those far from nothing, that matter, and that can be told from the rest.
+"""Model selection: which auxiliary parameters are significant, relevant and distinguishable from other parameters.
 
-Starting from all of them, those that are not go one after the other, as the linearised graph sees it: first the one
-without which the others explain the data best.  Then the rest is fitted anew.  An extra is as uncertain as the noise
-lets expect or the logs disagree about it, whichever is more: few logs may agree by chance about what they hardly show.
+Backward elimination on the linearised graph: of the auxiliary parameters that are not, the one whose removal increases
+the cost least is removed, and so on; then the remaining parameters are fitted again.  The uncertainty of an auxiliary
+parameter is the larger of that under the stated noise and that between logs: a few logs may agree by chance about a
+parameter that they hardly identify.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from ompl_ext.vehicle import Vehicle
 
 NEGLIGIBLE: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
                     "dead_band_steering": 0.005, "friction": 0.01, "lever": 0.01, "yaw_offset": 0.005}  # fmt: skip
-"""Extras that are tried, and the value below which one does not matter (s, s, s, 1, rad, 1, m, rad)."""
+"""Candidates of the automatic selection, and the value below which each is negligible (s, s, s, 1, rad, 1, m, rad)."""
 SIGNIFICANCE = 3.0
-"""Standard deviations from nothing."""
+"""Least distance from 0 of an auxiliary parameter that is kept, in standard deviations."""
 STD_RATIO_MAX = 0.5
-"""Of the prior's standard deviation: data that say less than that do not show an extra."""
+"""Largest standard deviation of an auxiliary parameter that is kept, over that of its prior."""
 
 
 def requested_names(settings: Settings) -> frozenset[str]:
-    """Names that are given a value or frozen: extras of these names stay whatever the data say."""
+    """Names that the settings freeze or give a value: auxiliary parameters of these names are always kept."""
     return frozenset(settings.values) | frozenset(settings.frozen)
 
 
 def candidates_of(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
-    """Extras that are in the first fit."""
+    """Auxiliary parameters in the first fit."""
     known, wanted = auxiliary_parameters(vehicle), settings.auxiliary
     if wanted == "none":
         return ()
@@ -45,7 +46,7 @@ def candidates_of(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
 
 
 def excluded_for_planning(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
-    """Extras that would be in the first fit but for planning, which does not know them."""
+    """Auxiliary parameters that the selection `plan` excludes because planning does not model them."""
     if settings.auxiliary != "plan":
         return ()
     candidates = candidates_of(vehicle, settings)
@@ -53,26 +54,26 @@ def excluded_for_planning(vehicle: Vehicle, settings: Settings) -> tuple[str, ..
 
 
 def selection_note(candidates: tuple[str, ...], kept: tuple[str, ...], requested: frozenset[str]) -> str:
-    """What became of the extras that were tried: those that were asked for say nothing about the data."""
+    """Result of the model selection as a message; requested parameters are kept whatever the data show."""
     if not candidates:
-        return "there are no extra parameters for this vehicle"
+        return "no auxiliary parameter applies to this vehicle"
     given = [name for name in kept if name in requested]
-    seen = [name for name in kept if name not in requested]
-    dropped = [name for name in candidates if name not in kept]
-    said = [f"asked for, and kept: {', '.join(given)}"] if given else []
-    if seen:
-        said.append(f"the data show {', '.join(seen)}")
-    elif dropped:
-        said.append(f"the data show no {'other ' if given else ''}extra parameter")
-    if dropped:
-        said.append(f"not shown, and left out: {', '.join(dropped)}")
-    return "; ".join(said)
+    significant = [name for name in kept if name not in requested]
+    removed = [name for name in candidates if name not in kept]
+    note = [f"requested auxiliary parameters, kept: {', '.join(given)}"] if given else []
+    if significant:
+        note.append(f"significant auxiliary parameters, kept: {', '.join(significant)}")
+    elif removed:
+        note.append(f"no {'other ' if given else ''}auxiliary parameter is significant")
+    if removed:
+        note.append(f"removed: {', '.join(removed)}")
+    return "; ".join(note)
 
 
 def selected(
     parameters: Parameters, rho: Floats, uncertainty: Uncertainty, requested: frozenset[str]
 ) -> tuple[str, ...]:
-    """Extras to keep; those `requested` for stay whatever the data say, and so do frozen ones."""
+    """Auxiliary parameters to keep; `requested` and frozen ones are always kept."""
     names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
     prior = dict(zip(parameters.names, parameters.std, strict=True))
     remaining = list(range(len(names)))
@@ -93,23 +94,23 @@ def selected(
 
 
 def _reduced(rho: Floats, uncertainty: Uncertainty, remaining: list[int]) -> tuple[Floats, Matrix, Matrix]:
-    """Values (left,) of those that are left if the others were nothing; covariances by the graph and as reported."""
+    """Values (remaining,) if the other parameters were 0, and covariances of the graph and as reported."""
     information = inverse(uncertainty.graph)
     graph = inverse(information[np.ix_(remaining, remaining)])
-    follow = graph @ information[remaining]  # how they follow what is taken away
+    follow = graph @ information[remaining]  # how the remaining parameters change with the removed ones
     follow[:, remaining] = np.eye(len(remaining))
     moving = uncertainty.covariance * np.outer(~uncertainty.held, ~uncertainty.held)
     return follow @ rho, graph, follow @ moving @ follow.T if uncertainty.kind == "sandwich" else graph
 
 
 def _indistinguishable(covariance: Matrix, k: int) -> bool:
-    """Whether a parameter is not told from another one."""
+    """Whether a parameter is indistinguishable from another one."""
     std = np.sqrt(np.diag(covariance))
     along = np.abs(covariance[k]) > CORRELATION_REMOVED * std[k] * std
     return bool(along.sum() > along[k])
 
 
 def _significant(name: str, value: float, variance: float, prior: float) -> bool:
-    """Whether an extra is far from nothing, matters, and is known better than before."""
+    """Whether an auxiliary parameter is significant, not negligible, and more certain than its prior."""
     std = float(np.sqrt(variance))
     return abs(value) >= max(NEGLIGIBLE[name], SIGNIFICANCE * std) and std <= STD_RATIO_MAX * prior

@@ -1,4 +1,4 @@
-"""What a user may decide about an identification; everything has a default that suits most logs."""
+"""Settings of an identification; the defaults suit most logs."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ class Noise:
 
 @dataclass(frozen=True)
 class Settings:
-    """How to identify; same settings and logs, same result."""
+    """Settings of an identification; the same settings and logs give the same result."""
 
     noise: Noise | None = None
     """of the poses; measured from them if None"""
     process: Mapping[str, float] = field(default_factory=dict)
-    """what the model misses, by state component, in its unit per square root of a second; the rest has defaults"""
+    """process noise by state component, in its unit per square root of a second; defaults for components not named"""
     control_noise: Mapping[str, float] = field(default_factory=dict)
-    """how far the control applied in a step strays from the command, by control; by default a hundredth of its range"""
+    """standard deviation of the applied control from the command, by control; by default a hundredth of its range"""
     robust: float | None = 1.345
-    """residual, in standard deviations, above which an observation counts less (Huber's loss); None for squares"""
+    """residual, in standard deviations, above which the weight of an observation decreases (Huber loss); None for
+    squares"""
     frozen: tuple[str, ...] = ()
     """parameters that keep their value"""
     values: Mapping[str, float] = field(default_factory=dict)
-    """nominal values in place of the vehicle's, for parameters and extras"""
+    """nominal values in place of those of the vehicle, for parameters of the model and auxiliary ones"""
     auxiliary: AuxiliarySelection = "auto"
-    """parameters beside the model's own (`kraft.sysid.parameters`): those that the data show, the same without those
-    that belong to the motion, which planning does not know, those named, or none"""
+    """auxiliary parameters (`kraft.sysid.auxiliary`): automatic model selection, the same without those that affect the
+    motion, which planning does not model, none, or those named"""
     graph: Literal["fast", "paper"] = "fast"
     """the factor graph with states and controls eliminated in compiled code, or every factor explicit"""
     step: float = 0.05
     """time between two states, s"""
     iterations: int = 50
-    """most iterations of the optimiser"""
+    """largest number of iterations of one fit"""

@@ -16,7 +16,7 @@ from ompl_ext.vehicle import Vehicle
 
 
 def check_settings(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None:
-    """Refuse settings that name what the vehicle or the fit does not have, and values beyond their bounds.
+    """Refuse settings that name what the vehicle or the fit does not have, and values outside their bounds.
 
     Raises:
         InputError: with every such name and value.

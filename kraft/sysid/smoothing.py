@@ -1,4 +1,4 @@
-"""What poses say without any model: how noisy they are, and where the vehicle was in between, and how fast."""
+"""Estimates from poses without a vehicle model: noise, smoothed poses and rates, and whether a part begins at rest."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ if TYPE_CHECKING:
 
 
 NEIGHBOURS = 9
-"""Poses of a local fit."""
+"""Number of poses in a local fit."""
 POSITION_NOISE_MIN, YAW_NOISE_MIN = 1e-4, 1e-4
-"""Noise below which nobody measures, m and rad: logs without noise shall not have infinite weight."""
+"""Least noise, m and rad: logs without noise shall not have infinite weight."""
 NOISE_POSES_MIN = 5
-"""Of which noise can be measured."""
+"""Least number of poses from which noise is measured."""
 OUTLIER_DEVIATIONS = 5.0
-"""Standard deviations from the neighbours from which a pose is an outlier."""
+"""Deviation from the neighbours above which a pose is an outlier, in standard deviations."""
 MAD = 1.4826  # standard deviation per median absolute deviation of a normal distribution
 SPEED_INTERVAL: Final = 0.2
-"""Time over which the speeds of a drive are taken, s."""
+"""Time over which a speed is measured, s."""
 REST_SPEED_SHARE: Final = 0.1
-"""Share of a part's high speeds that counts as standing."""
+"""Share of the high speeds of a part below which the vehicle counts as at rest."""
 REST_DEVIATIONS: Final = 3.0
-"""Standard deviations of the speed at the first pose: what is within them may be standing."""
+"""Standard deviations of the speed at the first pose within which the vehicle may be at rest."""
 REST_NOISE_SHARE_MAX: Final = 0.25
-"""Most that these may be, as a share of the high speeds, to tell standing from driving."""
+"""Largest such noise that distinguishes rest from motion, as a share of the high speeds."""
 ROBUST_ITERATIONS: Final = 10
-"""Of the fit that outliers do not pull."""
+"""Iterations of the robust fit."""
 REST_SPANS: Final = (0.25, 0.5, 0.75, 1.0)
-"""Over which the speed at the first pose is sought, s: the shortest that tells, since a start bends the path."""
+"""Times over which the speed at the first pose is fitted, s: the shortest sufficient one, since a start is curved."""
 
 
 def measured_noise(times: list[Floats], poses: list[Matrix]) -> Noise:
-    """Noise of poses by how far each is from a cubic through its two neighbours on either side.
+    """Noise of poses from the deviation of each from a cubic through its two neighbours on either side.
 
-    A vehicle's own motion is smooth enough not to count.  An outlier spoils the deviations of its neighbours too, so
-    these are left out once it is known, and the median absolute deviation keeps out what remains.
+    The motion of a vehicle is smooth enough not to contribute.  An outlier also affects the deviations of its
+    neighbours, which are therefore left out; the median absolute deviation is robust to the remaining outliers.
     """
     deviations = [_deviations(t, p) for t, p in zip(times, poses, strict=True) if len(t) >= NOISE_POSES_MIN]
     if not deviations:
@@ -96,7 +96,7 @@ def smoothed(times: Floats, poses: Matrix, at: Floats) -> tuple[Matrix, Matrix]:
     weight = (1.0 - 0.9 * np.abs(tau) ** 3)[:, :, None] * np.ones(3)
     middle = np.median(z, axis=1)[:, None]
     spread = np.median(np.abs(z - middle), axis=1)[:, None] + 1e-3
-    robust = np.abs(z - middle) < 6.0 * spread  # a first guess of what is an outlier
+    robust = np.abs(z - middle) < 6.0 * spread  # initial classification of outliers
     basis = np.stack([np.ones_like(tau), tau, tau**2], axis=2)  # (k, m, 3)
     coefficients = np.zeros((len(at), 3, 3))
     for _ in range(3):
@@ -111,7 +111,7 @@ def smoothed(times: Floats, poses: Matrix, at: Floats) -> tuple[Matrix, Matrix]:
 
 
 def begins_at_rest(part: Part) -> bool:
-    """Whether the poses show that the part begins at rest; not if they are too few or too noisy to tell."""
+    """Whether the part begins at rest; False if the poses are too few or too noisy to decide."""
     times, poses = part.pose_times, part.poses
     if len(times) < 2:
         return False
@@ -130,7 +130,7 @@ def begins_at_rest(part: Part) -> bool:
 
 
 def _high_speed(part: Part, apart: int) -> float:
-    """Speed that a tenth of the poses `apart` from each other exceed, m/s."""
+    """Speed that a tenth of the pairs of poses `apart` from each other exceed, m/s."""
     if len(part.pose_times) <= apart:
         return 0.0
     way = part.poses[apart:, :2] - part.poses[:-apart, :2]
@@ -139,20 +139,20 @@ def _high_speed(part: Part, apart: int) -> float:
 
 
 def _slope_noise(basis: Matrix) -> float:
-    """Standard deviation of a parabola's slope at its beginning (1/s), per m of that of a pose's x or y."""
+    """Standard deviation of the initial slope of a parabola (1/s), per metre of that of x or y of a pose."""
     return float(np.linalg.norm(np.linalg.pinv(basis)[1]))
 
 
-def _first_speed(basis: Matrix, places: Matrix, sigma: float) -> float:
-    """Speed at the first of the places (n, 2), m/s; negative if against the way that they go.
+def _first_speed(basis: Matrix, positions: Matrix, sigma: float) -> float:
+    """Speed at the first of the positions (n, 2), m/s; negative if opposite to their displacement.
 
-    Outliers hardly count: Huber's loss, from `sigma` (m) on.
+    The Huber loss, with the threshold `sigma` (m), limits the influence of outliers.
     """
-    weight, fit = np.ones(len(places)), np.zeros((3, 2))
+    weight, fit = np.ones(len(positions)), np.zeros((3, 2))
     for _ in range(ROBUST_ITERATIONS):
         root = np.sqrt(weight)[:, None]
-        fit[:] = np.linalg.lstsq(root * basis, root * places, rcond=None)[0]
-        off = np.hypot(*(places - basis @ fit).T)
+        fit[:] = np.linalg.lstsq(root * basis, root * positions, rcond=None)[0]
+        off = np.hypot(*(positions - basis @ fit).T)
         weight = 1.0 / np.maximum(off, sigma)
     way = (basis[-1] - basis[0]) @ fit
     return float(fit[1] @ way) / max(math.hypot(*way), 1e-9)

@@ -1,13 +1,13 @@
-"""How well the parameters are known: by the stated noise (graph), or by how much the logs differ (sandwich).
+"""Uncertainty of the parameters: under the stated noise (graph), or from differences between logs (sandwich).
 
-The graph's covariance is the inverse of the information on rho.  It is right if noise and process noise are as stated
-and the model is true.  The sandwich needs neither: it asks what each log, left out, would change.  With A the
-information of all logs and A_l, b_l that of log l and its gradient at the optimum, leaving log l out moves rho by
-(A - A_l)^-1 b_l; the spread of these moves is the covariance (the jackknife, known as CR3 for clusters), and a t
-quantile with one degree of freedom less than there are logs makes the interval.
+The covariance of the graph is the inverse of the information on rho.  It is correct if noise and process noise are as
+stated and the model is true.  The sandwich covariance needs neither: it follows from the change that leaving out each
+log would cause.  With A the information of all logs and A_l, b_l that of log l and its gradient at the optimum, leaving
+log l out moves rho by (A - A_l)^-1 b_l; the spread of these moves is the covariance (the jackknife, known as CR3 for
+clusters), and a t quantile with one degree of freedom less than there are logs makes the interval.
 
-A parameter that its bound holds stays there whichever log is left out, so the others move with it held.  Its own moves
-are those it would make if the bound were a constant force: a spread of nothing would say that it is known exactly.
+A parameter that is held at its bound remains there whichever log is left out, so that the others change with it held.
+Its own changes are those with the bound as a constant force: a spread of 0 would mean that it is known exactly.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kraft.sysid.optimiser import RhoFactors
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 SANDWICH_LOGS_MIN = 5
-"""For the sandwich."""
+"""Least number of logs for the sandwich covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,9 @@ class Uncertainty:
     quantile: float
     """half width of a 95 % interval in standard deviations"""
     shifts: Matrix
-    """(logs, free) how rho would move without each log"""
+    """(logs, free) change of rho without each log"""
     held: Bools
-    """(free,) which of them their bounds hold: the others move as if these did not"""
+    """(free,) which parameters are held at their bounds"""
 
     @property
     def std(self) -> Floats:
@@ -53,7 +53,7 @@ def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncer
     Args:
         factors: at the optimum.
         free: (np,) which parameters were estimated.
-        held: (np,) which of them their bounds hold.
+        held: (np,) which of them are held at their bounds.
     """
     chosen = np.ix_(free, free)
     total = factors.total_information[chosen]
@@ -75,7 +75,7 @@ def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncer
 
 
 def _shift(rest: Matrix, gradient: Floats, held: Bools) -> Floats:
-    """How the free parameters move (free,) to where `rest`, the information without a log, balances its gradient."""
+    """Change (free,) of the free parameters if a log is left out; `rest` is the information of the other logs."""
     move = np.array(np.linalg.lstsq(rest, gradient, rcond=None)[0], dtype=np.float64)
     if held.any():
         move[~held] = np.linalg.lstsq(rest[np.ix_(~held, ~held)], gradient[~held], rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Write what was identified as a vehicle file, which every command takes in place of a bundled vehicle."""
+"""Vehicle file of an identification, which every command accepts in place of a bundled vehicle."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ if TYPE_CHECKING:
 
 
 DIGITS: Final = 6
-"""Significant digits of parameters: far more than are known."""
+"""Significant digits of parameters: far more than their uncertainty justifies."""
 STD_FACTOR: Final = 3.0
-"""The standard deviation in the file is this many times that of the estimate ..."""
+"""Standard deviation in the file over that of the estimate ..."""
 STD_SHARE_MIN: Final = 0.1
-"""... and at least this share of what it was before: another day's car is a little different."""
-HEADER: Final = ("# Identified by kraft sysid; what was identified from is at the end.",)
+"""... but at least this share of the one before: the car changes a little from day to day."""
+HEADER: Final = ("# Identified by kraft sysid; the record of the identification is at the end.",)
 
 
 def check_vehicle_target(path: Path) -> None:
-    """Refuse a place that cannot be written, and a file that no identification has written.
+    """Refuse a path that cannot be written, or a file that no identification has written.
 
     Raises:
         InputError: if it is one of these.
@@ -58,7 +58,7 @@ def check_vehicle_target(path: Path) -> None:
     if os.path.lexists(path):
         config, _ = check(VehicleConfig, read_document(path))
         if config is None or config.identification is None:
-            problem = "is there already, and kraft sysid did not write it"
+            problem = "exists, and no identification wrote it"
             raise InputError.of(
                 str(path), problem, "expected a new file, or one that an identification wrote", Code.EXISTS
             )
@@ -67,7 +67,7 @@ def check_vehicle_target(path: Path) -> None:
 def write_vehicle(
     path: Path, base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], record: IdentificationRecord
 ) -> None:
-    """Write a vehicle named like the file, in one step.
+    """Write a vehicle with the name of the file, in one step.
 
     Raises:
         InputError: if it cannot be written.
@@ -92,14 +92,14 @@ def vehicle_text(
     """Content of a vehicle file that will be in `folder`.
 
     Args:
-        folder: what a path to the model's code will be relative to.
+        folder: folder of the file; a path to the code of the model is relative to it.
         name: of the vehicle.
         description: of the vehicle.
         header: comments of the first lines.
-        base: whose model, footprint and top speed it gets.
-        estimated: parameters; those that the subject does not have are left to the record.
+        base: vehicle with the model, footprint and top speed.
+        estimated: estimates of the parameters; auxiliary parameters are only in the record.
         record: the section `identification`.
-        tighten: whether the standard deviations become those of this vehicle, or stay those of its kind.
+        tighten: whether to reduce the standard deviations to the uncertainty of the estimates.
     """
     shape = base.footprint
     offset = f", offset: {_number(shape.offset)}" if shape.offset else ""
@@ -123,8 +123,8 @@ def vehicle_text(
 def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tighten: bool = True) -> Parameter:
     """A parameter with the estimate in place of its value.
 
-    What is plausible stays what it was, unless the estimate is not in it.  The standard deviation shrinks, but not to
-    that of the estimate: it is what identifying from other logs begins with.  Without `tighten` it stays.
+    The bounds remain, unless the estimate is outside them.  The standard deviation is reduced, but not to that of the
+    estimate: it is the prior of the next identification.  Without `tighten` it remains.
     """
     value = float(f"{estimate.value:.{DIGITS}g}")
     low = None if parameter.min is None else min(parameter.min, value)
@@ -142,13 +142,13 @@ def _parameters(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], *
     for name, before in base.parameters.items():
         parameter = updated_parameter(before, estimated[name], tighten=tighten)
         limits = ((key, getattr(parameter, key)) for key in ("min", "max", "std"))
-        told = "".join(f", {key}: {_number(value)}" for key, value in limits if value is not None)
-        about = f", description: {_text(parameter.description)}" if parameter.description else ""
-        yield f"  {name}: {{value: {_number(parameter.value)}, unit: {_text(parameter.unit)}{told}{about}}}"
+        stated = "".join(f", {key}: {_number(value)}" for key, value in limits if value is not None)
+        description = f", description: {_text(parameter.description)}" if parameter.description else ""
+        yield f"  {name}: {{value: {_number(parameter.value)}, unit: {_text(parameter.unit)}{stated}{description}}}"
 
 
 def _model(reference: str, folder: Path) -> str:
-    """How a file in `folder` names the model; code in a file by its path from there."""
+    """Reference to the model for a file in `folder`; code in a file by its path relative to the folder."""
     code = split_file(reference)
     if code is None:
         return reference
@@ -156,8 +156,10 @@ def _model(reference: str, folder: Path) -> str:
     return _text(os.path.relpath(path, folder.absolute()) + (f":{attribute}" if attribute else ""))
 
 
+# Written by hand: a Dumper of PyYAML that keeps this layout needs the same rules for quotes, flow style and digits, and
+# more lines (it writes 1e-05 as !!float '1e-05', indents no list, and quotes other texts).
 def _mapping(content: Mapping[str, Any], indent: str) -> Iterator[str]:
-    """Lines of a mapping; what holds numbers alone stands on one line, rows of a matrix on one each."""
+    """Lines of a mapping: a value of plain numbers on one line, a matrix with one row on each line."""
     for key, value in content.items():
         label = f"{indent}{_text(key)}:"
         if isinstance(value, dict) and any(isinstance(item, dict | list) for item in value.values()):
@@ -188,9 +190,9 @@ def _number(value: float) -> str:
 
 
 def _text(text: str, *, flow: bool = True) -> str:
-    """Plain where every YAML reader takes it for text, else quoted; `flow` says that it stands between braces."""
+    """A text, plain if every YAML reader reads it as text, else quoted; `flow` if it is between braces."""
     if re.fullmatch(r"[0-9a-f]{64}", text):
-        return f'"{text}"'  # a hash of digits alone would be a number
+        return f'"{text}"'  # a hash of digits alone would be read as a number
     plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_/^.-]*( [A-Za-z0-9_/^.,-]+)*", text) and not re.fullmatch(
         r"(?i)true|false|null|yes|no|on|off|y|n", text
     )
@@ -203,13 +205,13 @@ def identification_record(
     split: LogSplit,
     evaluation: PredictionEvaluation,
 ) -> IdentificationRecord:
-    """Record an identification.
+    """Record of an identification for a vehicle file.
 
     Args:
-        started_from: the vehicle that was asked for.
-        identification: what came out.
-        split: the logs that were fitted and held out.
-        evaluation: how far their predictions are off.
+        started_from: vehicle as the user gave it.
+        identification: the result.
+        split: the fitted and the held-out logs.
+        evaluation: prediction errors of the logs.
     """
     unseen = evaluation.held_out
     matrix = tuple(tuple(map(float, row)) for row in identification.covariance)
@@ -251,7 +253,7 @@ def _logged(logs: Sequence[Log], *, held_out: bool) -> list[Logged]:
 
 
 def _files(log: Log) -> dict[str, str]:
-    """SHA-256 by file name, which says the same wherever the logs are; by path where two have the same name."""
+    """SHA-256 by file name, independent of the folder of the logs; by path if two files share a name."""
     names = [Path(source.file).name for source in log.sources]
     unique = len(set(names)) == len(names)
     return {(Path(s.file).name if unique else s.file): s.sha256 for s in log.sources}

@@ -20,30 +20,29 @@ Model = Annotated[
 ]
 Holdout = Annotated[
     float | None,
-    typer.Option(metavar="FRACTION", help="Share of the logs to test with instead; a quarter, of four logs or more."),
+    typer.Option(
+        metavar="FRACTION", help="Share of the logs to hold out for testing; by default a quarter of four or more."
+    ),
 ]
 Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Write a vehicle file: FILE.yaml.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw data and fit: FILE.png, .svg or .pdf.")]
 MappingFile = Annotated[
-    Path | None, typer.Option("--mapping", metavar="FILE", help="Which column or topic is what, if the guess is wrong.")
+    Path | None,
+    typer.Option("--mapping", metavar="FILE", help="Mapping file: columns and topics, where the guess is wrong."),
 ]
 Freeze = Annotated[list[str] | None, typer.Option("--freeze", metavar="A,B", help="Parameters that keep their value.")]
-Parameters = Annotated[
-    list[str] | None, typer.Option("--param", metavar="K=V", help="Another initial value of a parameter.")
-]
+Parameters = Annotated[list[str] | None, typer.Option("--param", metavar="K=V", help="Initial value of a parameter.")]
 AuxiliarySelection = Annotated[
     str,
-    typer.Option(
-        metavar="auto|plan|none|A,B", help="Parameters beside the model's: those that the data show, or these."
-    ),
+    typer.Option(metavar="auto|plan|none|A,B", help="Auxiliary parameters: automatic selection, or these."),
 ]
 PoseNoise = Annotated[
     str | None,
-    typer.Option(
-        "--pose-noise", metavar="M,RAD", help="Standard deviations of position and yaw; measured if left out."
-    ),
+    typer.Option("--pose-noise", metavar="M,RAD", help="Standard deviations of position and yaw; by default measured."),
 ]
-Graph = Annotated[str, typer.Option(metavar="fast|paper", help="The same graph: eliminated, or every factor explicit.")]
+Graph = Annotated[
+    str, typer.Option(metavar="fast|paper", help="Form of the graph: eliminated, or every factor explicit.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -62,7 +61,7 @@ def sysid(
     graph: Graph = "fast",
     json: Json = False,
 ) -> ExitStatus:
-    """Identify a vehicle's parameters from logs; it ends with 1 if the logs do not show them."""
+    """Identify a vehicle's parameters from logs; the exit code is 1 if the logs do not identify them."""
     from kraft_cli.work.sysid import SysidRequest, run_sysid
     from kraft_cli.work.sysid_report import SCHEMA, sysid_json
 
@@ -96,7 +95,7 @@ def sysid(
 
 
 def _report_details(terminal: Terminal, result: SysidResult) -> None:
-    """What -v asks for."""
+    """Report the details that -v requests."""
     from kraft.text import counted
 
     initial = ", ".join(f"{name} {value:g}" for name, value in result.base.vehicle.parameters.items())

@@ -1,4 +1,4 @@
-"""Values of parameters as they are written on a command line."""
+"""Parameter values from the command line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def parse_parameters(items: Iterable[str]) -> dict[str, float]:
     """Read ``name=value`` items.
 
     Raises:
-        InputError: with every item that is not a name and a finite number, and every name that comes twice.
+        InputError: with every item that is not a name and a finite number, and every repeated name.
     """
     values: dict[str, float] = {}
     problems = []

@@ -246,7 +246,7 @@ class ProgressReporter:
 def _excluded_note(base: BaseVehicle, settings: Settings) -> tuple[str, ...]:
     """The note that auxiliary parameters of the motion were not considered, if there are such."""
     names = excluded_for_planning(base.vehicle, settings)
-    return (f"not sought, for planning does not know them: {', '.join(names)}",) if names else ()
+    return (f"not considered, because planning does not model them: {', '.join(names)}",) if names else ()
 
 
 def _unknown_to_planning(request: SysidRequest, identification: Identification) -> tuple[str, ...]:
@@ -259,8 +259,8 @@ def _unknown_to_planning(request: SysidRequest, identification: Identification) 
     if request.out is None or not names:
         return ()
     return (
-        f"planning does not know {', '.join(names)}, and {request.out} is off by as much: for a file to plan with, "
-        "leave them out of --extras, --param and --freeze",
+        f"planning does not model {', '.join(names)}, so that {request.out} plans with an error of their size: for a "
+        "file to plan with, leave them out of --extras, --param and --freeze",
     )
 
 

@@ -19,7 +19,7 @@ MessageSink = Callable[[str], None]
 
 HARMLESS: Final = {
     "wrap": "yaw wraps; made continuous, nothing is left out",
-    "dropout": "poses are missing here and there; nothing is left out",
+    "dropout": "some poses are missing; nothing is left out",
 }
 """Kinds of findings that leave nothing out, with the message for several logs that have one."""
 
@@ -90,7 +90,7 @@ def _report_logs(logs: Sequence[Log], info: MessageSink, detail: MessageSink) ->
     often = Counter(finding.kind for _, finding in found)
     for kind, what in HARMLESS.items():
         if often[kind] > 1:
-            info(f"{often[kind]} logs: {what} (-v tells where)")
+            info(f"{often[kind]} logs: {what} (-v lists them)")
     for name, finding in found:
         sink = detail if finding.kind in HARMLESS and often[finding.kind] > 1 else info
         sink(f"{name}: {finding}")

@@ -1,4 +1,4 @@
-"""What is said about an identification: the JSON object of `kraft sysid --json`, and the tables that a person reads."""
+"""Report of an identification: the JSON object of `kraft sysid --json`, and the tables on the terminal."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 """Heading and rows."""
 INTERVALS: Final = {
     "graph": "from the noise of the poses",
-    "sandwich": "from how much the logs differ from each other",
+    "sandwich": "from the differences between logs",
 }
 
 
 def sysid_json(result: SysidResult) -> dict[str, Any]:
-    """Content of the ``kraft.sysid/1`` object; what does not exist is null."""
+    """Content of the ``kraft.sysid/1`` object, with null for what does not exist."""
     identification, held_out = result.identification, result.evaluation.held_out
     written = result.request.out if not result.objections else None
     return {
@@ -62,13 +62,13 @@ def sysid_json(result: SysidResult) -> dict[str, Any]:
 
 
 def parameter_table(result: SysidResult) -> Table:
-    """Every parameter with its unit, value, interval and initial value."""
+    """Table of the parameters with value, interval, initial value and unit."""
     heading = ("PARAMETER", "VALUE", f"95 % INTERVAL ({result.identification.interval})", "INITIAL", "UNIT", "MEANING")
     return heading, [_row(name, estimate) for name, estimate in result.identification.parameters.items()]
 
 
 def prediction_table(result: SysidResult) -> Table:
-    """Open-loop errors after 1, 2 and 3 s, identified beside initial; on held-out logs if there are any."""
+    """Table of open-loop errors after 1, 2 and 3 s, of held-out logs if there are any."""
     held_out = result.evaluation.held_out
     pair = held_out or result.evaluation.fitted
     whose = "held-out logs" if held_out else "fitted logs"
@@ -134,7 +134,7 @@ def _row(name: str, estimate: ParameterEstimate) -> tuple[str, ...]:
 
 
 def _digits(estimate: ParameterEstimate) -> int:
-    """Decimals that show two digits of the standard deviation."""
+    """Number of decimals that gives two digits of the standard deviation."""
     size = estimate.std if estimate.std > 0 else abs(estimate.value) / 1000
     return min(max(1 - math.floor(math.log10(size)), 0), 6) if size > 0 else 4
 

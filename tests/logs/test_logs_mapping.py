@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.logs import Bag, drive, nanoseconds, wide_columns, write_table, write_wide
+from support.logs import Bag, drive, located, nanoseconds, wide_columns, write_table, write_wide
 from support.paths import ROOT
 
 from kraft.errors import InputError
@@ -142,8 +142,9 @@ def test_a_mapping_counts_for_the_folder_of_a_run(tmp_path: Path) -> None:
     (log,) = read_logs(run, mapping=scaled).logs
     np.testing.assert_allclose(log.parts[0].commands[:, 0], 2 * WIDE["throttle"])
     truth = mapping_of(tmp_path, "poses: {table: steps.csv}\n")
-    with pytest.raises(InputError, match=r"steps\.csv: no column is recognised as x or as y or as yaw"):
+    with pytest.raises(InputError, match="x or as y or as yaw") as error:
         read_logs(run, mapping=truth)
+    assert located(error.value.diagnostics, run) == ["steps.csv missing"]
 
 
 def test_columns_that_only_look_like_a_switch_can_be_overruled(tmp_path: Path) -> None:
@@ -189,10 +190,10 @@ def test_limits_are_what_the_mapping_says(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("poses: {yaw: hding}\n", "m.yaml:1:14: poses.yaw: there is no column 'hding' in a.csv; did you mean 'heading'?"),
-        ("poses:\n  yaw: {column: q, unit: deg}\n", "m.yaml:2:17: poses.yaw.column: there is no column 'q' in a.csv; expected one of t, throttle, steering, x, y, heading"),
-        ("commands: {controls: {throtle: throttle}}\n", "m.yaml:1:23: commands.controls.throtle: is no control of the vehicle; did you mean 'throttle'?"),
-        ("poses: {table: b.csv}\n", "m.yaml:1:16: poses.table: there is no 'b.csv' in a.csv; did you mean 'a.csv'?"),
+        ("poses: {yaw: hding}\n", "m.yaml:1:14 poses.yaw unknown"),
+        ("poses:\n  yaw: {column: q, unit: deg}\n", "m.yaml:2:17 poses.yaw.column unknown"),
+        ("commands: {controls: {throtle: throttle}}\n", "m.yaml:1:23 commands.controls.throtle unknown"),
+        ("poses: {table: b.csv}\n", "m.yaml:1:16 poses.table unknown"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_the_log_is_said_in_the_mapping_file(tmp_path: Path, text: str, expected: str) -> None:
@@ -200,31 +201,32 @@ def test_what_does_not_fit_the_log_is_said_in_the_mapping_file(tmp_path: Path, t
     path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
     with pytest.raises(InputError) as error:
         read_logs(path, mapping=mapping_of(tmp_path, text))
-    assert str(error.value).replace(f"{tmp_path}/", "") == expected
+    assert located(error.value.diagnostics, tmp_path) == [expected]
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("poses: {yaw: {column: a, unit: degrees}}\n", "1:32: poses.yaw.unit: is the text 'degrees'; expected one of s, ms, us, ns, m, cm, mm, rad, deg, m/s, km/h, 1"),
-        ("poses: {yaw: {column: a, unit: mm}}\n", "1:32: poses.yaw.unit: is 'mm'; expected one of rad, deg"),
-        ("commands: {controls: {steering: {column: a, unit: ms}}}\n", "1:51: commands.controls.steering.unit: is 'ms'; expected one of 1, m/s, km/h, rad, deg"),
-        ("poses: {time: {unit: ms}}\n", "1:9: poses.time.column: the key is missing; expected name of the column, or of the field of the message (`drive.steering_angle`)"),
-        ("pose: {x: a}\n", "1:1: pose: unknown key; did you mean 'poses'?"),
-        ("poses: {x: {colum: a}}\n", "1:13: poses.x.colum: unknown key; did you mean 'column'?"),
-        ("poses: {x: 3}\n", "1:12: poses.x: is the number 3; expected a mapping (position forward or east)"),
-        ("poses: {x: {column: a, scale: 0}}\n", "1:31: poses.x.scale: is 0; expected what the numbers are multiplied with"),
-        ("poses: {x: {column: a, table: b.csv}}\n", "1:31: poses.x.table: is that of one column, which comes from the same table as those beside it; expected the table of all of them, one level up"),
-        ("commands: {time: {column: a, table: b.csv}}\n", "1:37: commands.time.table: is that of one column, which comes from the same table as those beside it; expected the table of all of them, one level up"),
-        ("dead_man: {column: a, time: {column: b, table: b.csv}}\n", "1:48: dead_man.time.table: is that of one column, which comes from the same table as those beside it; expected the table of all of them, one level up"),
-        ("poses: {yaw: a, quaternion: [a, b, c, d]}\n", "1:29: poses.quaternion: is given besides yaw; expected one of the two"),
-        ("limits: {pose_gap: -1}\n", "1:20: limits.pose_gap: is the number -1; expected a number greater than 0 (time without poses that ends a part of the log, s)"),
+        ("poses: {yaw: {column: a, unit: degrees}}\n", "1:32 poses.yaw.unit"),
+        ("poses: {yaw: {column: a, unit: mm}}\n", "1:32 poses.yaw.unit"),
+        ("commands: {controls: {steering: {column: a, unit: ms}}}\n", "1:51 commands.controls.steering.unit"),
+        ("poses: {time: {unit: ms}}\n", "1:9 poses.time.column"),
+        ("pose: {x: a}\n", "1:1 pose"),
+        ("poses: {x: {colum: a}}\n", "1:13 poses.x.colum"),
+        ("poses: {x: 3}\n", "1:12 poses.x"),
+        ("poses: {x: {column: a, scale: 0}}\n", "1:31 poses.x.scale"),
+        ("poses: {x: {column: a, table: b.csv}}\n", "1:31 poses.x.table"),
+        ("commands: {time: {column: a, table: b.csv}}\n", "1:37 commands.time.table"),
+        ("dead_man: {column: a, time: {column: b, table: b.csv}}\n", "1:48 dead_man.time.table"),
+        ("poses: {yaw: a, quaternion: [a, b, c, d]}\n", "1:29 poses.quaternion"),
+        ("limits: {pose_gap: -1}\n", "1:20 limits.pose_gap"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_a_mapping_file_is_said_at_its_place(tmp_path: Path, text: str, expected: str) -> None:
     with pytest.raises(InputError) as error:
         mapping_of(tmp_path, text)
-    assert str(error.value).replace(f"{tmp_path / 'm.yaml'}:", "") == expected
+    (problem,) = error.value.diagnostics
+    assert f"{problem.line}:{problem.column} {problem.path}" == expected
     checked = check_file(tmp_path / "m.yaml")
     assert (checked.kind, checked.problems) == ("mapping", error.value.diagnostics)
 

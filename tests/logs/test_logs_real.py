@@ -1,22 +1,18 @@
-"""Logs of a real car are read whole. They are not part of the package; without them these tests are skipped."""
+"""Logs of a real car are read completely. They are not part of the package; without them these tests are skipped."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
-from support.paths import ROOT
+from support.logs import REAL_LOGS, needs_real_logs
 
 from kraft.logs.reader import read_logs
 
-FOLDER = Path(os.environ.get("KRAFT_REAL_LOGS", ROOT.parent / "shared" / "data")) / "f1tenth_koopman_cc0"
-pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the real logs are not here (KRAFT_REAL_LOGS)")
+pytestmark = needs_real_logs
 
 
 def test_all_runs_of_the_f1tenth_are_read_without_loss() -> None:
-    found = read_logs(FOLDER)
+    found = read_logs(REAL_LOGS)
     assert found.problems == ()
     assert len(found.logs) == 41
     for log in found.logs:
@@ -28,6 +24,6 @@ def test_all_runs_of_the_f1tenth_are_read_without_loss() -> None:
 
 
 def test_the_command_is_taken_and_not_the_measured_speed() -> None:
-    for log in read_logs(FOLDER).logs:
+    for log in read_logs(REAL_LOGS).logs:
         assert "throttle from 'cmd_speed', steering from 'cmd_steer' (rad)" in log.guess
         assert np.abs(log.parts[0].commands[:, 1]).max() <= 0.2

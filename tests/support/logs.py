@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from kraft.errors import Diagnostic
+
 ACKERMANN = (
     "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
 )
 STAMPED = "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
 EPOCH = 1_700_000_000_000_000_000  # ns
+_FOLDER = os.environ.get("KRAFT_REAL_LOGS")
+REAL_LOGS = Path(_FOLDER or "", "f1tenth_koopman_cc0")
+"""Logs of a real F1TENTH car, which are not part of the repository."""
+needs_real_logs = pytest.mark.skipif(not _FOLDER, reason="KRAFT_REAL_LOGS does not name the folder of the real logs")
+
+
+def located(diagnostics: Iterable[Diagnostic], folder: Path) -> list[str]:
+    """Place, key and code of each diagnostic, as in ``m.yaml:1:14 poses.yaw unknown``."""
+    return [" ".join(filter(None, (d.place.replace(f"{folder}/", ""), d.path, d.code))) for d in diagnostics]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.synthetic_logs import CommandSeries, random_commands, synthetic_logs
 from benchmarks.sysid import TRUTH
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
 from kraft.sysid.actuators import hat_means
 from kraft.sysid.auxiliary import auxiliary_parameters
@@ -156,8 +156,10 @@ def test_a_model_without_parameters_has_nothing_but_extras() -> None:
         footprint=Footprint(0.3, 0.3),
         top_speed=1.0,
     )
-    with pytest.raises(InputError, match="extras: there is nothing to identify of prompt, which has no parameters"):
+    with pytest.raises(InputError) as error:
         check_free_parameters(prompt, Settings(auxiliary="none"))
+    (problem,) = error.value.diagnostics
+    assert (problem.file, problem.code, problem.argument) == ("auxiliary", Code.CONFLICT, True)
     check_free_parameters(prompt, Settings())
 
 
@@ -214,22 +216,24 @@ def test_friction_that_is_asked_for_and_not_there_is_not_shown_by_the_data() -> 
     result = identify(lag(), made, Settings(values={"friction": 0.4}))
     assert result.auxiliary == ("friction",)
     assert result.parameters["friction"].is_zero
-    assert "friction is 0, the least it can be: the data show none" in result.warnings
+    assert "friction is 0, its lower bound: the data show no such effect" in result.warnings
     (note,) = result.notes
-    assert note.startswith("asked for, and kept: friction; the data show no other extra parameter; not shown, and left")
+    assert note.startswith(
+        "requested auxiliary parameters, kept: friction; no other auxiliary parameter is significant; removed:"
+    )
 
 
 @pytest.mark.parametrize(
     ("tried", "kept", "asked", "said"),
     [
-        ((), (), (), "there are no extra parameters for this vehicle"),
-        (("delay", "lever"), ("delay", "lever"), (), "the data show delay, lever"),
-        (("delay", "lever"), ("lever",), (), "the data show lever; not shown, and left out: delay"),
-        (("delay",), (), (), "the data show no extra parameter; not shown, and left out: delay"),
-        (("delay",), ("delay",), ("delay", "L"), "asked for, and kept: delay"),
-        (("delay", "side"), ("delay", "side"), ("side",), "asked for, and kept: side; the data show delay"),
+        ((), (), (), "no auxiliary parameter applies to this vehicle"),
+        (("delay", "lever"), ("delay", "lever"), (), "significant auxiliary parameters, kept: delay, lever"),
+        (("delay", "lever"), ("lever",), (), "significant auxiliary parameters, kept: lever; removed: delay"),
+        (("delay",), (), (), "no auxiliary parameter is significant; removed: delay"),
+        (("delay",), ("delay",), ("delay", "L"), "requested auxiliary parameters, kept: delay"),
+        (("delay", "side"), ("delay", "side"), ("side",), "requested auxiliary parameters, kept: side; significant auxiliary parameters, kept: delay"),
         (("delay", "side"), ("side",), ("side",),
-         "asked for, and kept: side; the data show no other extra parameter; not shown, and left out: delay"),
+         "requested auxiliary parameters, kept: side; no other auxiliary parameter is significant; removed: delay"),
     ],
 )  # fmt: skip
 def test_what_became_of_the_extras_is_told_apart_from_what_was_asked_for(

@@ -12,6 +12,7 @@ from benchmarks.synthetic_logs import synthetic_logs
 from benchmarks.sysid import NOISE, TRUTH
 from kraft.errors import Defect
 from kraft.logs.log import Log, Part
+from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import segment_between, whole_segment
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.fast_graph import FastGraph
@@ -215,7 +216,7 @@ def test_commands_act_for_as_long_as_they_are_held(auxiliary: tuple[str, ...]) -
         vehicle, Settings(values={n: v for n, v in VALUES.items() if n in (*TRUTH, *auxiliary)}), auxiliary
     )
     segment = problem.chains.segments[0]
-    commands = type(problem.commands)([segment], parameters)
+    commands = ActuatorModel([segment], parameters)
     rho = parameters.nominal.copy()
     for name in auxiliary:
         if name.startswith("dead_band"):
