@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from ompl_ext.arrays import Floats
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Vehicle
@@ -118,7 +118,9 @@ class CarModel:
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], TABLE_SIZE)
         speeds = [float(self._steady_state(self.command(u, 0.0))[self.v]) for u in throttles]
         if not speeds[-1] > 0.0:
-            raise InputError.of(self.vehicle.name, "does not move at full throttle", "expected a speed above 0")
+            raise InputError.of(
+                self.vehicle.name, "does not move at full throttle", "expected a speed above 0", Code.MISMATCH
+            )
         return list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
 
     def _steady_turns(self) -> tuple[list[float], list[float], list[float]]:
@@ -149,12 +151,11 @@ def check_car(vehicle: Vehicle) -> None:
     missing = [name for name in ("x", "y", "theta") if vehicle.index(name) < 0]
     if tuple(sorted(vehicle.controls)) != tuple(sorted(CONTROLS)):
         has = ", ".join(vehicle.controls)
-        raise InputError.of(
-            vehicle.name, f"has the controls {has}", "expected throttle and steering: the car that drives takes these"
-        )
+        expected = "expected throttle and steering: the car that drives takes these"
+        raise InputError.of(vehicle.name, f"has the controls {has}", expected, Code.MISMATCH)
     if missing or not vehicle.rest:
         lacks = f"has no {' and no '.join(missing)} in its state" if missing else "names no speed among what rests"
-        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed")
+        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed", Code.MISMATCH)
 
 
 def _inverse(value: float, values: list[float], arguments: list[float]) -> float:

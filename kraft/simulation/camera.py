@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kraft.driving.messages import Observation
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS, PoseNoise
 from ompl_ext.arrays import Floats, Matrix
@@ -39,6 +39,7 @@ class MarkerCamera:
                 "sensing.camera",
                 f"is {sensing.camera[2]:g} m high",
                 f"expected more than the marker's {marker_height:g} m",
+                Code.GEOMETRY,
             )
         preset = PRESETS[sensing.preset]
         dropout = preset.dropout if sensing.dropout is None else sensing.dropout

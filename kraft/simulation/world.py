@@ -12,7 +12,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from kraft.errors import Defect, InputError
+from kraft.errors import Code, Defect, InputError
 from kraft.scenario import Scenario, Start
 from kraft.simulation import car as drivetrain
 from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, sag
@@ -164,7 +164,8 @@ class World:
         problem, expected = "stands where the car starts", "expected a box beside the start"
         keys = [("truth", "movable_boxes", i) for i in self._contacts.boxes_in_car()]
         if keys:
-            raise InputError(scenario.source.diagnostic(key, problem, expected) for key in keys)
+            diagnostic = scenario.source.diagnostic
+            raise InputError(diagnostic(key, problem, expected, code=Code.GEOMETRY) for key in keys)
 
     def _place(self, start: Start) -> None:
         """Put the car on the floor and its wheels into motion."""
