@@ -120,7 +120,7 @@ class Kinodynamic(FileModel):
     """how far ahead of the present time the law looks, to make up for the actuators' lag, s"""
 
 
-Controller = Annotated[OpenLoop | Geometric | Kinodynamic, Field(discriminator="kind")]
+ControllerSettings = Annotated[OpenLoop | Geometric | Kinodynamic, Field(discriminator="kind")]
 
 
 class Latest(FileModel):
@@ -155,7 +155,7 @@ class Filter(FileModel):
     """an observation that is farther off than this share of them is given less weight"""
 
 
-Estimator = Annotated[Latest | Filter, Field(discriminator="kind")]
+EstimatorSettings = Annotated[Latest | Filter, Field(discriminator="kind")]
 
 
 class Method(FileModel):
@@ -169,9 +169,9 @@ class Method(FileModel):
     """one sentence for `kraft list methods`"""
     planner: PlannerSettings
     """when and how long to plan"""
-    estimator: Estimator = Latest(kind="latest")
+    estimator: EstimatorSettings = Latest(kind="latest")
     """where the vehicle is believed to be"""
-    controller: Controller
+    controller: ControllerSettings
     """how a plan is tracked"""
 
     _source: Source = PrivateAttr(default_factory=Source)
