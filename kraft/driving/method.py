@@ -1,6 +1,6 @@
 """A method: planning mode, cycle, budget, safety, estimator and controller, composed in a YAML file.
 
-One file of `configs/methods/` is one row of a results table; a new row is a new file.
+Each file of `configs/methods/` is one row of a results table; a new method needs only a new file.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Clearance(FileModel):
 
 
 RESERVE = 0.2
-"""Share of a cycle that planning by the clock leaves unused, as the original system does."""
+"""Share of a cycle that real-time planning leaves unused, as in the original system."""
 
 
 class PlannerSettings(FileModel):
@@ -62,12 +62,12 @@ class PlannerSettings(FileModel):
 
     @property
     def clock_budget(self) -> float:
-        """Time to plan in if the clock decides, s."""
+        """Planning time of a cycle in real-time mode, s."""
         return self.cycle * (1.0 - RESERVE) - self.lead
 
     @property
     def capacity(self) -> int:
-        """Nodes that the tree has memory for."""
+        """Number of nodes that the tree has memory for."""
         return max(10_000, min(200_000, 4 * self.iterations))
 
     @model_validator(mode="after")
@@ -178,7 +178,7 @@ class Method(FileModel):
 
     @property
     def source(self) -> Source:
-        """Where each value was written."""
+        """Position of each value in the file."""
         return self._source
 
 

@@ -1,4 +1,4 @@
-"""The page: how large it is and where map, panels, heading and key stand on it.  Lengths in inches."""
+"""Layout of a page: size, map, panels, heading, notes and legend; and the legend itself.  Lengths in inches."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ NOTE_GAP = 20.0  # between notes, pt
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A part of the page; `top` counts from the page's top."""
+    """Part of the page; `top` is measured from the page's top."""
 
     left: float
     top: float
@@ -59,7 +59,7 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Page:
-    """Where everything stands."""
+    """Size of the page and the places of its parts."""
 
     width: float
     height: float

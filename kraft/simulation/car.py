@@ -1,8 +1,8 @@
-"""The MuSHR as MuJoCo sees it: a sprung chassis, four wheels, Ackermann steering, one motor.
+"""The MuSHR in MuJoCo: a sprung chassis, four wheels, Ackermann steering, one motor; and its drivetrain.
 
-The body frame lies midway between the axles on the floor, x forward, z up: the point that the planner's model moves.
+The body frame lies midway between the axles on the floor, x forward, z up: the reference point of the planner's model.
 Dimensions and masses are the real car's. The collision box (0.439 x 0.265) reaches a little further than the
-footprint that the planner takes (0.40 x 0.28) in front and behind, and a little less to the sides.
+planner's footprint (0.40 x 0.28) in front and behind, and a little less to the sides.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def wheel_place(name: str) -> tuple[float, float, float]:
 
 
 def sag(gap: VehicleGap) -> float:
-    """How much deeper than the nominal car this one sits, m."""
+    """Suspension sag relative to the nominal car, m."""
     return (gap.mass_scale - 1.0) * CHASSIS_MASS * GRAVITY / 4 / STIFFNESS
 
 
@@ -63,7 +63,7 @@ def add_car(spec: Any, gap: VehicleGap) -> Any:
     """Add the car at the origin of the world; returns its body."""
     body = spec.worldbody.add_body(name=CAR)
     body.add_freejoint(name=CAR)
-    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a car that stands must still hear a command
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a standing car must still respond to commands
     mass = CHASSIS_MASS * gap.mass_scale
     a, b, c = CHASSIS_BODY
     body.explicitinertial = True
@@ -125,7 +125,7 @@ def _add_wheel(body: Any, name: str) -> None:
 
 
 def _add_motor(spec: Any) -> None:
-    """One motor whose torque the differentials share out equally among the wheels, however fast each turns."""
+    """Add one motor; the differentials distribute its torque equally to the wheels at any wheel speeds."""
     shaft = spec.add_tendon(name=DRIVE)
     for name in WHEELS:
         shaft.wrap_joint(f"{name} spin", 1.0)

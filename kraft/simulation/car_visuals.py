@@ -1,4 +1,4 @@
-"""What the car looks like: a small rally car. None of it has mass or touches anything.
+"""Visual geoms of the car, a small rally car, without mass or contacts.
 
 In the car's body frame, m: x forward, z up, wheels at x = -0.148 and 0.148. Meshes are few, one for each colour, since
 every geom costs time in every physics step.
@@ -29,7 +29,7 @@ BITS: Final = ("011001", "100110", "101101", "010011", "110100", "001110")
 
 
 def add_car_visuals(spec: Any, body: Any) -> None:
-    """Dress the car's body and its wheels."""
+    """Add the visual geoms of the car's body and its wheels."""
     meshes = {
         "paint": [_deck(), *_both(_flank()), *_roof()],
         "stripe": [*_both(_stripe()), *_door_plates()],

@@ -1,4 +1,4 @@
-"""Text over the picture: what is driven, what the lines mean, the numbers of the moment, and how it ended."""
+"""Text over the picture: title, legend, numbers, plan or contingency, and outcome."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Overlay:
         draw_legend(draw, self._width - MARGIN, MARGIN, spec.vehicle.top_speed, _background())
 
     def over(self, picture: Image, snapshot: Snapshot, result: TrialResult | None = None) -> Image:
-        """The picture with everything on it; with a result, how the trial ended."""
+        """Picture with title, legend, numbers and state; with a result also the outcome."""
         image = Pillow.fromarray(picture)
         image.paste(self._static, (0, 0), self._static)
         draw = ImageDraw.Draw(image)
@@ -75,7 +75,7 @@ class Overlay:
             draw.text((right, foot + 62), unit, palette.SECONDARY_TEXT, font(15), "ls")
 
     def _state(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
-        """Plan or contingency, and why."""
+        """Draw plan or contingency, and the reason for it."""
         if snapshot.cycle is None:
             return
         planned = snapshot.cycle.kind == ReferenceKind.PLAN
@@ -98,7 +98,7 @@ class Overlay:
 
 
 def outcome_text(result: TrialResult) -> tuple[str, str]:
-    """How a trial ended, and in which colour to say it."""
+    """Text and colour for the outcome of a trial."""
     match result.outcome:
         case Outcome.SUCCESS:
             return f"goal reached in {result.time:.1f} s", palette.SUCCESS
