@@ -150,10 +150,12 @@ def check_car(vehicle: Vehicle) -> None:
     missing = [name for name in ("x", "y", "theta") if vehicle.index(name) < 0]
     if tuple(sorted(vehicle.controls)) != tuple(sorted(CONTROLS)):
         has = ", ".join(vehicle.controls)
-        expected = "expected throttle and steering: the car that drives takes these"
+        expected = "expected throttle and steering, the commands of the simulated car"
         raise InputError.of(vehicle.name, f"has the controls {has}", expected, Code.MISMATCH)
     if missing or not vehicle.rest:
-        lacks = f"has no {' and no '.join(missing)} in its state" if missing else "names no speed among what rests"
+        lacks = (
+            f"has no {' and no '.join(missing)} in its state" if missing else "names no speed in its rest components"
+        )
         raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed", Code.MISMATCH)
 
 

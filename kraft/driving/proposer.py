@@ -115,7 +115,7 @@ class Proposer:
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
         if self._realtime and missed:
-            reason = f"planning took {seconds:.3f} s, longer than there was time"
+            reason = f"planning took {seconds:.3f} s, longer than the cycle allows"
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
         return replace(proposal, seconds=seconds, missed=missed)
 
@@ -197,5 +197,5 @@ class Proposer:
 
 
 def _failure_reason(progress: Progress) -> str:
-    unsafe = ", many for want of a safe contingency" if progress.unsafe else ""
+    unsafe = "; many lack a safe contingency" if progress.unsafe else ""
     return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"

@@ -70,7 +70,7 @@ class Replanner:
         self._cycle_offset = max(0.0, delay - settings.lead)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         self._number = 0
-        self._proposal = Proposal(None, "there has been no time to plan")
+        self._proposal = Proposal(None, "no plan has been made yet")
         self._contingency: Reference | None = None
         self._in_transit: list[tuple[float, Reference]] = []
 
