@@ -41,6 +41,9 @@ SIDE = 2.9  # panels beside the map and the space between
 MIN_WIDTH = 5.0
 NOTE_GAP = 20.0  # between notes, pt
 
+SAMPLE, OUTLINE, GAP = 0.28, 0.2, 0.18  # inches: samples of a line and of a footprint, space between entries
+BAR, BAR_HEIGHT = 1.2, 0.09
+
 
 @dataclass(frozen=True)
 class Rectangle:
@@ -149,10 +152,6 @@ def note_rows_of(notes: Mapping[str, str], room: float) -> tuple[tuple[tuple[str
 
 def _note_width(name: str, value: str) -> float:
     return (max(text_width(name, LABEL), text_width(value, VALUE, bold=True)) + NOTE_GAP) / 72
-
-
-SAMPLE, OUTLINE, GAP = 0.28, 0.2, 0.18  # inches: samples of a line and of a footprint, space between entries
-BAR, BAR_HEIGHT = 1.2, 0.09
 
 
 @dataclass(frozen=True)

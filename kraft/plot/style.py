@@ -58,6 +58,12 @@ SETTINGS: Final[dict[str, Any]] = {
     "svg.hashsalt": "kraft",  # otherwise each SVG would have other identifiers
 }
 
+FORMATS: Final = (".png", ".svg", ".pdf")
+PNG_WIDTH: Final = 1600
+PRINT_DPI: Final = 300  # of what is drawn as pixels inside a vector picture
+
+_UNDATED: Final = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+
 
 @contextmanager
 def plot_style() -> Iterator[None]:
@@ -99,13 +105,6 @@ def shortened(text: str, size: float, width: float, *, bold: bool = False) -> st
         wide = text_width(line[:middle].rstrip() + "…", size, bold=bold) > width
         fits, too_long = (fits, middle) if wide else (middle, too_long)
     return line[:fits].rstrip() + "…"
-
-
-FORMATS: Final = (".png", ".svg", ".pdf")
-PNG_WIDTH: Final = 1600
-PRINT_DPI: Final = 300  # of what is drawn as pixels inside a vector picture
-
-_UNDATED: Final = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 
 
 def picture_format(path: Path) -> str:

@@ -47,6 +47,28 @@ GRAVITY: Final = 9.81
 SERVO_STIFFNESS, SERVO_DAMPING, SERVO_INERTIA = 20.0, 0.4, 0.002
 """Of the steering servo at each front wheel, N m/rad, N m s/rad, kg m^2: it lags 20 ms behind its own rate limit."""
 
+WHEELBASE: Final = 0.2965
+TRACK: Final = 0.23
+WHEEL_RADIUS: Final = 0.0488
+STEERING_MAX: Final = 0.38
+"""Stop of the steering linkage, rad of the equivalent single front wheel."""
+STEERING_RATE: Final = 3.2
+"""Speed of the steering servo, rad/s."""
+LINKAGE: Final = 0.89
+"""Angle of the wheels over the angle commanded: a full turn has a radius of 0.86 m, not the bicycle's 0.76 m."""
+
+ROTOR_INERTIA: Final = 0.01
+"""Reflected inertia of the drive at each wheel, kg m^2."""
+ROLLING_FRICTION: Final = 0.001
+"""Torque at each wheel that does not depend on its speed, N m."""
+WHEEL_DAMPING: Final = (0.0363, -0.00219, 0.0000614)
+"""Torque over speed w of each wheel is d0 + d1 |w| + d2 w^2, in N m s, N m s^2, N m s^3 (per rad)."""
+FULL_TORQUE: Final = 0.265
+"""Torque at each wheel at full throttle, N m."""
+THROTTLE: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0)
+TORQUE: Final = (0.0, 0.153, 0.362, 0.593, 0.803, 1.0)
+"""Torque over full torque at those throttles, linear between: nearly proportional, and the motor saturates a little."""
+
 
 def wheel_place(name: str) -> tuple[float, float, float]:
     """Centre of a wheel in the body frame, m."""
@@ -131,29 +153,6 @@ def _add_motor(spec: Any) -> None:
         shaft.wrap_joint(f"{name} spin", 1.0)
     motor = spec.add_actuator(name=DRIVE, target=DRIVE, trntype=mujoco.mjtTrn.mjTRN_TENDON)
     motor.set_to_motor()
-
-
-WHEELBASE: Final = 0.2965
-TRACK: Final = 0.23
-WHEEL_RADIUS: Final = 0.0488
-STEERING_MAX: Final = 0.38
-"""Stop of the steering linkage, rad of the equivalent single front wheel."""
-STEERING_RATE: Final = 3.2
-"""Speed of the steering servo, rad/s."""
-LINKAGE: Final = 0.89
-"""Angle of the wheels over the angle commanded: a full turn has a radius of 0.86 m, not the bicycle's 0.76 m."""
-
-ROTOR_INERTIA: Final = 0.01
-"""Reflected inertia of the drive at each wheel, kg m^2."""
-ROLLING_FRICTION: Final = 0.001
-"""Torque at each wheel that does not depend on its speed, N m."""
-WHEEL_DAMPING: Final = (0.0363, -0.00219, 0.0000614)
-"""Torque over speed w of each wheel is d0 + d1 |w| + d2 w^2, in N m s, N m s^2, N m s^3 (per rad)."""
-FULL_TORQUE: Final = 0.265
-"""Torque at each wheel at full throttle, N m."""
-THROTTLE: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0)
-TORQUE: Final = (0.0, 0.153, 0.362, 0.593, 0.803, 1.0)
-"""Torque over full torque at those throttles, linear between: nearly proportional, and the motor saturates a little."""
 
 
 def wheel_torque(throttle: float) -> float:

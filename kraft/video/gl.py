@@ -20,6 +20,8 @@ ADVICE: Final = (
     "or install OSMesa (libosmesa6) and set MUJOCO_GL=osmesa"
 )
 
+INSTEAD: Final = "a video file needs no screen"
+
 
 def offscreen_context(width: int, height: int) -> Any:
     """Make a current context for pictures of up to this size (px), with the backend of `MUJOCO_GL` or an available one.
@@ -65,9 +67,6 @@ def _backend() -> str:
         raise MissingDependency(f"a video needs OpenGL without a window: {problem}; unset it or use {BACKENDS[0]}")
     # the first import of a backend fixes it for the process, so it has to be available
     return "osmesa" if find_library("EGL") is None and find_library("OSMesa") is not None else "egl"
-
-
-INSTEAD: Final = "a video file needs no screen"
 
 
 def check_video(path: Path) -> None:

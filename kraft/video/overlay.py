@@ -25,6 +25,11 @@ COLUMN: Final = 118
 MARGIN: Final = 16
 OPACITY: Final = 0.8
 
+SAMPLE: Final = 34
+ROW: Final = 22
+TYPE: Final = 14
+Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
+
 
 class Overlay:
     """Draws over pictures of one trial."""
@@ -111,12 +116,6 @@ def outcome_text(result: TrialResult) -> tuple[str, str]:
 def _background() -> tuple[int, int, int, int]:
     red, green, blue, opacity = (round(255 * part) for part in palette.colour(palette.BACKGROUND, OPACITY))
     return red, green, blue, opacity
-
-
-SAMPLE: Final = 34
-ROW: Final = 22
-TYPE: Final = 14
-Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
 
 
 def draw_legend(

@@ -34,6 +34,19 @@ MAP_STROKES: Final = 1.5
 """Factor by which strokes are wider on the map, which has a smaller scale."""
 EVERYTHING: Final = int(mujoco.mjtCatBit.mjCAT_ALL)
 
+FIELD_OF_VIEW: Final = math.radians(45.0)
+DISTANCE: Final = 2.1
+"""Between the camera and what it looks at, m."""
+AHEAD: Final = 0.5
+"""Distance in front of the car to which the camera points, m."""
+MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP = math.radians(36.0), math.radians(80.0), math.radians(3.0)
+"""Elevation of the camera above the floor: the lowest one without an obstacle between camera and car."""
+SETTLING: Final = 0.35
+"""Time in which the camera follows a turn, s."""
+ROOF: Final = 0.26
+SOLID: Final = np.array([1, 1, 0, 0, 0, 0], np.uint8)
+"""Groups of geoms that can hide the car."""
+
 
 class View:
     """One scene with one camera in one part of the picture."""
@@ -124,20 +137,6 @@ class SceneRenderer:
         self._cycle = cycle.number
         for view in (self._chase, self._map):
             view.set_static(lambda pen: draw_cycle(pen, cycle, self._spec.vehicle))
-
-
-FIELD_OF_VIEW: Final = math.radians(45.0)
-DISTANCE: Final = 2.1
-"""Between the camera and what it looks at, m."""
-AHEAD: Final = 0.5
-"""Distance in front of the car to which the camera points, m."""
-MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP = math.radians(36.0), math.radians(80.0), math.radians(3.0)
-"""Elevation of the camera above the floor: the lowest one without an obstacle between camera and car."""
-SETTLING: Final = 0.35
-"""Time in which the camera follows a turn, s."""
-ROOF: Final = 0.26
-SOLID: Final = np.array([1, 1, 0, 0, 0, 0], np.uint8)
-"""Groups of geoms that can hide the car."""
 
 
 @dataclass(frozen=True)

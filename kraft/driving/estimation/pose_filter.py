@@ -24,6 +24,11 @@ MAX_HISTORY: Final = 32
 OUTLIERS_BEFORE_RESET: Final = 5
 """Number of consistent outliers in a row after which the filter resets: then the vehicle was moved."""
 
+EXCESS_TIME_CONSTANT: Final = 2.0
+"""Time constant with which an excess of speed decays without observations, s."""
+DIFFERENCE_STEP: Final = 1e-5
+"""Step of the numeric derivatives, SI."""
+
 
 @dataclass(frozen=True)
 class Posterior:
@@ -130,12 +135,6 @@ class PoseFilter:
         covariance[self._pose, :] = covariance[:, self._pose] = 0.0
         covariance[np.ix_(self._pose, self._pose)] = self._noise
         return Posterior(pose.time, mean, covariance, pose)
-
-
-EXCESS_TIME_CONSTANT: Final = 2.0
-"""Time constant with which an excess of speed decays without observations, s."""
-DIFFERENCE_STEP: Final = 1e-5
-"""Step of the numeric derivatives, SI."""
 
 
 class ExcessSpeedModel:
