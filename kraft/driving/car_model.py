@@ -1,7 +1,6 @@
-"""The robot's model of itself, one state at a time: for predicting, estimating and controlling a car.
+"""The robot's model of itself, one state at a time: prediction, steady responses and their inverses.
 
-The planner's own compiled derivative and Runge-Kutta step are called here, so that what is predicted is what was
-planned.
+Predictions use the planner's own compiled derivative and Runge-Kutta step, so they agree with the plan.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from ompl_ext.arrays import Floats
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Vehicle
@@ -21,9 +20,9 @@ from ompl_ext.vehicle import Vehicle
 MAX_STEP: Final = 0.05
 """Longest integration step, s."""
 SETTLING_TIME: Final = 20.0
-"""Time after which the response to a constant control counts as steady, s."""
+"""Time after which the response to a constant control is taken as steady, s."""
 CONTROLS: Final = ("throttle", "steering")
-TABLE_SIZE: Final = 65  # of a table of steady responses
+TABLE_SIZE: Final = 65  # rows of a table of steady responses
 Tables = tuple[list[float], list[float], list[float], list[float], list[float]]
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
 
@@ -31,8 +30,8 @@ _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
 class CarModel:
     """Dynamics of a car whose controls are throttle and steering, and its steady responses to them.
 
-    `x`, `y`, `theta`, `v` are places in a state (nx,), `throttle` and `steering` places in a control (nu,); `low` and
-    `high` (nu,) bound a control.
+    `x`, `y`, `theta`, `v` are indices into a state (nx,), `throttle` and `steering` indices into a control (nu,); `low`
+    and `high` (nu,) bound a control.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -56,11 +55,11 @@ class CarModel:
         self._tabulate()
 
     def __deepcopy__(self, memo: object) -> CarModel:
-        """Nothing here is ever written to: a copy is the same."""
+        """Return the model itself, because it is immutable."""
         return self
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx,) after a control (nu,) was held for `duration` s; not above 0 the state itself, copied."""
+        """State (nx,) after holding a control (nu,) for `duration` s; a copy of the state if that is not above 0."""
         result = np.array(state, dtype=np.float64)
         if duration <= 0.0:
             return result
@@ -71,12 +70,12 @@ class CarModel:
         return result
 
     def clamped(self, control: Floats) -> Floats:
-        """The control (nu,) within its bounds."""
+        """Control (nu,) clamped to its bounds."""
         inside: Floats = np.minimum(np.maximum(control, self.low), self.high)
         return inside
 
     def command(self, throttle: float, steering: float) -> Floats:
-        """The control (nu,) of a throttle and a steering, clamped to their bounds."""
+        """Control (nu,) from throttle and steering, clamped to their bounds."""
         control = self.rest.copy()
         for k, value in ((self.throttle, throttle), (self.steering, steering)):
             low, high = self._bounds[k]
@@ -84,29 +83,29 @@ class CarModel:
         return control
 
     def throttle_for(self, speed: float) -> float:
-        """Throttle that leads to a speed (m/s), the nearest there is."""
+        """Throttle whose steady speed is `speed` (m/s), or the nearest possible one."""
         return _inverse(speed, self._speeds, self._throttles)
 
     def curvature(self, steering: float) -> float:
-        """Curvature of the path that a steering leads to, 1/m, positive to the left."""
+        """Curvature of the path at a constant steering, 1/m, positive to the left."""
         return float(np.interp(steering, self._steerings, self._curvatures))
 
     def steering_for(self, curvature: float) -> float:
-        """Steering that leads to a curvature (1/m), the nearest there is."""
+        """Steering whose path has a curvature (1/m), or the nearest possible one."""
         return _inverse(curvature, self._curvatures, self._steerings)
 
     def slip(self, steering: float) -> float:
-        """Direction in which the car moves while it turns with a steering, relative to its heading, rad."""
+        """Slip angle at a constant steering: direction of motion relative to the heading, rad."""
         return float(np.interp(steering, self._steerings, self._slips))
 
     @property
     def wheelbase(self) -> float:
-        """Change of steering per change of curvature where the car drives straight, m: of a bicycle, its wheelbase."""
+        """Change of steering per change of curvature at straight driving, m; for a bicycle model its wheelbase."""
         reach = 0.1 * max(abs(self._curvatures[0]), abs(self._curvatures[-1]))
         return (self.steering_for(reach) - self.steering_for(-reach)) / (2.0 * reach)
 
     def _tabulate(self) -> None:
-        """Make the tables of steady responses, once per vehicle and process: they take as long as planning a cycle."""
+        """Make the tables of steady responses once per vehicle and process; this takes as long as planning a cycle."""
         vehicle = self.vehicle
         key = (vehicle.hash, self._parameters.tobytes(), vehicle.control_bounds.tobytes())
         if key not in _TABLES:
@@ -118,7 +117,9 @@ class CarModel:
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], TABLE_SIZE)
         speeds = [float(self._steady_state(self.command(u, 0.0))[self.v]) for u in throttles]
         if not speeds[-1] > 0.0:
-            raise InputError.of(self.vehicle.name, "does not move at full throttle", "expected a speed above 0")
+            raise InputError.of(
+                self.vehicle.name, "does not move at full throttle", "expected a speed above 0", Code.MISMATCH
+            )
         return list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
 
     def _steady_turns(self) -> tuple[list[float], list[float], list[float]]:
@@ -134,31 +135,32 @@ class CarModel:
         return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures))), slips
 
     def _steady_state(self, control: Floats) -> Floats:
-        """State that holding a control from standstill leads to, at the origin."""
+        """Steady state after holding a control from standstill, moved to the origin."""
         state = self.advance(np.zeros(len(self.vehicle.state)), control, SETTLING_TIME)
         state[self._pose] = 0.0
         return state
 
 
 def check_car(vehicle: Vehicle) -> None:
-    """Refuse a vehicle that is not a car with a throttle and a steering.
+    """Check that a vehicle is a car with throttle and steering.
 
     Raises:
-        InputError: with what it lacks.
+        InputError: if it has other controls, or its state lacks a pose or a speed.
     """
     missing = [name for name in ("x", "y", "theta") if vehicle.index(name) < 0]
     if tuple(sorted(vehicle.controls)) != tuple(sorted(CONTROLS)):
         has = ", ".join(vehicle.controls)
-        raise InputError.of(
-            vehicle.name, f"has the controls {has}", "expected throttle and steering: the car that drives takes these"
-        )
+        expected = "expected throttle and steering, the commands of the simulated car"
+        raise InputError.of(vehicle.name, f"has the controls {has}", expected, Code.MISMATCH)
     if missing or not vehicle.rest:
-        lacks = f"has no {' and no '.join(missing)} in its state" if missing else "names no speed among what rests"
-        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed")
+        lacks = (
+            f"has no {' and no '.join(missing)} in its state" if missing else "names no speed in its rest components"
+        )
+        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed", Code.MISMATCH)
 
 
 def _inverse(value: float, values: list[float], arguments: list[float]) -> float:
-    """Argument at which an ascending table takes a value, linear between its rows, clamped to its ends."""
+    """Inverse of `interpolate` for an ascending table: the first argument with a value, clamped to the table's ends."""
     k = bisect_left(values, value)
     if k == 0:
         return arguments[0]
@@ -169,7 +171,7 @@ def _inverse(value: float, values: list[float], arguments: list[float]) -> float
 
 
 def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
-    """Value at `x` of the line through (xs, ys), both (n,), xs ascending; beyond the ends theirs, as `numpy.interp`."""
+    """Linear interpolation at `x` in (xs, ys), both (n,), xs ascending: `numpy.interp` for one value, but faster."""
     k = bisect_right(xs, x) - 1
     if k < 0:
         return ys[0]

@@ -1,7 +1,8 @@
-"""What passes between sensing, estimation, replanning and control while a vehicle drives.
+"""Messages between sensing, estimation, replanning and control, and the record of each replanning cycle.
 
-Times are seconds of the trial, 0 when the first plan is committed.  States are those of the vehicle's model; poses
-are (x, y, theta) in the frame of the map (m, rad).
+An `Observation` becomes an `Estimate`; the replanner commits a `Reference`, which the controller tracks, and records a
+`Cycle`.  Times are seconds of the trial, 0 when the first plan is committed.  States are those of the vehicle's model;
+poses are (x, y, theta) in the frame of the map (m, rad).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from ompl_ext.plan import TreeView
 
 @dataclass(frozen=True)
 class Observation:
-    """A pose as the camera measured it at `time`; it arrives at `arrival`, later by the latency."""
+    """Pose measured by the camera at `time`; it arrives at `arrival`, later by the latency."""
 
     time: float
     arrival: float
@@ -26,9 +27,9 @@ class Observation:
 
 @dataclass(frozen=True)
 class Estimate:
-    """State (nx,) that the vehicle is believed to be in at `time`.
+    """Estimated state (nx,) at `time`.
 
-    `age` is how old the newest observation behind it is (s), infinite before the first one.
+    `age` is the age of the newest observation that the estimate rests on (s), infinite before the first one.
     """
 
     time: float
@@ -37,7 +38,7 @@ class Estimate:
 
 
 class ReferenceKind(StrEnum):
-    """What a reference is: part of a plan, or a contingency manoeuvre."""
+    """Kind of a reference: a plan or a contingency manoeuvre."""
 
     PLAN = "plan"
     CONTINGENCY = "contingency"
@@ -45,9 +46,9 @@ class ReferenceKind(StrEnum):
 
 @dataclass(frozen=True)
 class Reference:
-    """The trajectory to track: states (m, nx) predicted at `times` (m,), ascending, in seconds of the trial.
+    """Trajectory to track: states (m, nx) predicted at `times` (m,), ascending, in seconds of the trial.
 
-    `controls` (m - 1, nu) are held from each time to the next, and `rest` (nu,) after the last one.
+    Each of the `controls` (m - 1, nu) is held from one time to the next; `rest` (nu,) is held after the last time.
     """
 
     kind: ReferenceKind
@@ -58,30 +59,30 @@ class Reference:
 
     @property
     def start(self) -> float:
-        """When it begins, s."""
+        """Time at which the reference begins, s."""
         return float(self.times[0])
 
     @property
     def end(self) -> float:
-        """When it is over, s."""
+        """Time at which the reference ends, s."""
         return float(self.times[-1])
 
     def state_at(self, time: float) -> Floats:
-        """State (nx,) at `time` by linear interpolation; the first before it begins and the last after it ends."""
+        """State (nx,) at `time` by linear interpolation, constant before the start and after the end."""
         k, share = self._interval(time)
         after = min(k + 1, len(self.states) - 1)
         state: Floats = (1.0 - share) * self.states[k] + share * self.states[after]
         return state
 
     def control_at(self, time: float) -> Floats:
-        """Control (nu,) held at `time`."""
+        """Control (nu,) that is held at `time`."""
         if time >= self.times[-1] or len(self.controls) == 0:
             return self.rest.copy()
         held: Floats = self.controls[self._interval(time)[0]]
         return held.copy()
 
     def _interval(self, time: float) -> tuple[int, float]:
-        """Index of the sample before `time` and the share of the interval that has passed."""
+        """Index of the last sample up to `time`, and the elapsed share of the interval after it."""
         if time <= self.times[0] or len(self.times) == 1:
             return 0, 0.0
         if time >= self.times[-1]:
@@ -94,7 +95,7 @@ class Reference:
 class PredictedMotion:
     """Predicted states (n + 1, nx) at `times` (n + 1,) s.
 
-    `slack` is a lower bound of the clearance beyond what is asked for (m), negative if the motion may collide.
+    `slack` is a lower bound of the clearance minus the required clearance (m), negative if the motion may violate it.
     """
 
     times: Floats
@@ -110,13 +111,13 @@ class PredictedMotion:
 
 @dataclass(frozen=True)
 class Cycle:
-    """One replanning cycle: what was committed at `time`, why, and what it cost to find.
+    """One replanning cycle: the committed reference, the reason for a contingency, and the effort of planning.
 
-    `time` is when the cycle begins (s): what was committed for it is tracked from then on.  `cost_to_goal` is the
-    predicted time to the goal (s) of the committed plan, with the cost-to-go from its end if it does not lead there,
-    and infinite without a plan.  `predicted` is what the robot expects to do within the cycle and `clearance` the
-    smallest distance to an obstacle that it passes (m).  `planning_ms` is measured and everything else repeats.
-    `tree` is kept only when asked for.
+    `time` is the start of the cycle (s), from which on the controller tracks `reference`.  `cost_to_goal` is the
+    predicted time to the goal (s): that of the committed plan, plus the cost-to-go from its end if the plan does not
+    reach the goal; without a plan it is infinite.  `predicted` is the predicted motion within the cycle and `clearance`
+    its smallest distance to an obstacle (m).  `planning_ms` is measured; all other fields are reproducible.  `tree` is
+    None unless trees are kept.
     """
 
     number: int

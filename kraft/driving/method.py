@@ -1,6 +1,6 @@
 """A method: planning mode, cycle, budget, safety, estimator and controller, composed in a YAML file.
 
-One file of `configs/methods/` is one row of a results table; a new row is a new file.
+Each file of `configs/methods/` is one row of a results table; a new method needs only a new file.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Clearance(StrictModel):
 
 
 RESERVE = 0.2
-"""Share of a cycle that planning by the clock leaves unused, as the original system does."""
+"""Share of a cycle that real-time planning leaves unused, as in the original system."""
 
 
 class PlannerSettings(StrictModel):
@@ -62,12 +62,12 @@ class PlannerSettings(StrictModel):
 
     @property
     def clock_budget(self) -> float:
-        """Time to plan in if the clock decides, s."""
+        """Planning time of a cycle in real-time mode, s."""
         return self.cycle * (1.0 - RESERVE) - self.lead
 
     @property
     def capacity(self) -> int:
-        """Nodes that the tree has memory for."""
+        """Number of nodes that the tree has memory for."""
         return max(10_000, min(200_000, 4 * self.iterations))
 
     @model_validator(mode="after")
@@ -120,7 +120,7 @@ class Kinodynamic(StrictModel):
     """how far ahead of the present time the law looks, to make up for the actuators' lag, s"""
 
 
-Controller = Annotated[OpenLoop | Geometric | Kinodynamic, Field(discriminator="kind")]
+ControllerSettings = Annotated[OpenLoop | Geometric | Kinodynamic, Field(discriminator="kind")]
 
 
 class Latest(StrictModel):
@@ -155,7 +155,7 @@ class Filter(StrictModel):
     """an observation that is farther off than this share of them is given less weight"""
 
 
-Estimator = Annotated[Latest | Filter, Field(discriminator="kind")]
+EstimatorSettings = Annotated[Latest | Filter, Field(discriminator="kind")]
 
 
 class Method(StrictModel):
@@ -169,16 +169,16 @@ class Method(StrictModel):
     """one sentence for `kraft list methods`"""
     planner: PlannerSettings
     """when and how long to plan"""
-    estimator: Estimator = Latest(kind="latest")
+    estimator: EstimatorSettings = Latest(kind="latest")
     """where the vehicle is believed to be"""
-    controller: Controller
+    controller: ControllerSettings
     """how a plan is tracked"""
 
     _source: Source = PrivateAttr(default_factory=Source)
 
     @property
     def source(self) -> Source:
-        """Where each value was written."""
+        """Position of each value in the file."""
         return self._source
 
 

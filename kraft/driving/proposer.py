@@ -1,6 +1,6 @@
-"""What the replanner may commit next: the plan for the coming cycle, or the reason why there is none.
+"""Proposals for the replanner: a plan for the next cycle, or the reason why there is none.
 
-Alg. 1 is asked once with the method's margin and, where that leads to nothing, once more without it.
+Alg. 1 runs with the method's margin first and, if it finds no plan, once more without the margin.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import verify
 
-RECOVERY_MARGIN = 0.005  # of a vehicle that leaves with the clearance it has (m)
-MIN_GOAL_RADIUS = 0.01  # radius of the region that the planner aims for (m)
+RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
+MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A plan for the coming cycle that nobody has committed yet, or the reason why there is none."""
+    """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search."""
 
     plan: Plan | None
     reason: str = ""
@@ -44,9 +44,9 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Solvers:
-    """`planning` keeps the method's margin and its foresight; `checking` asks for what is safe and no more.
+    """Two solvers of one task: `planning` requires the method's margin and foresight, `checking` only its clearance.
 
-    A plan is made with the margin and checked again without it, so that small errors do not turn it down.
+    The margin is not required when a plan is checked again, so that small errors do not reject the plan.
     """
 
     planning: DirtSolver
@@ -54,7 +54,7 @@ class Solvers:
 
     @classmethod
     def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings) -> Solvers:
-        """The solvers of a task with a method's settings; without a clearance they are not asked for SAFETY."""
+        """Make the solvers for a method's settings; without a clearance in the settings, SAFETY is disabled."""
         goal = goal_of(task)
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
@@ -69,7 +69,7 @@ class Solvers:
 
 
 def method_safety(settings: PlannerSettings) -> Safety:
-    """SAFETY as a method asks for it."""
+    """SAFETY with the clearance of a method, disabled if the method has none."""
     margin = settings.safety
     if margin is None:
         return Safety(enabled=False, cycle=settings.cycle)
@@ -77,7 +77,7 @@ def method_safety(settings: PlannerSettings) -> Safety:
 
 
 class Proposer:
-    """Plans for the coming cycle; `dirt` checks what is asked for and no more."""
+    """Searches the plan for the next cycle; `dirt` is the solver without margin."""
 
     def __init__(
         self,
@@ -97,12 +97,12 @@ class Proposer:
         self._recovering = False
 
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
-        """Plan for the cycle after cycle `number` - 1, from the predicted root (nx,).
+        """Plan for cycle `number` from the predicted root.
 
         Args:
-            number: of the cycle.
-            root: where it is predicted to begin.
-            previous: plan that is executed until then; what is left of it is kept.
+            number: index of the cycle.
+            root: predicted state at the start of the cycle (nx,).
+            previous: plan that is executed until then; its remainder is retained.
         """
         began, settings = clock.perf_counter(), self._settings
         proposal = Proposal(None)
@@ -115,27 +115,27 @@ class Proposer:
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
         if self._realtime and missed:
-            reason = f"planning took {seconds:.3f} s, longer than there was time"
+            reason = f"planning took {seconds:.3f} s, longer than the cycle allows"
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
         return replace(proposal, seconds=seconds, missed=missed)
 
     def _goal_radius(self, root: Floats) -> float:
-        """Radius of the region to aim for, m: as long as the trial goes on, nearer to the centre than the vehicle is.
+        """Radius of the region to aim for (m), at most half the distance of the vehicle to the goal's centre.
 
-        A vehicle that has arrived by its own estimate, but not in truth, would else wait for ever.
+        Otherwise a vehicle that is in the goal by its estimate, but not in truth, would wait there.
         """
         goal, vehicle = self._goal, self.dirt.vehicle
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
         return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
 
     def _solvers_in_turn(self, root: Floats) -> Iterator[tuple[DirtSolver, float]]:
-        """Solvers to ask in turn, with the share of the time that is left; the first that finds a plan decides."""
+        """Solvers to run in turn, each with its share of the remaining time; the first plan that is found is taken."""
         planning, checking, delta = self._solvers.planning, self._solvers.checking, self._delta
         checking.set_delta(delta)
         was_recovering, self._recovering = self._recovering, False
         if planning is not checking and self._slack(planning, root) >= 0.0:
             yield planning, 0.5
-        yield checking, 1.0  # it takes no time where it lacks clearance, so that recovering has it all
+        yield checking, 1.0  # returns at once if the root lacks clearance, which leaves all the time to the recovery
         slack = self._slack(checking, root)
         resting = all(abs(root[k]) <= checking.safety.rest_speed for k in checking.vehicle.rest_indices)
         self._recovering = self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
@@ -144,13 +144,13 @@ class Proposer:
             yield checking, 1.0
 
     def _slack(self, dirt: DirtSolver, root: Floats) -> float:
-        """Clearance of a state beyond what is asked for, m."""
+        """Clearance of a state minus the required clearance, m."""
         return dirt.edge(root, self._zero_control, 0.0, 0.0)[1]
 
     def _search(
         self, number: int, dirt: DirtSolver, root: Floats, previous: Plan | None, began: float, share: float
     ) -> Proposal:
-        """Alg. 1 from the predicted root, beginning with what is left of the plan that is being executed."""
+        """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
         if dirt.start(root, self._seed * 100_003 + number) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision")
         if self._slack(dirt, root) < 0.0:
@@ -166,7 +166,7 @@ class Proposer:
         return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, tree=tree)
 
     def _grow(self, dirt: DirtSolver, began: float, share: float) -> Progress:
-        """Use up the budget: a number of iterations, or by the clock a share of what is left; with a plan all of it."""
+        """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan."""
         if not self._realtime:
             return dirt.grow(iterations=self._settings.iterations)
         ends = began + self._settings.clock_budget
@@ -174,10 +174,10 @@ class Proposer:
         return progress if dirt.plan() is None else dirt.grow(seconds=ends - clock.perf_counter())
 
     def _verify(self, number: int, dirt: DirtSolver, plan: Plan) -> None:
-        """FCL's judgement of the part that may be executed before there is another plan.
+        """Verify with FCL the part of the plan that may be executed before the next plan is committed.
 
         Raises:
-            Defect: if the plan does not keep what the planner promises.
+            Defect: if the plan violates what the planner guarantees.
         """
         ends = np.cumsum(plan.durations)
         until = math.inf if self._settings.mode == "one-shot" else self._settings.cycle
@@ -197,5 +197,5 @@ class Proposer:
 
 
 def _failure_reason(progress: Progress) -> str:
-    unsafe = ", many for want of a safe contingency" if progress.unsafe else ""
+    unsafe = "; many lack a safe contingency" if progress.unsafe else ""
     return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"

@@ -1,9 +1,9 @@
-"""The safe replanner: one step per cycle commits the plan made in the last one, or a contingency, and makes the next.
+"""The safe replanner (Fig. 3 of the paper): each step commits a plan or a contingency, and plans for the next cycle.
 
-Fig. 3 of the paper.  Cycle k covers [k, k + 1) cycle durations of the trial, later by what the delay of communication
-exceeds `lead` by.  `step` runs a little before cycle k begins: it looks at the plan that `kraft.driving.proposer` made
-during cycle k - 1 once more from the latest estimate, commits it or a manoeuvre that stops, predicts where that leads,
-and has a plan made from there for cycle k + 1.
+Cycle k covers [k, k + 1) cycle durations of the trial; if the communication delay exceeds `lead`, all cycles start
+later by the difference.  `step` runs `lead` before cycle k starts.  It checks the plan that `kraft.driving.proposer`
+made during cycle k - 1 again, from the latest estimate; commits that plan or a contingency; predicts the state at the
+end of cycle k; and plans from this state for cycle k + 1.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from ompl_ext.plan import Plan
 
 @dataclass(frozen=True)
 class Decision:
-    """What is committed for a cycle: always a reference; `plan` is None if it is a contingency.
+    """Reference committed for a cycle, and the reason if it is a contingency; `plan` is None then.
 
-    `predicted` is the execution over the cycle and `contingency` what stops the vehicle after it.
+    `predicted` is the predicted motion over the cycle and `contingency` the manoeuvre that stops the vehicle after it.
     """
 
     reference: Reference
@@ -38,16 +38,16 @@ class Decision:
 
 
 class Replanner:
-    """Decides once per cycle what the controller tracks.  See `step`.
+    """Decides once per cycle which reference the controller tracks.  See `step`.
 
     Args:
-        solvers: of the task, see `Solvers.of`.
-        settings: the method's.
-        controller: the kind that tracks; it is copied for predictions and left as it is.
-        seed: of all plans.
-        period: of the controller, s.
-        delay: how long what is committed is on its way to the controller, s.
-        realtime: plan by the clock instead of by iterations.
+        solvers: solvers of the task, see `Solvers.of`.
+        settings: planner settings of the method.
+        controller: the controller of the vehicle; predictions use copies of it.
+        seed: seed of all plans.
+        period: period of the controller, s.
+        delay: communication delay from the replanner to the controller, s.
+        realtime: limit planning by wall-clock time instead of iterations.
         keep_trees: keep a copy of the tree in each cycle.
     """
 
@@ -70,12 +70,12 @@ class Replanner:
         self._cycle_offset = max(0.0, delay - settings.lead)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         self._number = 0
-        self._proposal = Proposal(None, "there has been no time to plan")
+        self._proposal = Proposal(None, "no plan has been made yet")
         self._contingency: Reference | None = None
         self._in_transit: list[tuple[float, Reference]] = []
 
     def begin(self, state: Floats) -> Reference:
-        """Plan the first cycle from the start (nx,) before the trial's clock runs; until then the vehicle stands."""
+        """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest."""
         self._proposal = self._proposer.propose(0, state, None)
         return Reference(
             ReferenceKind.CONTINGENCY,
@@ -87,16 +87,16 @@ class Replanner:
 
     @property
     def next_step(self) -> float:
-        """When `step` is due, s of the trial: `lead` before the next cycle begins; never again after one shot."""
+        """Time at which `step` is due, s of the trial: `lead` before the next cycle; infinite after one shot."""
         if self._one_shot and self._number > 0:
             return math.inf
         return max(0.0, self._number * self._settings.cycle - self._settings.lead)
 
     def step(self, estimate: Estimate, current: Reference) -> Cycle:
-        """Commit a plan or a contingency for the coming cycle, and plan for the one after it.
+        """Commit a plan or a contingency for the next cycle, and plan for the cycle after it.
 
-        `current` is what the controller tracks now.  The result's reference is to be tracked from the cycle's time on:
-        a cycle begins when what is committed for it has arrived.
+        `current` is the reference that the controller tracks now.  The controller has to track the reference of the
+        result from the start of the cycle on, which is when the reference has arrived.
         """
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         root, current = self._root(estimate, cycle_start, current)
@@ -110,7 +110,7 @@ class Replanner:
         return cycle
 
     def _root(self, estimate: Estimate, cycle_start: float, current: Reference) -> tuple[Floats, Reference]:
-        """Where the cycle will begin (nx,), and what is tracked until then: `current`, or what is still on its way."""
+        """Predicted state (nx,) at the start of the cycle, and the reference that is tracked until then."""
         state, time = self._nearest_free(estimate.state), estimate.time
         self._in_transit = [sent for sent in self._in_transit if sent[0] > time + 1e-9]
         for arrives, following in self._in_transit:
@@ -118,7 +118,7 @@ class Replanner:
         return self._predict(state, time, cycle_start, current).final_state, current
 
     def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Reference) -> Decision:
-        """The safety check right before a cycle, from the latest estimate."""
+        """Safety check right before a cycle, from the latest estimate."""
         plan = self._proposal.plan
         if plan is None:
             return self._choose_contingency(root, cycle_start, current, self._proposal.reason)
@@ -144,7 +144,7 @@ class Replanner:
         return Decision(reference, predicted, "", plan, contingency_reference(self.dirt.vehicle, stop))
 
     def _choose_contingency(self, root: Floats, cycle_start: float, current: Reference, reason: str) -> Decision:
-        """A contingency: one that is safe from here, else the one in hand, else whatever keeps the most distance."""
+        """Commit a contingency: one verified from the root, else the stored one, else the unverified emergency."""
         cycle_end = cycle_start + self._settings.cycle
         safe = self.dirt.contingency(root, cycle_start)
         stored = current if current.kind is ReferenceKind.CONTINGENCY else self._contingency
@@ -158,9 +158,10 @@ class Replanner:
         return Decision(reference, predicted, reason, contingency=reference)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
-        """Whether the estimate allows that the vehicle is within delta(v) of where a manoeuvre was verified.
+        """Whether no point of the vehicle is farther than 2 delta(v) from the state that a manoeuvre was verified for.
 
-        Any point of the vehicle may be delta(v) off its prediction, and the estimate as much off that (Theorem 1).
+        Any point of the vehicle may deviate from its prediction by delta(v), and the estimate from the vehicle by as
+        much (Theorem 1).
         """
         safety, vehicle = self.dirt.safety, self.dirt.vehicle
         (x, y, theta), (x0, y0, theta0) = pose_of(root, vehicle), pose_of(expected, vehicle)
@@ -169,7 +170,7 @@ class Replanner:
         return off <= 2.0 * delta
 
     def _nearest_free(self, state: Floats) -> Floats:
-        """The nearest state out of collision: a vehicle that still drives is not where an estimate says it collides."""
+        """Nearest collision-free state within 0.3 m: a vehicle that still drives has not collided."""
         vehicle = self.dirt.vehicle
         x, y, theta = pose_of(state, vehicle)
         if self._is_free(x, y, theta):

@@ -1,4 +1,4 @@
-"""Contingencies as references: from a verified manoeuvre to a trajectory that the controller can track."""
+"""References from plans and contingency manoeuvres, and the prediction of the closed loop that tracks them."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from ompl_ext.vehicle import Vehicle
 
 
 def plan_reference(plan: Plan, start: float, rest: Floats) -> Reference:
-    """A plan that begins at `start` s of the trial; when it is over the control is `rest` (nu,)."""
+    """Reference of a plan that starts at `start` s of the trial; after its end the control is `rest` (nu,)."""
     edges = np.searchsorted(np.cumsum(plan.durations), plan.times[:-1] + 1e-9, side="right")
     controls = plan.controls[np.minimum(edges, max(0, len(plan.durations) - 1))]
     return Reference(ReferenceKind.PLAN, start + plan.times, plan.trajectory, controls, rest)
 
 
 def contingency_reference(vehicle: Vehicle, contingency: Contingency) -> Reference:
-    """A contingency whose times are those of the trial (s); when it is over the control is zero."""
+    """Reference of a contingency whose times are those of the trial (s); after its end the control is zero."""
     number = vehicle.manoeuvres.index(contingency.manoeuvre)
     controls = np.array([stop_control(vehicle, state, number) for state in contingency.states[:-1]])
     controls = controls.reshape(-1, len(vehicle.controls))
-    rest = np.zeros(len(vehicle.controls))  # brakes that went on would push a car that stands
+    rest = np.zeros(len(vehicle.controls))  # brakes that stay on would push a standing car backwards
     return Reference(ReferenceKind.CONTINGENCY, contingency.times, contingency.states, controls, rest)
 
 
@@ -42,9 +42,10 @@ def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
 
 
 def emergency_reference(dirt: DirtSolver, state: Floats, start: float) -> Reference:
-    """The manoeuvre that keeps the largest distance, or that hits slowest: what is left when an assumption broke.
+    """Manoeuvre with the largest distance to obstacles, or the lowest impact speed if all of them collide.
 
-    It is not verified, because nothing that could be verified exists; the alternative would be to go on.
+    It is used when no manoeuvre can be verified, which means that an assumption was violated; the alternative would be
+    to drive on.
     """
     manoeuvres = [_PredictedManoeuvre.of(dirt, state, number) for number in range(len(dirt.vehicle.manoeuvres))]
     return max(manoeuvres, key=lambda each: (each.distance, -each.impact_speed)).reference(start, dirt.safety.step)
@@ -64,7 +65,7 @@ class _PredictedManoeuvre:
 
     @classmethod
     def of(cls, dirt: DirtSolver, state: Floats, number: int) -> _PredictedManoeuvre:
-        """Manoeuvre `number` from a state (nx,), as the model predicts it and FCL measures it."""
+        """Predict manoeuvre `number` from a state (nx,) with the model, and measure its distances with FCL."""
         vehicle, safety = dirt.vehicle, dirt.safety
         states, controls, distance, impact_speed = [np.asarray(state, dtype=float)], [], math.inf, 0.0
         for _ in range(round(safety.horizon / safety.step)):
@@ -81,23 +82,23 @@ class _PredictedManoeuvre:
         return cls(np.array(states), np.array(controls), distance, impact_speed)
 
     def reference(self, start: float, step: float) -> Reference:
-        """To be tracked from `start` s on, with a state every `step` s."""
+        """Reference that starts at `start` s, with a state every `step` s."""
         times: Floats = start + step * np.arange(len(self.states), dtype=float)
         return Reference(ReferenceKind.CONTINGENCY, times, self.states, self.controls, np.zeros(self.controls.shape[1]))
 
 
 @dataclass(frozen=True)
 class ClosedLoopPredictor:
-    """Rolls the closed loop out: `dirt` has the model and the obstacles, `period` is that of the controller (s)."""
+    """Predicts the closed loop; `dirt` has the model and the obstacles, `period` is that of the controller (s)."""
 
     dirt: DirtSolver
     controller: Controller
     period: float
 
     def __call__(self, state: Floats, begin: float, end: float, reference: Reference) -> PredictedMotion:
-        """Track `reference` from `state` at `begin` s until `end` s; SAFETY's cycle begins at `begin`.
+        """Track `reference` from `state` at `begin` s until `end` s; SAFETY's cycle starts at `begin`.
 
-        The controller itself is left as it is.
+        A copy of the controller tracks, so the controller keeps its state.
         """
         controller = copy.deepcopy(self.controller)
         ticks = max(0, math.ceil((end - begin) / self.period - 1e-9))

@@ -1,4 +1,4 @@
-"""One picture that explains a plan: scene, tree, plan, its first cycle, and the manoeuvre that is kept in hand."""
+"""Picture of a plan: scene, tree, plan with its first cycle, and contingency."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def plot_plan(
     notes: Mapping[str, str] = MappingProxyType({}),
     cycle: float = 1.0,
 ) -> None:
-    """Draw what the planner was asked and what it answered, as PNG, SVG or PDF by the suffix of `path`.
+    """Draw a task and the plan for it, as PNG, SVG or PDF by the suffix of `path`.
 
-    `notes` are key numbers, by name, with their units.  `cycle` is the duration of the first cycle, s.  The same
+    `notes` are key figures by name, with their units.  `cycle` is the duration of the first cycle, s.  The same
     arguments give the same bytes.  The file is written in one step or not at all.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Where the scene lies on the page, and poses along a motion."""
+"""Frame of the map on the page, trajectories of poses, and the footprint along them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from kraft.scenario import Bounds
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Footprint, Vehicle
 
-TALL = 1.2  # a scene higher than this many widths is laid on its side, so that it fills a page's width
-MARGIN = 0.02  # of the longer side, so that walls on the bounds can be seen
+TALL = 1.2  # a scene higher than this many widths is turned by a quarter, so that it fills the page's width
+MARGIN = 0.02  # of the longer side, so that walls on the bounds are visible
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Frame:
 
     @classmethod
     def around(cls, bounds: Bounds) -> Frame:
-        """The bounds and a margin; never flatter than 1 : 8, so that labels find a place."""
+        """Frame of the bounds with a margin; never flatter than 1 : 8, so that there is room for labels."""
         width, height = (high - low for low, high in (bounds.x, bounds.y))
         longest = max(width, height)
         spans = []
@@ -79,11 +79,11 @@ class PoseTrajectory:
         return float(self.times[-1])
 
     def at(self, times: Floats) -> Matrix:
-        """Poses (k, 3) at `times` (k,), s, between the samples too."""
+        """Poses (k, 3) at `times` (k,), s, by linear interpolation."""
         return np.column_stack([np.interp(times, self.times, column) for column in self.poses.T])
 
     def between(self, begin: float, end: float) -> Matrix:
-        """Poses from one time to another, s, with these two as the first and the last."""
+        """Poses from `begin` to `end`, s, including the interpolated poses at both."""
         inside = self.times[(self.times > begin) & (self.times < end)]
         return self.at(np.concatenate([[begin], inside, [end]]))
 
@@ -99,7 +99,7 @@ def outlines(footprint: Footprint, poses: Matrix) -> Floats:
 
 
 def arrowheads(footprint: Footprint, poses: Matrix) -> Floats:
-    """A mark at the front of each footprint that says where it heads: shape (k, 3, 2), m."""
+    """Mark at the front of each footprint that shows the heading: shape (k, 3, 2), m."""
     front, half = footprint.offset + footprint.length / 2, footprint.width / 2
     tip, back = front - 0.08 * footprint.length, front - 0.25 * footprint.length
     return _placed(np.array([[back, 0.5 * half], [tip, 0.0], [back, -0.5 * half]]), poses)

@@ -1,4 +1,4 @@
-"""Labels on the map, each where it hides least."""
+"""Labels on the map, each placed where it covers least."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DIRECTIONS = math.pi / 2 + np.linspace(0.0, 2 * math.pi, 16, endpoint=False)  # 
 
 @dataclass(frozen=True)
 class Label:
-    """Text for something of a `radius` around a `place` in the world, m."""
+    """Text for an object of a `radius` at a `place` in the world, m."""
 
     text: str
     place: tuple[float, float]
@@ -43,7 +43,7 @@ class _Area:
         return np.array([self.x + self.width / 2, self.y + self.height / 2])
 
     def outside(self, page: _Area) -> float:
-        """How far it sticks out of the page, pt."""
+        """Distance by which the rectangle exceeds the page, pt."""
         return max(0.0, -self.x, -self.y, self.x + self.width - page.width, self.y + self.height - page.height)
 
     def overlaps(self, other: _Area) -> bool:
@@ -52,7 +52,7 @@ class _Area:
         )
 
     def hidden_weight(self, points: Floats) -> float:
-        """Sum of the weights of the points (n, 3), x, y, weight, that it hides."""
+        """Sum of the weights of the covered points; points are (n, 3): x, y, weight."""
         inside = (np.abs(points[:, 0] - self.x - self.width / 2) < self.width / 2 + PAD) & (
             np.abs(points[:, 1] - self.y - self.height / 2) < self.height / 2 + PAD
         )
@@ -62,7 +62,7 @@ class _Area:
 def draw_labels(axes: Axes, frame: Frame, labels: Sequence[Label], avoid: Floats, scale: float) -> None:
     """Place the labels one after the other.
 
-    `avoid` (n, 3) are points that they had better not hide: x, y in m, weight.  `scale` is inches per m.
+    `avoid` (n, 3) are points that labels should not cover: x, y in m, weight.  `scale` is inches per m.
     """
     corner, to_points = np.array([frame.limits[0][0], frame.limits[1][0]]), 72 * scale
     page = _Area(0.0, 0.0, frame.size[0] * to_points, frame.size[1] * to_points)
@@ -95,7 +95,7 @@ def _draw(axes: Axes, label: Label, tip: Floats, middle: Floats) -> None:
 def _best_placement(
     label: Label, anchor: Floats, radius: float, page: _Area, occupied: Floats, placed: Sequence[_Area]
 ) -> tuple[_Area, Floats]:
-    """The label's area and weighted points (n, 3) along its leader, beginning at what it points at, all in pt."""
+    """Area of a label, and weighted points (n, 3) along its leader from the labelled object on, all in pt."""
     lines = label.text.split("\n")
     width = max(text_width(line, LABEL) for line in lines) + 2 * PAD
     height = len(lines) * LINE_HEIGHT + 2 * PAD

@@ -1,4 +1,4 @@
-"""The page: how large it is and where map, panels, heading and key stand on it.  Lengths in inches."""
+"""Layout of a page: size, map, panels, heading, notes and legend; and the legend itself.  Lengths in inches."""
 
 from __future__ import annotations
 
@@ -41,10 +41,13 @@ SIDE = 2.9  # panels beside the map and the space between
 MIN_WIDTH = 5.0
 NOTE_GAP = 20.0  # between notes, pt
 
+SAMPLE, OUTLINE, GAP = 0.28, 0.2, 0.18  # inches: samples of a line and of a footprint, space between entries
+BAR, BAR_HEIGHT = 1.2, 0.09
+
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A part of the page; `top` counts from the page's top."""
+    """Part of the page; `top` is measured from the page's top."""
 
     left: float
     top: float
@@ -59,7 +62,7 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Page:
-    """Where everything stands."""
+    """Size of the page and the places of its parts."""
 
     width: float
     height: float
@@ -149,10 +152,6 @@ def note_rows_of(notes: Mapping[str, str], room: float) -> tuple[tuple[tuple[str
 
 def _note_width(name: str, value: str) -> float:
     return (max(text_width(name, LABEL), text_width(value, VALUE, bold=True)) + NOTE_GAP) / 72
-
-
-SAMPLE, OUTLINE, GAP = 0.28, 0.2, 0.18  # inches: samples of a line and of a footprint, space between entries
-BAR, BAR_HEIGHT = 1.2, 0.09
 
 
 @dataclass(frozen=True)

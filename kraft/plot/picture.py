@@ -1,4 +1,4 @@
-"""Everything that is drawn, in the order in which it lies on the page."""
+"""Composition of the picture of a plan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ompl_ext.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class PlanPicture:
-    """What the picture is about.  `start` is the pose (3,) of the tree's root; `cycle` is in s."""
+    """Data of the picture.  `start` is the pose (3,) of the tree's root; `cycle` is in s."""
 
     task: Task
     vehicle: Vehicle
@@ -52,7 +52,7 @@ class PlanPicture:
 
     @property
     def warning(self) -> str | None:
-        """What is wrong with the plan, if anything is."""
+        """Problem of the plan, None without one."""
         if self.plan is None:
             return "no plan"
         if not self.plan.reaches_goal:
@@ -62,7 +62,7 @@ class PlanPicture:
 
 
 def compose(subject: PlanPicture, title: str, notes: Mapping[str, str]) -> Figure:
-    """The whole picture."""
+    """Compose the picture."""
     frame = Frame.around(subject.task.bounds)
     lines = tree_lines(frame, subject.tree, subject.vehicle)
     entries = _legend_entries(subject, lines)
@@ -108,7 +108,7 @@ def _labels(subject: PlanPicture) -> list[Label]:
 
 
 def _avoided_points(subject: PlanPicture) -> Floats:
-    """Points (n, 3): x, y in m along everything that is drawn, and how bad it is to hide them."""
+    """Points (n, 3) that labels should not cover: x, y in m and a weight."""
     footprint, goal, tree = subject.vehicle.footprint, subject.task.goal, subject.tree
     turn = np.linspace(0.0, 2 * np.pi, 16)
     rim = np.array(goal.center) + goal.radius * np.column_stack([np.cos(turn), np.sin(turn)])

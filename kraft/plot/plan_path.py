@@ -1,4 +1,4 @@
-"""The plan on the map: its path, its first cycle, the vehicle along it, and the manoeuvre that would stop it."""
+"""Plan on the map: path, first cycle, footprints and contingency."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ompl_ext.vehicle import Vehicle
 
 INTERVALS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # between drawn footprints, s
 FOOTPRINTS_MAX = 40
-SWEPT = 64  # footprints that make up a swept area
+SWEPT = 64  # footprints of a swept area
 
 
 def footprint_interval(motion: PoseTrajectory, vehicle: Vehicle) -> float:
-    """Seconds between the footprints that are drawn: short, but not so short that they hide each other."""
+    """Seconds between the footprints that are drawn, so that they do not cover each other."""
     duration = motion.end - float(motion.times[0])
     spacing = 1.1 * vehicle.footprint.length * duration / max(motion.length, 1e-9)
     least = max(duration / FOOTPRINTS_MAX, min(spacing, 1.0))
@@ -32,7 +32,7 @@ def path_width(vehicle: Vehicle, scale: float) -> float:
 
 
 def draw_plan(axes: Axes, frame: Frame, vehicle: Vehicle, motion: PoseTrajectory, cycle: float, scale: float) -> None:
-    """Path and footprints; what lies before the end of the cycle (s) is emphasised."""
+    """Draw path and footprints; those before the end of the cycle (s) are emphasised."""
     begin, cycle_end, width = float(motion.times[0]), min(cycle, motion.end), path_width(vehicle, scale)
     times = _footprint_times(motion, footprint_interval(motion, vehicle), cycle_end)
     before = times <= cycle_end
@@ -57,7 +57,7 @@ def draw_start(axes: Axes, frame: Frame, vehicle: Vehicle, pose: Floats) -> None
 
 
 def draw_contingency(axes: Axes, frame: Frame, vehicle: Vehicle, contingency: PoseTrajectory, scale: float) -> None:
-    """Path until standstill, the floor it sweeps, and the footprint where it ends."""
+    """Draw the path until standstill, the swept area, and the final footprint."""
     last, width = contingency.poses[-1:], path_width(vehicle, scale)
     times = np.linspace(float(contingency.times[0]), contingency.end, SWEPT)
     _draw_swept(axes, frame, vehicle, contingency.at(times), WARNING_PALE, 4.2)
@@ -69,7 +69,7 @@ def draw_contingency(axes: Axes, frame: Frame, vehicle: Vehicle, contingency: Po
 
 
 def _draw_swept(axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colour: str, zorder: float) -> None:
-    """What the footprint covers; opaque, so that it does not matter how often it is covered."""
+    """Draw the swept area of the footprint, opaque, so that overlaps do not show."""
     shapes = list(frame.points(outlines(vehicle.footprint, poses)))
     style: Style = {"facecolors": colour, "edgecolors": colour, "linewidths": 0.5, "zorder": zorder}
     axes.add_collection(PolyCollection(shapes, **style))
@@ -78,7 +78,7 @@ def _draw_swept(axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colou
 def _draw_vehicle(
     axes: Axes, frame: Frame, vehicle: Vehicle, poses: Matrix, colour: str, *, linewidths: float, **style: Any
 ) -> None:
-    """Footprints and, if the vehicle turns, marks that say where it heads."""
+    """Draw footprints and, if the vehicle has a heading, marks that show it."""
     shapes = list(frame.points(outlines(vehicle.footprint, poses)))
     drawn: Style = {
         "facecolors": "none",

@@ -1,4 +1,4 @@
-"""One page that tells a drive: the map with what was driven and planned; speed, clearance and commands over time."""
+"""Page about a run: the map with the driven and planned paths; speed, clearance and commands over time."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def plot_run(
 ) -> None:
     """Draw a drive as PNG, SVG or PDF by the suffix of `path`.
 
-    `unknown` says what the planner did not know, and `hidden` is what of it can be drawn.  The same arguments give the
-    same bytes.  The file is written in one step or not at all.
+    `unknown` lists what the planner did not know, and `hidden` are the features of it that can be drawn.  The same
+    arguments give the same bytes.  The file is written in one step or not at all.
 
     Raises:
         InputError: if the suffix is none of these or the file cannot be written.
@@ -67,7 +67,7 @@ def plot_run(
 
 
 def key_numbers(result: TrialResult, unknown: Sequence[str] = ()) -> Mapping[str, str]:
-    """What is said above the map, by name."""
+    """Key figures above the map, by name."""
     planning = [cycle.planning_ms for cycle in result.cycles]  # measured: left out, so that the picture repeats
     clear = f"{result.min_clearance:.3f} m" if math.isfinite(result.min_clearance) else "–"
     return MappingProxyType({
@@ -102,7 +102,7 @@ def _compose(
 
 
 def _failure(result: TrialResult) -> str | None:
-    """What went wrong, if anything did."""
+    """Text for a trial that did not reach the goal, else None."""
     return None if result.outcome is Outcome.SUCCESS else outcome_text(result.outcome, result.obstacle)
 
 

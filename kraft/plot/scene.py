@@ -1,4 +1,4 @@
-"""The map: workspace, obstacles, the tree, and where it starts and ends."""
+"""Scene on the map: workspace, obstacles, tree and goal."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
 
-EDGES_MAX = 30_000  # more than this cannot be told apart
+EDGES_MAX = 30_000  # more edges cannot be distinguished
 EDGES_AS_LINES = 2_000  # more would make vector pictures too large: they become pixels
 TICK_SPACING = 0.5  # at least, inches
 
@@ -71,7 +71,7 @@ def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, scale: float) ->
     if isinstance(obstacle, OccupancyMap):
         _draw_cells(axes, frame, obstacle)
         return
-    # all outlines lie below all fillings: obstacles that overlap look like one
+    # all outlines lie below all fillings, so that overlapping obstacles appear as one
     for shape_style in (
         {"edgecolor": SOLID_EDGE, "linewidth": 1.4, "zorder": 2.8},
         {"facecolor": SOLID, "zorder": 2.9},
@@ -110,7 +110,7 @@ def widest_place(obstacle: Box | Circle | Polygon) -> tuple[Floats, float]:
 
 
 def _draw_cells(axes: Axes, frame: Frame, cells: OccupancyMap) -> None:
-    """The occupied cells as an image: as many as there are, without seams between them."""
+    """Draw the occupied cells as an image, without seams between them."""
     x, y, yaw = cells.origin
     rows, columns = cells.occupied.shape
     image = np.zeros((rows, columns, 4), np.uint8)
@@ -144,7 +144,7 @@ def tree_lines(frame: Frame, tree: TreeView, vehicle: Vehicle) -> LineCollection
 
 
 def draw_goal(axes: Axes, frame: Frame, goal: Goal) -> None:
-    """The goal region; a wedge shows the headings that count, if not all do."""
+    """Draw the goal region, with a wedge for the accepted headings if the goal has a heading."""
     center = _pair(frame.points(np.array(goal.center)))
     axes.add_patch(Disc(center, goal.radius, facecolor=GOAL_PALE, zorder=4))
     axes.add_patch(Disc(center, goal.radius, fill=False, edgecolor=GOAL, linewidth=1.6, zorder=7))

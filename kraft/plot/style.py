@@ -1,4 +1,4 @@
-"""One look for every picture: colours that differ in lightness as well as in hue, and type sizes."""
+"""Common style of all pictures: colours that differ in lightness and hue, type sizes, and the output files."""
 
 from __future__ import annotations
 
@@ -55,19 +55,25 @@ SETTINGS: Final[dict[str, Any]] = {
     "ytick.major.width": 0.6,
     "xtick.major.size": 2.5,
     "ytick.major.size": 2.5,
-    "svg.hashsalt": "kraft",  # or every SVG would get other identifiers
+    "svg.hashsalt": "kraft",  # otherwise each SVG would have other identifiers
 }
+
+FORMATS: Final = (".png", ".svg", ".pdf")
+PNG_WIDTH: Final = 1600
+PRINT_DPI: Final = 300  # of what is drawn as pixels inside a vector picture
+
+_UNDATED: Final = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 
 
 @contextmanager
 def plot_style() -> Iterator[None]:
-    """Draw with these settings alone, whatever the user's matplotlibrc says, and leave his as they were."""
+    """Draw with these settings alone, independent of the user's matplotlibrc, and restore the settings afterwards."""
     with style.context(SETTINGS, after_reset=True):
         yield
 
 
 def cost_colours() -> ListedColormap:
-    """Viridis without its ends and paler: even steps for every eye, and the plan stands out before it."""
+    """Viridis without its ends and paler, so that the plan stands out."""
     colours = matplotlib.colormaps["viridis"](np.linspace(0.08, 0.95, 256))[:, :3]
     return ListedColormap(0.8 * colours + 0.2, name="cost-to-come")
 
@@ -84,7 +90,7 @@ def text_width(text: str, size: float, *, bold: bool = False) -> float:
         return 0.0
     weight = "bold" if bold else "normal"
     properties = FontProperties(family="DejaVu Sans", weight=weight)
-    escaped = text.replace("$", r"\$")  # a TextPath always looks for mathematics
+    escaped = text.replace("$", r"\$")  # a TextPath always parses mathematics
     return float(np.ptp(TextPath((0, 0), escaped, size=size, prop=properties).vertices[:, 0]))
 
 
@@ -99,13 +105,6 @@ def shortened(text: str, size: float, width: float, *, bold: bool = False) -> st
         wide = text_width(line[:middle].rstrip() + "…", size, bold=bold) > width
         fits, too_long = (fits, middle) if wide else (middle, too_long)
     return line[:fits].rstrip() + "…"
-
-
-FORMATS: Final = (".png", ".svg", ".pdf")
-PNG_WIDTH: Final = 1600
-PRINT_DPI: Final = 300  # of what is drawn as pixels inside a vector picture
-
-_UNDATED: Final = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 
 
 def picture_format(path: Path) -> str:
@@ -137,7 +136,7 @@ def write_picture(path: Path, figure: Figure) -> None:
 
 
 def _render_pixels(figure: Figure, content: io.BytesIO) -> None:
-    """PNG in colours rounded to steps of 4 of 255: half the size, and the eye sees no difference."""
+    """PNG with colours rounded to steps of 4 of 255, which halves its size without a visible difference."""
     dpi = PNG_WIDTH / figure.get_figwidth()
     raw = io.BytesIO()
     figure.savefig(raw, format="png", dpi=dpi, facecolor="white", pil_kwargs={"compress_level": 0})

@@ -1,4 +1,4 @@
-"""One page about an identification: data, parameters, correlation, fit, residuals, prediction of held-out logs."""
+"""Page about an identification: data, parameters, correlation, fit, residuals, prediction of held-out logs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log
 
 WIDTH: Final = 11.5
-SIDE: Final = 3.1  # width of what stands at the left and at the right
+SIDE: Final = 3.1  # width of the parts at the left and at the right
 MATRIX: Final = 2.1
 GAP: Final = 0.75
 ROWS: Final = (2.9, 3.3, 2.7)

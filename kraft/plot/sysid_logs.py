@@ -1,4 +1,4 @@
-"""What the logs hold, before anything is made of it: ways on the floor, commands and speed over time."""
+"""Page about logs without an identification: paths on the floor, commands and speed over time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SPEED_INTERVAL = 0.25
 
 
 def plot_logs(path: Path, vehicle: Vehicle, logs: Sequence[Log], problem: str) -> None:
-    """Draw logs from which nothing could be identified, as PNG, SVG or PDF; `problem` says why.
+    """Draw logs from which nothing could be identified, as PNG, SVG or PDF; `problem` is the reason.
 
     Raises:
         InputError: if the suffix is none of these or the file cannot be written.

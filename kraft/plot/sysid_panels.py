@@ -1,4 +1,4 @@
-"""The parts of the page about an identification."""
+"""Parts of the page about an identification."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 ROW: Final = 0.215
 BAR: Final = 0.75
-"""Least width of the bars in the table, which is that of their heading."""
+"""Least width of the bars in the table: the width of their heading."""
 BETWEEN: Final = 0.12
 """Room between columns of the table."""
 DOWNWEIGHTED: Final = 0.5
-"""Observations of which less than this counts are marked."""
+"""Weight below which observations are marked."""
 BIN: Final = 0.1
 """Width of a bin of time since a window's beginning, s."""
 
@@ -39,7 +39,7 @@ BIN: Final = 0.1
 def draw_parameters(
     figure: Figure, page: Page, part: Rectangle, parameters: Mapping[str, ParameterEstimate], warnings: Sequence[str]
 ) -> None:
-    """A table, for each parameter where estimate and initial value lie between its bounds; warnings below it."""
+    """Draw a table of parameters, with estimate and initial value between the bounds, and warnings below it."""
     rows = [("", "value", "95 % interval", "initial"), *(_cells(name, each) for name, each in parameters.items())]
     widths = [
         max(text_width(cell, LABEL, bold=column == 0) for cell in cells) / 72
@@ -63,7 +63,7 @@ def draw_parameters(
 
 
 def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:
-    """Numbers with as many decimals as the standard deviation is worth."""
+    """Cells of a row; the standard deviation decides the number of decimals."""
     size = estimate.std if estimate.std > 0 else abs(estimate.value) / 1000
     digits = min(max(1 - math.floor(math.log10(size)), 0), 5) if size > 0 else 3
     values = (estimate.value, *estimate.ci95, estimate.initial)
@@ -76,7 +76,7 @@ def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:
 def _draw_warnings(figure: Figure, page: Page, part: Rectangle, warnings: Sequence[str]) -> None:
     """As many lines as there is room for."""
     line = 0.145
-    columns = int(part.width * 72 / (0.5 * SMALL))  # a letter is half as wide as high, about
+    columns = int(part.width * 72 / (0.5 * SMALL))  # the mean width of a letter is about half its height
     lines = [text for warning in warnings for text in textwrap.wrap(f"Warning: {warning}", columns)]
     room = max(int(part.height / line), 0)
     if len(lines) > room > 0:
@@ -151,7 +151,7 @@ def _residual_panels(result: Identification, fit: PartFit) -> list[Panel]:
 
 
 def draw_histogram(axes: Axes, residuals: Floats, sigma: float, unit: str) -> None:
-    """How residuals (n,) are distributed, beside what their noise lets expect."""
+    """Draw the distribution of residuals (n,) and the normal distribution of the stated noise."""
     edge = max(4.0 * sigma, float(np.quantile(np.abs(residuals), 0.995)))
     axes.hist(np.clip(residuals, -edge, edge), bins=60, range=(-edge, edge), density=True, color=DATA, alpha=0.75)
     at = np.linspace(-edge, edge, 200)
@@ -164,7 +164,7 @@ def draw_histogram(axes: Axes, residuals: Floats, sigma: float, unit: str) -> No
 
 
 def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -> None:
-    """Each window of one log: where it went, and where it was predicted to go."""
+    """Draw measured and predicted paths of each window of one log."""
     after = [window for window in pair.identified if window.log == name]
     before = [window for window in pair.initial if window.log == name]
     observed = [window.poses for window in after]
@@ -186,7 +186,7 @@ def median_error_log(windows: Sequence[Window]) -> str:
 
 
 def error_over_time(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, Floats]:
-    """Time since the beginning of windows (s), and the root mean square error of pose columns after it."""
+    """Time since the start of the windows (s), and the root mean square error of pose columns at it."""
     since = np.concatenate([window.times - window.times[0] for window in windows])
     off = np.concatenate([(window.predicted - window.poses)[:, list(columns)] for window in windows])
     squared = np.sum(off**2, axis=1)
@@ -198,7 +198,7 @@ def error_over_time(windows: Sequence[Window], columns: Sequence[int]) -> tuple[
 def draw_error_over_time(
     axes: Axes, pairs: Sequence[tuple[PredictionPair, str]], columns: Sequence[int], factor: float, unit: str
 ) -> None:
-    """How the error grows with time, identified and initial; a forecast after the first is drawn thin and dashed."""
+    """Draw the error over time, identified and initial; forecasts after the first are thin and dashed."""
     for k, (pair, _) in enumerate(pairs):
         style: Style = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
         for windows, colour in ((pair.initial, INITIAL), (pair.identified, IDENTIFIED)):

@@ -1,4 +1,4 @@
-"""What the pages about logs and identification have in common: colours, axes, and one quantity over time."""
+"""Common parts of the pages about logs and identification: colours, captions, axes, stacked panels, floor plans."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ INITIAL: Final = WARNING  # with the initial ones
 
 
 def caption(figure: Figure, page: Page, part: Rectangle, words: Sequence[ColouredText]) -> None:
-    """Say above a part of the page what it shows, in the colours it is shown in; the first words are bold."""
+    """Write a caption above a part of the page, in the colours of its curves; the first text is bold."""
     left = part.left
     for k, (text, colour) in enumerate(words):
         weight = "bold" if k == 0 else "normal"
@@ -40,7 +40,7 @@ def plain_axes(axes: Axes, *, across: int = 5, along: int = 4) -> None:
 
 
 def draw_stack(figure: Figure, page: Page, part: Rectangle, panels: Sequence[Panel]) -> None:
-    """Panels above each other on one axis of time."""
+    """Draw panels above each other on one time axis."""
     gap = 0.2
     height = (part.height + gap) / len(panels) - gap
     begin = min(float(curve.times[0]) for panel in panels for curve in panel.curves if len(curve.times))
@@ -81,6 +81,6 @@ def set_floor_limits(axes: Axes, paths: Sequence[Matrix], part: Rectangle) -> No
 
 
 def draw_message(axes: Axes, text: str) -> None:
-    """Say something in the middle of an empty part."""
+    """Write a text in the middle of an empty part."""
     axes.set_axis_off()
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=LABEL, color=GREY)

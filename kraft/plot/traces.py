@@ -32,12 +32,12 @@ OBSERVATION: Final = "#7d8896"
 OBSERVATION_SIZE: Final = 2.4  # pt
 COLLISION: Final = "#c1121f"
 HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
-"""Face and edge of what the planner did not know."""
+"""Face and edge colours of hidden features."""
 
 
 @dataclass(frozen=True)
 class DrivenTrajectory:
-    """A result as a motion: true poses and speeds (n,) at the ticks of the controller."""
+    """True poses and speeds (n,) of a result at the ticks of the controller."""
 
     result: TrialResult
     motion: PoseTrajectory
@@ -45,7 +45,7 @@ class DrivenTrajectory:
 
     @classmethod
     def of(cls, result: TrialResult) -> DrivenTrajectory:
-        """Take the ticks of a result, of which there is at least one."""
+        """Take the ticks of a result, which has at least one."""
         times = np.array([step.time for step in result.steps])
         poses = np.array([step.pose for step in result.steps])
         poses[:, 2] = np.unwrap(poses[:, 2])
@@ -53,7 +53,7 @@ class DrivenTrajectory:
 
 
 def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Panel]:
-    """Speed (true, estimated, planned), true clearance, and the two commands."""
+    """Panels of speed (true, estimated, planned), true clearance, and the two commands."""
     steps, times = drive.result.steps, drive.motion.times
     true: Style = {"color": INK, "linewidth": 1.3, "zorder": 3}
     speeds = [Curve(times, drive.speeds, true)]
@@ -83,7 +83,7 @@ def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list
 
 
 def _planned(result: TrialResult, time: float, index: int) -> float:
-    """What the reference in charge has at a time; nothing after its end."""
+    """State component of the active reference at a time; NaN after its end."""
     cycle = _active_cycle(result.cycles, time)
     if cycle is None or time > cycle.reference.end:
         return float("nan")
@@ -96,7 +96,7 @@ def _active_cycle(cycles: tuple[Cycle, ...], time: float) -> Cycle | None:
 
 
 def draw_run_panel(axes: Axes, panel: Panel, drive: DrivenTrajectory, *, last: bool) -> None:
-    """One panel over the time of the trial; contingencies are shaded, cycles begin at the ticks above."""
+    """Draw one panel over the time of the trial; contingencies are shaded, lines mark the start of each cycle."""
     axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 4, 5, 10]))
     _draw_cycles(axes, drive.result)
     draw_panel(axes, panel, (0.0, max(drive.result.time, 1e-3)), last=last)
@@ -114,7 +114,7 @@ def _draw_cycles(axes: Axes, result: TrialResult) -> None:
 
 
 def draw_hidden_features(axes: Axes, frame: Frame, things: Sequence[HiddenFeature]) -> None:
-    """Patches and bumps on the floor, boxes on them."""
+    """Draw patches and bumps on the floor, and boxes above them."""
     for thing in things:
         face, edge = HIDDEN[thing.kind]
         order = {"patch": 1.2, "bump": 1.4, "box": 3.2}[thing.kind]
@@ -123,14 +123,14 @@ def draw_hidden_features(axes: Axes, frame: Frame, things: Sequence[HiddenFeatur
 
 
 def draw_observations(axes: Axes, frame: Frame, result: TrialResult) -> None:
-    """Positions as the camera measured them."""
+    """Draw the positions measured by the camera."""
     if result.observations:
         places = frame.points(np.array([(seen.x, seen.y) for seen in result.observations]))
         axes.plot(*places.T, ".", color=OBSERVATION, markersize=OBSERVATION_SIZE, markeredgewidth=0, zorder=3.4)
 
 
 def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialResult) -> None:
-    """What each cycle committed for its own duration, and a mark where that was a contingency."""
+    """Draw the part of each committed reference within its cycle, with a ring at each contingency."""
     ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
     for cycle, end in zip(result.cycles, ends, strict=True):
         reference = cycle.reference
@@ -150,7 +150,7 @@ def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialRes
 
 
 def driven_line(frame: Frame, drive: DrivenTrajectory, top_speed: float) -> LineCollection:
-    """The true path in colours of the speed."""
+    """True path, coloured by speed."""
     places = frame.points(drive.motion.poses[:, :2])
     pieces = np.stack([places[:-1], places[1:]], axis=1)
     lines = LineCollection(
@@ -162,7 +162,7 @@ def driven_line(frame: Frame, drive: DrivenTrajectory, top_speed: float) -> Line
 
 
 def draw_footprints(axes: Axes, frame: Frame, vehicle: Vehicle, drive: DrivenTrajectory, interval: float) -> None:
-    """The car at regular times, s, and where it was when the trial ended: red if it had hit something."""
+    """Draw the car at regular times (s) and at the end of the trial, red after a collision."""
     times = np.arange(interval, drive.motion.end - interval / 3, interval)
     crashed = drive.result.outcome is Outcome.COLLISION
     ends = np.array([drive.motion.end])
@@ -176,10 +176,10 @@ def draw_footprints(axes: Axes, frame: Frame, vehicle: Vehicle, drive: DrivenTra
 
 
 def run_footprint_interval(drive: DrivenTrajectory) -> float:
-    """Seconds between footprints: one, or more where so many would hide each other."""
+    """Seconds between footprints: one, or more in a long trial."""
     return float(max(1, math.ceil(drive.motion.end / 30)))
 
 
 def _speed_colours() -> ListedColormap:
-    """Viridis without its brightest part, which white paper swallows."""
+    """Viridis without its brightest part, which is hard to see on white."""
     return ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, 256)), name="speed")

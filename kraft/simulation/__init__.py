@@ -1,11 +1,11 @@
-"""The simulated world: MuJoCo, and all that the planner does not know. The only room that reads `Scenario.truth`."""
+"""Simulated world in MuJoCo with everything that the planner does not know; only this room reads `Scenario.truth`."""
 
 import os
 
 from kraft.errors import MissingDependency
 
 try:
-    import mujoco  # noqa: F401 - looks at MUJOCO_GL, and fails with whatever it likes if it cannot use what that says
+    import mujoco  # noqa: F401 - reads MUJOCO_GL, and raises any of these if it cannot use the value
 except (ImportError, OSError, RuntimeError, AttributeError) as error:
     advice = f"; unset MUJOCO_GL, which is {os.environ['MUJOCO_GL']}" if "MUJOCO_GL" in os.environ else ""
     raise MissingDependency(f"the simulator, MuJoCo, does not load: {error}{advice}") from None

@@ -1,4 +1,4 @@
-"""Colours, light and everything that is only there to be seen, apart from the car."""
+"""Materials, light and visual geoms of a scene; those of the car are in `car_visuals`."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ EMISSION: Final = {"lamp": 0.5, "tail lamp": 0.3, "plate": 0.15, "goal": 0.1}
 OPACITY: Final = {"ice": 0.75, "goal": 0.85}
 
 MARGIN: Final = 0.35
-"""By how much the floor that is seen reaches beyond the bounds, m."""
+"""Width of the visible floor beyond the bounds, m."""
 THICKNESS: Final = 0.06
 TABLE: Final = 0.45
-"""By how much the table reaches beyond that, m."""
+"""Width of the table beyond the visible floor, m."""
 
 
 def rgba(name: str) -> list[float]:
@@ -36,7 +36,7 @@ def rgba(name: str) -> list[float]:
 
 
 def add_materials(spec: Any) -> None:
-    """Add everything that geoms name as their material."""
+    """Add all materials that geoms refer to."""
     for name in COLOURS:
         shininess = SHININESS.get(name, 0.15)
         emission = EMISSION.get(name, 0.0)
@@ -55,7 +55,7 @@ def add_materials(spec: Any) -> None:
 
 
 def add_light(spec: Any, scenario: Scenario) -> None:
-    """A lamp high above the scene that casts shadows, and a soft light from everywhere."""
+    """Add a directional light that casts shadows, and ambient light."""
     x, y = sum(scenario.bounds.x) / 2, sum(scenario.bounds.y) / 2
     spec.visual.headlight.ambient = [0.38, 0.38, 0.40]
     spec.visual.headlight.diffuse = [0.22, 0.22, 0.22]
@@ -73,7 +73,7 @@ def add_light(spec: Any, scenario: Scenario) -> None:
 
 
 def add_surroundings(spec: Any, ground: Any, scenario: Scenario, frame: FloorFrame) -> None:
-    """A slab under the scene, which shows how it leans, a level table below, and the goal."""
+    """Add a slab under the scene, which shows the tilt, a level table below it, and the goal."""
     bounds, goal = scenario.bounds, scenario.goal
     half = [(bounds.x[1] - bounds.x[0]) / 2 + MARGIN, (bounds.y[1] - bounds.y[0]) / 2 + MARGIN]
     centre = [sum(bounds.x) / 2, sum(bounds.y) / 2]

@@ -1,4 +1,4 @@
-"""The camera that sees the marker on the car's roof, and what a system makes of it that takes the floor for flat."""
+"""Camera that measures the pose of the marker on the car's roof, assuming a flat and level floor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kraft.driving.messages import Observation
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.scenario import Sensing
 from kraft.simulation.noise import PRESETS, PoseNoise
 from ompl_ext.arrays import Floats, Matrix
@@ -17,10 +17,10 @@ HALF_MARKER = 0.075
 
 
 class MarkerCamera:
-    """Measures the pose of a marker; what it returns is all that the robot learns of the truth.
+    """Measures the pose of a marker; the robot gets no other information about the truth.
 
-    The true line of sight is followed to where it meets the plane in which the marker moves on a flat, level floor.
-    There the marker is taken to be.  On a floor that leans, or on a bump, that is the wrong place, by geometry.
+    The measured position is the intersection of the true line of sight with the plane in which the marker moves on a
+    flat, level floor.  On a tilted floor or on a bump this position is wrong.
     """
 
     def __init__(self, sensing: Sensing, marker_height: float, seed: int) -> None:
@@ -28,8 +28,8 @@ class MarkerCamera:
 
         Args:
             sensing: preset, place and rate of the camera.
-            marker_height: of the marker above a flat floor, m.
-            seed: of the errors; the same seed and exposures give the same observations.
+            marker_height: height of the marker above a flat floor, m.
+            seed: seed of the errors; the same seed and exposures give the same observations.
 
         Raises:
             InputError: if the camera is not above the marker.
@@ -39,6 +39,7 @@ class MarkerCamera:
                 "sensing.camera",
                 f"is {sensing.camera[2]:g} m high",
                 f"expected more than the marker's {marker_height:g} m",
+                Code.GEOMETRY,
             )
         preset = PRESETS[sensing.preset]
         dropout = preset.dropout if sensing.dropout is None else sensing.dropout
@@ -50,7 +51,7 @@ class MarkerCamera:
         self._noise = PoseNoise(preset, dropout, sensing.noise_scale, generator)
 
     def expose(self, time: float, position: Floats, rotation: Matrix) -> Observation | None:
-        """What a frame taken at `time` (s, ascending) shows, None if the marker is not detected.
+        """Observation from a frame at `time` (s, ascending), None if the marker is not detected.
 
         `position` (3,) m and `rotation` (3, 3) of the marker are true, in the world's frame with z vertical; the
         marker's x axis points forward.
@@ -75,7 +76,7 @@ class MarkerCamera:
         )
 
     def _on_plane(self, px: float, py: float, pz: float) -> tuple[float, float] | None:
-        """Where the line of sight to a point meets the assumed plane, m; None if the camera is not above the point."""
+        """Intersection of the line of sight to a point with the assumed plane, m; None for a point above the camera."""
         x, y, z = self._camera_position
         below = z - pz
         if below <= 0.0:

@@ -1,8 +1,8 @@
-"""The MuSHR as MuJoCo sees it: a sprung chassis, four wheels, Ackermann steering, one motor.
+"""The MuSHR in MuJoCo: a sprung chassis, four wheels, Ackermann steering, one motor; and its drivetrain.
 
-The body frame lies midway between the axles on the floor, x forward, z up: the point that the planner's model moves.
+The body frame lies midway between the axles on the floor, x forward, z up: the reference point of the planner's model.
 Dimensions and masses are the real car's. The collision box (0.439 x 0.265) reaches a little further than the
-footprint that the planner takes (0.40 x 0.28) in front and behind, and a little less to the sides.
+planner's footprint (0.40 x 0.28) in front and behind, and a little less to the sides.
 """
 
 from __future__ import annotations
@@ -47,6 +47,28 @@ GRAVITY: Final = 9.81
 SERVO_STIFFNESS, SERVO_DAMPING, SERVO_INERTIA = 20.0, 0.4, 0.002
 """Of the steering servo at each front wheel, N m/rad, N m s/rad, kg m^2: it lags 20 ms behind its own rate limit."""
 
+WHEELBASE: Final = 0.2965
+TRACK: Final = 0.23
+WHEEL_RADIUS: Final = 0.0488
+STEERING_MAX: Final = 0.38
+"""Stop of the steering linkage, rad of the equivalent single front wheel."""
+STEERING_RATE: Final = 3.2
+"""Speed of the steering servo, rad/s."""
+LINKAGE: Final = 0.89
+"""Angle of the wheels over the angle commanded: a full turn has a radius of 0.86 m, not the bicycle's 0.76 m."""
+
+ROTOR_INERTIA: Final = 0.01
+"""Reflected inertia of the drive at each wheel, kg m^2."""
+ROLLING_FRICTION: Final = 0.001
+"""Torque at each wheel that does not depend on its speed, N m."""
+WHEEL_DAMPING: Final = (0.0363, -0.00219, 0.0000614)
+"""Torque over speed w of each wheel is d0 + d1 |w| + d2 w^2, in N m s, N m s^2, N m s^3 (per rad)."""
+FULL_TORQUE: Final = 0.265
+"""Torque at each wheel at full throttle, N m."""
+THROTTLE: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0)
+TORQUE: Final = (0.0, 0.153, 0.362, 0.593, 0.803, 1.0)
+"""Torque over full torque at those throttles, linear between: nearly proportional, and the motor saturates a little."""
+
 
 def wheel_place(name: str) -> tuple[float, float, float]:
     """Centre of a wheel in the body frame, m."""
@@ -55,7 +77,7 @@ def wheel_place(name: str) -> tuple[float, float, float]:
 
 
 def sag(gap: VehicleGap) -> float:
-    """How much deeper than the nominal car this one sits, m."""
+    """Suspension sag relative to the nominal car, m."""
     return (gap.mass_scale - 1.0) * CHASSIS_MASS * GRAVITY / 4 / STIFFNESS
 
 
@@ -63,7 +85,7 @@ def add_car(spec: Any, gap: VehicleGap) -> Any:
     """Add the car at the origin of the world; returns its body."""
     body = spec.worldbody.add_body(name=CAR)
     body.add_freejoint(name=CAR)
-    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a car that stands must still hear a command
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a standing car must still respond to commands
     mass = CHASSIS_MASS * gap.mass_scale
     a, b, c = CHASSIS_BODY
     body.explicitinertial = True
@@ -125,35 +147,12 @@ def _add_wheel(body: Any, name: str) -> None:
 
 
 def _add_motor(spec: Any) -> None:
-    """One motor whose torque the differentials share out equally among the wheels, however fast each turns."""
+    """Add one motor; the differentials distribute its torque equally to the wheels at any wheel speeds."""
     shaft = spec.add_tendon(name=DRIVE)
     for name in WHEELS:
         shaft.wrap_joint(f"{name} spin", 1.0)
     motor = spec.add_actuator(name=DRIVE, target=DRIVE, trntype=mujoco.mjtTrn.mjTRN_TENDON)
     motor.set_to_motor()
-
-
-WHEELBASE: Final = 0.2965
-TRACK: Final = 0.23
-WHEEL_RADIUS: Final = 0.0488
-STEERING_MAX: Final = 0.38
-"""Stop of the steering linkage, rad of the equivalent single front wheel."""
-STEERING_RATE: Final = 3.2
-"""Speed of the steering servo, rad/s."""
-LINKAGE: Final = 0.89
-"""Angle of the wheels over the angle commanded: a full turn has a radius of 0.86 m, not the bicycle's 0.76 m."""
-
-ROTOR_INERTIA: Final = 0.01
-"""Reflected inertia of the drive at each wheel, kg m^2."""
-ROLLING_FRICTION: Final = 0.001
-"""Torque at each wheel that does not depend on its speed, N m."""
-WHEEL_DAMPING: Final = (0.0363, -0.00219, 0.0000614)
-"""Torque over speed w of each wheel is d0 + d1 |w| + d2 w^2, in N m s, N m s^2, N m s^3 (per rad)."""
-FULL_TORQUE: Final = 0.265
-"""Torque at each wheel at full throttle, N m."""
-THROTTLE: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0)
-TORQUE: Final = (0.0, 0.153, 0.362, 0.593, 0.803, 1.0)
-"""Torque over full torque at those throttles, linear between: nearly proportional, and the motor saturates a little."""
 
 
 def wheel_torque(throttle: float) -> float:

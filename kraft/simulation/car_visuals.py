@@ -1,4 +1,4 @@
-"""What the car looks like: a small rally car. None of it has mass or touches anything.
+"""Visual geoms of the car, a small rally car, without mass or contacts.
 
 In the car's body frame, m: x forward, z up, wheels at x = -0.148 and 0.148. Meshes are few, one for each colour, since
 every geom costs time in every physics step.
@@ -27,9 +27,13 @@ HALF_WIDTH: Final = (0.104, 0.114, 0.13, 0.122, 0.12, 0.13, 0.126, 0.112, 0.096)
 SILL: Final = (0.07, 0.058, 0.05, 0.046, 0.046, 0.048, 0.05, 0.053, 0.06)
 BITS: Final = ("011001", "100110", "101101", "010011", "110100", "001110")
 
+Point3: TypeAlias = tuple[float, float, float]
+Part: TypeAlias = tuple[Matrix, list[tuple[int, int, int]]]
+"""Vertices (n, 3) and triangles that run counter-clockwise seen from outside."""
+
 
 def add_car_visuals(spec: Any, body: Any) -> None:
-    """Dress the car's body and its wheels."""
+    """Add the visual geoms of the car's body and its wheels."""
     meshes = {
         "paint": [_deck(), *_both(_flank()), *_roof()],
         "stripe": [*_both(_stripe()), *_door_plates()],
@@ -191,11 +195,6 @@ def _spoke(angle: float, face: float) -> Part:
                                                           (0.004, -face))]  # fmt: skip
     sections = [[corner[k] for corner in straight] for k in range(2)]
     return loft([[(x * c + z * s, y, z * c - x * s) for x, y, z in section] for section in sections])
-
-
-Point3: TypeAlias = tuple[float, float, float]
-Part: TypeAlias = tuple[Matrix, list[tuple[int, int, int]]]
-"""Vertices (n, 3) and triangles that run counter-clockwise seen from outside."""
 
 
 def loft(sections: Sequence[Sequence[Point3]]) -> Part:

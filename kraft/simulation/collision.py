@@ -1,4 +1,4 @@
-"""Did the car touch an obstacle? Asked after every physics step, so it has to be quick when the answer is no."""
+"""Collisions of the car with obstacles, checked after every physics step; a step without contact must be cheap."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kraft.simulation.contacts import ROWS
 from kraft.simulation.floor_frame import FloorFrame
 
 MAX_PENETRATION: Final = 0.001
-"""How deep things that touch are within each other at most, m."""
+"""Largest penetration of an ordinary contact, m."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Collision:
 
 
 class CollisionDetector:
-    """Contacts of a compiled world, told apart."""
+    """Detects contacts between car and obstacles in a compiled world."""
 
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
         self._data, self._frame = data, frame
@@ -47,7 +47,7 @@ class CollisionDetector:
             raise Defect("contacts are counted by rows: no equality constraint, and none of more than three dimensions")
 
     def boxes_in_car(self) -> list[int]:
-        """Indices of the movable boxes that the car stands in, deeper than a contact is."""
+        """Indices of the movable boxes that overlap the car by more than a contact."""
         contact = self._data.contact
         deep = contact.geom[contact.dist < -MAX_PENETRATION]
         boxes = self._movable[deep[self._of_car[deep].any(axis=1)]]
@@ -55,15 +55,15 @@ class CollisionDetector:
 
     @property
     def may_have_collision(self) -> bool:
-        """Whether a contact may be one between car and obstacle, by the number of rows: never wrongly False."""
+        """Whether there may be a contact between car and obstacle, by the number of solver rows; no false negatives."""
         data = self._data
         return bool(data.nefc - data.nf - data.nl != ROWS * data.ncon)
 
     def first(self, time: float) -> Collision | None:
-        """The first contact between car and obstacle at present, if there is one."""
+        """First present contact between car and obstacle, None without one."""
         pairs = self._data.contact.geom
         car, solid = self._of_car[pairs], self._solid[pairs]
-        # both sides: a box pushed against a wall touches something solid, too
+        # both geoms are checked: a movable box that is pushed against a wall touches an obstacle, too
         hits = np.flatnonzero((car[:, 0] & solid[:, 1]) | (car[:, 1] & solid[:, 0]))
         if not hits.size:
             return None
@@ -73,6 +73,6 @@ class CollisionDetector:
 
 
 def _index(kind: str, geom: str) -> int:
-    """Which obstacle or movable box a geom is part of, by its name "kind i ..."; -1 if it is of another kind."""
+    """Index of the obstacle or movable box that a geom belongs to, by its name "kind i ..."; -1 for another kind."""
     words = geom.split()
     return int(words[1]) if words[:1] == [kind] else -1

@@ -1,4 +1,4 @@
-"""Who can touch whom, as MuJoCo's contact bits, and how slippery it is, as its priorities.
+"""Contact rules: which geoms can touch (MuJoCo's contact bits), and which friction counts (its priorities).
 
 Two geoms can touch if the type of one shares a bit with the affinity of the other. The friction of a contact is that
 of the geom with the higher priority, and the larger of both at equal priority. So wheels, which have the lowest
@@ -6,7 +6,7 @@ priority, take the friction of what they stand on; a box slides by its own frict
 and a patch on the floor takes precedence over both.
 
 A contact has as many dimensions as the geom with the higher priority asks for, and the larger number at equal priority.
-So the car against an obstacle is the only contact without friction: it ends a trial, and that is how it is noticed.
+So a contact of the car with an obstacle is the only one without friction, which is how a collision is detected.
 The car's own friction never counts: floor, patches, bumps and boxes have higher priorities.
 """
 
@@ -28,7 +28,7 @@ CONTACT_TIME: Final = 0.01
 """Time constant of contacts, s: half of MuJoCo's own, so that wheels sink in by 0.1 mm, far less than a patch rises."""
 
 ROWS: Final = 3
-"""Of a contact with friction in the solver's matrix; one without has a single row."""
+"""Rows of a contact with friction in the solver's matrix; one without friction has a single row."""
 
 WHEEL: Final = {"contype": ALL_BITS, "conaffinity": 0, "condim": 1}
 CHASSIS: Final = {"contype": OBSTACLE_BIT | BUMP_BIT | MOVABLE_BIT, "conaffinity": 0, "condim": 1}
@@ -50,5 +50,5 @@ def friction(sliding: float) -> list[float]:
 
 
 def settings(**given: Any) -> dict[str, Any]:
-    """What every geom that touches has in common, and what is given."""
+    """Common contact settings of geoms that can touch, updated with `given`."""
     return {"condim": ROWS, "solref": [CONTACT_TIME, 1.0], **given}

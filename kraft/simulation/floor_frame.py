@@ -1,4 +1,4 @@
-"""The floor's frame, in which maps and plans are drawn, within the world's, in which gravity is vertical."""
+"""Floor's frame, the frame of maps and plans, relative to the world's frame, in which gravity is vertical."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class FloorFrame:
 
     @classmethod
     def of(cls, tilt: Tilt | None) -> FloorFrame:
-        """Turn the floor about the origin of the map, which stays where it is, at height 0."""
+        """Tilt the floor about the origin of the map, which stays at height 0."""
         if tilt is None:
             return cls(np.eye(3), np.zeros(3))
         return cls(_tilt_rotation(tilt.slope, tilt.uphill), np.zeros(3))
@@ -48,10 +48,10 @@ class FloorFrame:
         return seen
 
     def along_floor(self, vector: Floats) -> tuple[float, float]:
-        """Parts along the floor's x and y axis of a vector (3,) of the world's frame.
+        """Components along the floor's x and y axes of a vector (3,) of the world's frame.
 
-        In plain numbers: it is asked for at every tick, when the physics has emptied the processor's caches of all
-        that a product of matrices would need.
+        Computed with plain numbers, which is faster than a matrix product: each tick of the controller calls it, with
+        the processor's caches full of the physics.
         """
         (xx, xy, _), (yx, yy, _), (zx, zy, _) = self._rows
         x, y, z = vector.tolist()

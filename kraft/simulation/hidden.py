@@ -1,4 +1,4 @@
-"""What a scenario hides from the planner, as outlines on the floor, for pictures that are drawn afterwards."""
+"""Outlines of what a scenario hides from the planner, for pictures of a trial."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ompl_ext.arrays import Matrix
 
 @dataclass(frozen=True)
 class HiddenFeature:
-    """An outline (n, 2), m, in the map's frame."""
+    """Outline (n, 2) of a hidden feature in the map's frame, m."""
 
     kind: Literal["patch", "bump", "box"]
     corners: Matrix
 
 
 def hidden_features(scenario: Scenario, movable_poses: Matrix | None = None) -> list[HiddenFeature]:
-    """Patches, bumps and movable boxes; these at `movable_poses` (n, 3), m and rad, or where they begin."""
+    """Patches, bumps and movable boxes; boxes are at `movable_poses` (n, 3), m and rad, or at their initial poses."""
     truth = scenario.truth
     found = [
         HiddenFeature("patch", np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))

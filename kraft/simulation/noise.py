@@ -1,4 +1,4 @@
-"""Errors of a pose measured from a marker that a camera sees: how large, in which directions, how they vary."""
+"""Measurement errors of a marker's pose: magnitudes, directions and correlation in time."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """A standard deviation that grows with the camera's distance d (m): `at_5m` (d / 5 m)^`power`."""
+    """Standard deviation as a power law of the distance d to the camera (m): `at_5m` (d / 5 m)^`power`."""
 
     at_5m: float
     power: float
 
     @classmethod
     def through(cls, at_3m: float, at_5m: float) -> PowerLaw:
-        """The power law through what was measured at 3 m and at 5 m."""
+        """Power law through the values at 3 m and at 5 m."""
         return cls(at_5m, math.log(at_5m / at_3m) / math.log(5.0 / 3.0))
 
     def at(self, distance: float) -> float:
@@ -29,9 +29,9 @@ class PowerLaw:
 
 @dataclass(frozen=True)
 class CameraNoise:
-    """Errors of one way to measure; standard deviations in m and rad, of the whole distribution with its tails.
+    """Errors of one measuring method; standard deviations in m and rad are those of all frames including the tails.
 
-    `along` is the direction of the camera's line of sight on the floor, `across` the one at right angles to it.  A
+    `along` is the direction of the camera's line of sight on the floor, `across` is perpendicular to it.  A
     share `tail_share` of the frames has errors `tail_factor` times larger.  `bias` is drawn once (position, heading),
     like an error of the camera's calibration; `correlated` varies with a time constant of `correlation_time` s, like
     light and lens.
@@ -49,7 +49,7 @@ class CameraNoise:
 
     @property
     def core_scale(self) -> float:
-        """Standard deviation of the frames that are not in the tails, as a share of that of all frames."""
+        """Standard deviation of the frames outside the tails, relative to that of all frames."""
         return 1.0 / math.sqrt(1.0 + self.tail_share * (self.tail_factor**2 - 1.0))
 
 
@@ -85,13 +85,13 @@ PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
 
 
 class PoseNoise:
-    """Draws the errors of one trial's poses; the same seed draws the same ones.
+    """Draws the errors of the poses of one trial, reproducibly for a seed.
 
-    Every frame takes the same number of random numbers, so that a missed frame leaves the next ones as they would be.
+    Every frame uses the same number of random numbers, so a missed frame does not change the errors of the next ones.
     """
 
     def __init__(self, noise: CameraNoise, dropout: float, scale: float, generator: np.random.Generator) -> None:
-        """Draw the constant offset.  `scale` multiplies every error, `dropout` is the share of missed frames."""
+        """Draw the constant bias.  `scale` multiplies every error, `dropout` is the share of missed frames."""
         self.noise, self.dropout, self.scale = noise, dropout, scale
         self._generator = generator
         self._correlated_std = _pose(noise.correlated)
@@ -123,7 +123,7 @@ class PoseNoise:
         return drawn
 
     def _advance(self, time: float, draws: list[float]) -> None:
-        """Move the wandering part on to `time`: an Ornstein-Uhlenbeck process of constant variance."""
+        """Advance the correlated error to `time`: an Ornstein-Uhlenbeck process of constant variance."""
         kept = math.exp(-max(time - self._time, 0.0) / self.noise.correlation_time) if self._time is not None else 1.0
         new = math.sqrt(1.0 - kept**2)
         self._correlated = [

@@ -1,4 +1,4 @@
-"""Floor, obstacles and everything that the planner is not told, as MuJoCo geoms in the floor's frame."""
+"""MuJoCo model of a scenario: floor, obstacles and all that is hidden from the planner, in the floor's frame."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ PATCH_DEPTH: Final = 0.05
 STRIPE: Final = 0.1
 """Width of a bump's stripes, m, about."""
 MAX_SEPARATE_BODIES: Final = 12
-"""So many obstacles at most are bodies of their own: a few bodies are told far from the car sooner than geoms of one
-body, more than twenty later. It decides nothing but the time that takes."""
+"""Number of obstacles up to which each is a body of its own.  MuJoCo's broad phase is faster with a few bodies than
+with the geoms of one body, and slower with more than twenty.  This affects only the computing time."""
 WALL_RATIO: Final = 10.0
 """A box this many times longer than wide is painted as a wall."""
 
 
 def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> Any:
-    """Add all that stands on the floor, and the floor, whose body it returns; obstacle i is "obstacle i part j"."""
+    """Add the floor and all that stands on it; returns the floor's body.  Obstacle i has geoms "obstacle i part j"."""
     ground = _add_body(spec, FLOOR, frame)
     truth = scenario.truth
     friction = contacts.friction(truth.floor_friction)
@@ -66,7 +66,7 @@ def quaternion(rotation: Matrix) -> Any:
 
 
 def yaw_quaternion(yaw: float) -> list[float]:
-    """Quaternion of a rotation about the vertical, rad."""
+    """Unit quaternion (w, x, y, z) of a rotation about the vertical (rad)."""
     return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
 
 
@@ -177,14 +177,14 @@ def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0
-    # a world that blows up must be an error, not silently its own start
+    # a world that diverges must be an error, not reset itself silently
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if scenario.truth.movable_boxes:
-        option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # boxes that nobody has touched cost nothing
+        option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # boxes that nothing has touched cost no time
         # the car and each box share few rows: while it pushes, steps take up to a quarter less than with full matrices
         option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     else:
-        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # a single body needs no looking for groups
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # a single body needs no search for islands
     appearance.add_materials(spec)
     appearance.add_light(spec, scenario)
     ground = add_scene(spec, scenario, frame)

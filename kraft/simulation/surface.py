@@ -1,4 +1,4 @@
-"""The ground that pictures are drawn on: the floor as it leans, and the bumps on it."""
+"""Ground surface for drawings: the tilted floor with its bumps."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ompl_ext.arrays import Floats, Matrix
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Where the ground is; points are in the floor's frame, m, unless they are said to be the world's."""
+    """Height of the ground; points are in the floor's frame (m) unless stated otherwise."""
 
     frame: FloorFrame
     bumps: tuple[SpeedBump, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario, frame: FloorFrame) -> Surface:
-        """The ground of a scenario's world, whose floor is where `frame` says."""
+        """Ground of a scenario's world whose floor has the pose `frame`."""
         return cls(frame, scenario.truth.speed_bumps)
 
     def heights(self, points: Matrix) -> Floats:

@@ -1,7 +1,7 @@
-"""The true world of a scenario: apply commands, step, and see what happened.
+"""True world of a scenario: apply commands, step, and read poses and collisions.
 
-Poses are in the floor's frame, which is the planner's map frame; a camera looks from the world's frame, in which
-gravity is vertical. Without a tilt the two are the same.
+Poses are in the floor's frame, which is the planner's map frame.  The camera is in the world's frame, in which gravity
+is vertical.  Without a tilt the two are the same.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from kraft.errors import Defect, InputError
+from kraft.errors import Code, Defect, InputError
 from kraft.scenario import Scenario, Start
 from kraft.simulation import car as drivetrain
 from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, sag
@@ -25,22 +25,22 @@ TIMESTEP: Final = 0.002
 
 
 class World:
-    """A scenario's truth. Deterministic: the same commands give the same bytes, in a new world or after `reset`.
+    """Simulated world of a scenario.  The same commands give the same bytes, in a new world or after `reset`.
 
     Attributes:
         dt: physics step, s.
         model: the compiled `mujoco.MjModel`, for drawing.
         data: its `mujoco.MjData`, for drawing and recording.
-        frame: where the floor is in the world.
+        frame: pose of the floor in the world.
     """
 
     dt: Final = TIMESTEP
 
     def __init__(self, scenario: Scenario) -> None:
-        """Build it, with the car at the start.
+        """Build the world with the car at the start.
 
         Raises:
-            InputError: if the car starts in a movable box.
+            InputError: if a movable box overlaps the car at the start.
         """
         truth = scenario.truth
         self.frame: Final = FloorFrame.of(truth.tilt)
@@ -61,7 +61,7 @@ class World:
         self._check_start(scenario)
 
     def reset(self, start: Start | None = None) -> None:
-        """Back to time 0 and the scenario's start, or another, with the throttle off and the wheels straight."""
+        """Return to time 0 and to `start` (the scenario's if None), with zero throttle and straight wheels."""
         mujoco.mj_resetData(self.model, self.data)
         self._place(self._start if start is None else start)
         self.apply(0.0, 0.0)
@@ -70,7 +70,7 @@ class World:
         self._collision = self._contacts.first(0.0)
 
     def apply(self, throttle: float, steering: float) -> None:
-        """Command the car from now on; throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad are clamped."""
+        """Hold a command from now on; it is clamped to throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad."""
         stop = drivetrain.STEERING_MAX
         commanded = min(max(steering, -stop), stop)
         true = commanded * self._truth_vehicle.steering_scale + self._truth_vehicle.steering_offset
@@ -80,7 +80,7 @@ class World:
         control[self._servos[0]], control[self._servos[1]] = left, right
 
     def step(self, steps: int) -> None:
-        """Go on by `steps` of `dt`, or to the first collision; after that nothing moves.
+        """Advance by `steps` of `dt`, or to the first collision; after that nothing moves.
 
         Raises:
             Defect: the physics diverged.
@@ -117,7 +117,7 @@ class World:
 
     @property
     def speed(self) -> float:
-        """Speed of that point along the car's heading in the floor's frame, m/s."""
+        """Speed of the point midway between the axles along the car's heading in the floor's frame, m/s."""
         forward = self.frame.along_floor(self._body.xmat[0::3])
         velocity = self.frame.along_floor(self._velocity)
         return (forward[0] * velocity[0] + forward[1] * velocity[1]) / math.hypot(*forward)
@@ -134,12 +134,12 @@ class World:
 
     @property
     def collision(self) -> Collision | None:
-        """The first contact with an obstacle, at which the world stopped."""
+        """First contact with an obstacle, at which the world stopped; None without one."""
         return self._collision
 
     @property
     def in_goal(self) -> bool:
-        """Whether the car truly is within the goal region, with the heading if the goal has one."""
+        """Whether the true pose is within the goal region, including the heading if the goal has one."""
         (x, y, theta), goal = self._planar(self._body), self._goal
         if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
             return False
@@ -149,25 +149,26 @@ class World:
 
     @property
     def configuration(self) -> Floats:
-        """Everything that `show` needs to draw this moment again, (nq,)."""
+        """Configuration (nq,) from which `show` restores the present state for pictures."""
         copy: Floats = self.data.qpos.copy()
         return copy
 
     def show(self, configuration: Floats) -> None:
-        """Look as at a recorded moment, for pictures: at rest, at time 0. `reset` before driving on."""
+        """Restore a recorded configuration for pictures, at rest and at time 0; call `reset` before driving again."""
         self.reset()
         self.data.qpos[:] = configuration
         mujoco.mj_step1(self.model, self.data)
 
     def _check_start(self, scenario: Scenario) -> None:
-        """Refuse movable boxes that the car begins in: they would be thrown apart."""
+        """Check that no movable box overlaps the car at the start, because contact forces would throw them apart."""
         problem, expected = "stands where the car starts", "expected a box beside the start"
         keys = [("truth", "movable_boxes", i) for i in self._contacts.boxes_in_car()]
         if keys:
-            raise InputError(scenario.source.diagnostic(key, problem, expected) for key in keys)
+            diagnostic = scenario.source.diagnostic
+            raise InputError(diagnostic(key, problem, expected, code=Code.GEOMETRY) for key in keys)
 
     def _place(self, start: Start) -> None:
-        """Put the car on the floor and its wheels into motion."""
+        """Place the car on the floor, with its speed and the spin of its wheels."""
         rotation, sunk = self.frame.rotation, sag(self._truth_vehicle)
         upright = np.empty(4)
         mujoco.mju_mulQuat(upright, quaternion(rotation), np.array(yaw_quaternion(start.heading)))
@@ -191,7 +192,7 @@ def steps_of(duration: float, dt: float) -> int:
 
 
 class Ticks:
-    """Events at a rate (1/s), each at the physics step of `dt` s nearest to its time; `number` of them are over."""
+    """Periodic events at a rate (1/s), each at the nearest physics step of `dt` s; `number` of them are over."""
 
     def __init__(self, rate: float, dt: float) -> None:
         self._period, self.number = 1.0 / (rate * dt), 0

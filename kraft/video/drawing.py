@@ -1,4 +1,4 @@
-"""What is drawn on the floor: tree, plan, what is predicted of it, contingency; the trail, the belief, the crash."""
+"""Drawings on the floor: tree, plan, predicted motion, contingency; trail, estimated pose, collision."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
 
 EDGES_MAX: Final = 1500
-"""A larger tree is drawn in part."""
+"""Number of edges above which only a part of the tree is drawn."""
 PREDICTED_HEIGHT, TREE_HEIGHT, TRAIL_HEIGHT = 0.0025, 0.005, 0.006
 PLAN_HEIGHT, CONTINGENCY_HEIGHT, ESTIMATE_HEIGHT = 0.009, 0.012, 0.014
 """Height above the ground, m: what is higher covers what is lower."""
 
 
 def draw_cycle(pen: Pen, cycle: Cycle, vehicle: Vehicle) -> None:
-    """Everything that stays the same during a cycle."""
+    """Draw everything that does not change during a cycle."""
     if cycle.tree is not None:
         _draw_tree(pen, cycle.tree, vehicle)
     planned = cycle.kind == ReferenceKind.PLAN
@@ -47,7 +47,7 @@ def _draw_tree(pen: Pen, tree: TreeView, vehicle: Vehicle) -> None:
 
 
 def _draw_contingency(pen: Pen, safe: Reference, vehicle: Vehicle) -> None:
-    """Its path, and the footprint where the vehicle would stand."""
+    """Draw the path and the final footprint of a contingency."""
     pen.dashes(_path(safe, vehicle), 0.03, CONTINGENCY_HEIGHT, colour(palette.CONTINGENCY))
     corners = outlines(vehicle.footprint, poses_of(safe.states[-1:], vehicle))[0]
     pen.outline(corners, 0.014, CONTINGENCY_HEIGHT, colour(palette.CONTINGENCY))
@@ -58,12 +58,12 @@ def _path(reference: Reference, vehicle: Vehicle) -> Matrix:
 
 
 def draw_collision(pen: Pen, point: tuple[float, float, float]) -> None:
-    """Where the vehicle first touched an obstacle, in the floor's frame, m."""
+    """Draw the first point of contact with an obstacle, in the floor's frame, m."""
     pen.sphere(np.array(point), 0.035, colour(palette.FAILURE))
 
 
 def draw_snapshot(pen: Pen, snapshot: Snapshot, vehicle: Vehicle) -> None:
-    """What moves: the trail, coloured by speed, and the outline of where the vehicle believes to be."""
+    """Draw the trail, coloured by speed, and the footprint at the estimated pose."""
     speeds = (snapshot.trail[1:, 2] + snapshot.trail[:-1, 2]) / 2
     pen.shaded(snapshot.trail[:, :2], 0.022, TRAIL_HEIGHT, palette.speed_colours(speeds, vehicle.top_speed))
     estimated = outlines(vehicle.footprint, snapshot.estimate[None, :])[0]

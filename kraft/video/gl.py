@@ -1,4 +1,4 @@
-"""A graphics context without a window."""
+"""Graphics contexts without a window, and checks that a video or a window is possible."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ ADVICE: Final = (
     "or install OSMesa (libosmesa6) and set MUJOCO_GL=osmesa"
 )
 
+INSTEAD: Final = "a video file needs no screen"
+
 
 def offscreen_context(width: int, height: int) -> Any:
-    """A current context for pictures of up to this size, px, by what `MUJOCO_GL` says or by what there is.
+    """Make a current context for pictures of up to this size (px), with the backend of `MUJOCO_GL` or an available one.
 
     Raises:
         MissingDependency: with what to install or set.
@@ -34,7 +36,7 @@ def offscreen_context(width: int, height: int) -> Any:
             context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
             context.make_current()
             _try_to_draw()
-        except Exception as error:  # each backend and each driver fails in a way of its own
+        except Exception as error:  # the type depends on backend and driver
             reason = _glfw_message(caught[0].message) if caught else f"{type(error).__name__}: {error}"
             problem = f"{backend.upper()} cannot draw here ({reason})"
             raise MissingDependency(f"a video needs OpenGL without a window: {problem}; {_advice()}") from None
@@ -46,12 +48,12 @@ def _advice() -> str:
 
 
 def _glfw_message(warning: Warning | str) -> str:
-    """A GLFW warning, ``(number) b'text'``, without the number."""
+    """Text of a GLFW warning, ``(number) b'text'``."""
     return re.sub(r"^\(\d+\) b?['\"](.*)['\"]$", r"\1", str(warning))
 
 
 def _try_to_draw() -> None:
-    """Raise what MuJoCo raises if the current context, or the lack of one, is not good enough for it."""
+    """Raise MuJoCo's error if the current context is missing or insufficient."""
     mujoco: Any = importlib.import_module("mujoco")
     mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), mujoco.mjtFontScale.mjFONTSCALE_50).free()
 
@@ -63,18 +65,15 @@ def _backend() -> str:
     if requested:
         problem = f"MUJOCO_GL={requested} draws nothing"
         raise MissingDependency(f"a video needs OpenGL without a window: {problem}; unset it or use {BACKENDS[0]}")
-    # the first import of a backend fixes it for the process, so look before
+    # the first import of a backend fixes it for the process, so it has to be available
     return "osmesa" if find_library("EGL") is None and find_library("OSMesa") is not None else "egl"
 
 
-INSTEAD: Final = "a video file needs no screen"
-
-
 def check_video(path: Path) -> None:
-    """Find out before the drive whether a video can be written at `path`.
+    """Check before the drive that a video can be written at `path`.
 
     Raises:
-        InputError: if its suffix is not .mp4 or the place is closed.
+        InputError: if its suffix is not .mp4 or nothing can be written there.
         MissingDependency: if nothing can be drawn without a window here.
     """
     if path.suffix.lower() != ".mp4":
@@ -85,7 +84,7 @@ def check_video(path: Path) -> None:
 
 
 def check_view() -> None:
-    """Find out before the drive whether a window can be opened.
+    """Check before the drive that a window can be opened.
 
     Raises:
         MissingDependency: if there is no screen, or nothing to open a window with.
@@ -95,7 +94,7 @@ def check_view() -> None:
     try:
         glfw = importlib.import_module("glfw")
         importlib.import_module("mujoco.viewer")
-    except Exception as error:  # whatever a graphics library that is not there leads to
+    except Exception as error:  # the type depends on what is missing
         raise MissingDependency(f"a window needs MuJoCo's viewer: {error}; {INSTEAD}") from error
     # the viewer opens its window in a thread and would wait forever if that failed
     if not glfw.init() or not _can_open(glfw):

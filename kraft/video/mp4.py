@@ -1,4 +1,4 @@
-"""An MP4 file that is there when it is complete, and not before."""
+"""MP4 file that appears at its path only when it is complete."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from kraft.files import Replacement, unwritable
 Image: TypeAlias = NDArray[np.uint8]
 
 BT709: Final = 1
-"""Code of ITU-R BT.709 for primaries and transfer (ITU-T H.273): what players take for granted at this size."""
+"""Code of ITU-R BT.709 for primaries and transfer (ITU-T H.273): the default of players at this size."""
 SETTINGS: Final = {"preset": "veryfast", "crf": "20"}
 
 
 class Mp4Writer:
-    """H.264 in yuv420p, written beside `path` and put in its place by `finish`; `discard` leaves nothing behind."""
+    """Writes H.264 in yuv420p beside `path`; `finish` moves the file to `path`, `discard` removes it."""
 
     def __init__(self, path: Path, size: tuple[int, int], fps: int) -> None:
         """Open the file; `size` is width and height, px, both even.

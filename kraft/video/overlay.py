@@ -1,4 +1,4 @@
-"""Text over the picture: what is driven, what the lines mean, the numbers of the moment, and how it ended."""
+"""Text over the picture: title, legend, numbers, plan or contingency, and outcome."""
 
 from __future__ import annotations
 
@@ -25,6 +25,11 @@ COLUMN: Final = 118
 MARGIN: Final = 16
 OPACITY: Final = 0.8
 
+SAMPLE: Final = 34
+ROW: Final = 22
+TYPE: Final = 14
+Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
+
 
 class Overlay:
     """Draws over pictures of one trial."""
@@ -40,7 +45,7 @@ class Overlay:
         draw_legend(draw, self._width - MARGIN, MARGIN, spec.vehicle.top_speed, _background())
 
     def over(self, picture: Image, snapshot: Snapshot, result: TrialResult | None = None) -> Image:
-        """The picture with everything on it; with a result, how the trial ended."""
+        """Picture with title, legend, numbers and state; with a result also the outcome."""
         image = Pillow.fromarray(picture)
         image.paste(self._static, (0, 0), self._static)
         draw = ImageDraw.Draw(image)
@@ -75,7 +80,7 @@ class Overlay:
             draw.text((right, foot + 62), unit, palette.SECONDARY_TEXT, font(15), "ls")
 
     def _state(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
-        """Plan or contingency, and why."""
+        """Draw plan or contingency, and the reason for it."""
         if snapshot.cycle is None:
             return
         planned = snapshot.cycle.kind == ReferenceKind.PLAN
@@ -98,7 +103,7 @@ class Overlay:
 
 
 def outcome_caption(result: TrialResult) -> tuple[str, str]:
-    """How a trial ended, and in which colour to say it."""
+    """Text and colour for the outcome of a trial."""
     text = outcome_text(result.outcome, result.obstacle, result.time, digits=1)
     return text, palette.SUCCESS if result.outcome is Outcome.SUCCESS else palette.FAILURE
 
@@ -106,12 +111,6 @@ def outcome_caption(result: TrialResult) -> tuple[str, str]:
 def _background() -> tuple[int, int, int, int]:
     red, green, blue, opacity = (round(255 * part) for part in palette.colour(palette.BACKGROUND, OPACITY))
     return red, green, blue, opacity
-
-
-SAMPLE: Final = 34
-ROW: Final = 22
-TYPE: Final = 14
-Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
 
 
 def draw_legend(

@@ -1,4 +1,4 @@
-"""Colours of what is drawn into the scene and beside it; those of the printed pictures where they mean the same."""
+"""Colours of videos, the same as in the plots for the same meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draws into a MuJoCo scene on the ground of a world: strokes, dashes, outlines and lines, in the map's coordinates."""
+"""Strokes, dashes, outlines and lines on the ground of a MuJoCo scene, in the map's coordinates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LINE, BOX, SPHERE = mujoco.mjtGeom.mjGEOM_LINE, mujoco.mjtGeom.mjGEOM_BOX, mujoc
 
 
 class Pen:
-    """Adds geoms to a scene; `scale` widens every stroke.  What no longer fits in the scene is left out."""
+    """Adds geoms to a scene, as long as it has room for them; `scale` widens every stroke."""
 
     def __init__(self, scene: Any, surface: Surface, scale: float = 1.0) -> None:
         self._scene, self._surface, self._scale = scene, surface, scale
@@ -34,7 +34,7 @@ class Pen:
             self._bands(pieces, width, np.tile(colour, (len(pieces), 1)))
 
     def shaded(self, path: Matrix, width: float, rise: float, colours: Matrix) -> None:
-        """A flat band along a path (n, 2) as it is; piece i has the colour of row i of `colours` (n - 1, 4)."""
+        """A flat band along a path (n, 2) without resampling; piece i has the colour `colours[i]` of (n - 1, 4)."""
         if len(path) > 1:
             self._bands(segments(self._surface.raised(path, rise)), width, colours)
 
@@ -53,7 +53,7 @@ class Pen:
             self.stroke(side, width, rise, colour)
 
     def sphere(self, centre: Floats, radius: float, colour: Colour) -> None:
-        """A ball around a point (3,) of the floor's frame."""
+        """A sphere around a point (3,) of the floor's frame."""
         place = self._surface.to_world(centre[None, :])[0]
         self._add(SPHERE, np.full(3, radius), place, np.eye(3), np.array(colour))
 

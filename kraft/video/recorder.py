@@ -1,4 +1,4 @@
-"""An MP4 of one trial."""
+"""MP4 video of one trial, and single pictures of it."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from kraft.video.snapshot import SnapshotRecorder
 FPS: Final = 30
 SIZE: Final = (1280, 720)
 HOLD: Final = 1.5
-"""How long the end is shown, s."""
+"""Duration for which the last picture is shown, s."""
 
 
 class VideoRecorder:
-    """Films a trial: pass `on_cycle` and `on_step` to `run_trial`, and its result to `finish`.
+    """Records a trial: pass `on_cycle` and `on_step` to `run_trial`, and its result to `finish`.
 
         with VideoRecorder(Path("drive.mp4"), spec) as film:
             film.finish(run_trial(spec, film.on_cycle, film.on_step, keep_trees=True))
@@ -40,10 +40,10 @@ class VideoRecorder:
     """
 
     def __init__(self, path: Path, spec: TrialSpec) -> None:
-        """Look whether this can be done.
+        """Check that a video can be made.
 
         Raises:
-            InputError: if the suffix is not .mp4 or the place is closed.
+            InputError: if the suffix is not .mp4 or nothing can be written there.
             MissingDependency: if nothing can be drawn without a window here.
         """
         check_video(path)
@@ -69,7 +69,7 @@ class VideoRecorder:
         self._snapshots.on_cycle(cycle)
 
     def on_step(self, world: World, step: Step) -> None:
-        """For `run_trial`; films the world if a frame is due."""
+        """For `run_trial`; adds a picture of the world if a frame is due."""
         if self._renderer is None:
             self._renderer, self._world = SceneRenderer(world, self._spec, SIZE, self._map_width, BAND), world
         snapshot = self._snapshots.on_step(world, step)
@@ -80,7 +80,7 @@ class VideoRecorder:
                 self._file.add(picture)
 
     def finish(self, result: TrialResult) -> None:
-        """Show how it ended, and put the file in its place.
+        """Add the outcome, and move the file to its place.
 
         Raises:
             InputError: if the file cannot be written.
@@ -95,7 +95,7 @@ class VideoRecorder:
 
 
 def map_width(bounds: Bounds) -> int:
-    """Width of the map, px: what the scene needs at full height, at most half the picture; even."""
+    """Width of the map, px: as needed by the scene at full height, less than half the picture; even."""
     short, long = sorted((bounds.x[1] - bounds.x[0], bounds.y[1] - bounds.y[0]))
     wanted = SIZE[1] * (short + 0.24) / (long + 0.24)
     return 2 * round(min(max(wanted, 220), SIZE[0] / 2.4) / 2)
@@ -106,7 +106,7 @@ class _StillWritten(Exception):  # noqa: N818 - it ends the drive, nothing is wr
 
 
 def write_still(path: Path, spec: TrialSpec, time: float) -> None:
-    """Drive until `time` (s) and write what is to be seen then, as PNG; nothing if the trial ends before.
+    """Drive until `time` (s) and write the picture at that time as PNG; nothing if the trial ends before.
 
     Raises:
         InputError: if the file cannot be written.
@@ -131,7 +131,7 @@ def write_still(path: Path, spec: TrialSpec, time: float) -> None:
 
 
 def _png(picture: Image) -> bytes:
-    """In colours rounded to steps of 4 of 255: smaller, and the eye sees no difference."""
+    """PNG with colours rounded to steps of 4 of 255, which makes it smaller without a visible difference."""
     rounded = np.minimum((picture.astype(np.int16) + 2) // 4 * 4, 255).astype(np.uint8)
     content = io.BytesIO()
     Pillow.fromarray(rounded).save(content, "PNG", optimize=True)

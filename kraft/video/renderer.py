@@ -1,4 +1,4 @@
-"""The rendered picture: the scene from behind the car and, beside it, from above."""
+"""Renderer of a trial: a view from behind the car and a map from above, with their cameras."""
 
 from __future__ import annotations
 
@@ -24,15 +24,28 @@ from ompl_ext.arrays import Floats
 
 GEOMS_MAX: Final = 12_000
 NEAR, FAR = 0.05, 60.0
-"""Limits of what is seen, m."""
+"""Clipping distances of the cameras, m."""
 SHADOW_MAP: Final = 2048
 SHADOW_REACH: Final = 4.2
-"""Shadows are seen this far around a point that moves with the car, m; the smaller, the sharper."""
+"""Distance up to which shadows are drawn around a point that moves with the car, m; smaller is sharper."""
 LAMP: Final = 8.0
-"""Distance from there to the lamp that casts them, m."""
+"""Distance from that point to the light that casts them, m."""
 MAP_STROKES: Final = 1.5
-"""By how much strokes are wider on the map, where everything is small."""
+"""Factor by which strokes are wider on the map, which has a smaller scale."""
 EVERYTHING: Final = int(mujoco.mjtCatBit.mjCAT_ALL)
+
+FIELD_OF_VIEW: Final = math.radians(45.0)
+DISTANCE: Final = 2.1
+"""Between the camera and what it looks at, m."""
+AHEAD: Final = 0.5
+"""Distance in front of the car to which the camera points, m."""
+MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP = math.radians(36.0), math.radians(80.0), math.radians(3.0)
+"""Elevation of the camera above the floor: the lowest one without an obstacle between camera and car."""
+SETTLING: Final = 0.35
+"""Time in which the camera follows a turn, s."""
+ROOF: Final = 0.26
+SOLID: Final = np.array([1, 1, 0, 0, 0, 0], np.uint8)
+"""Groups of geoms that can hide the car."""
 
 
 class View:
@@ -48,13 +61,13 @@ class View:
         self._static_geoms = 0
 
     def set_static(self, draw: Callable[[Pen], None]) -> None:
-        """Draw what stays in the scene until this is called again."""
+        """Draw the static content of the scene, which stays until the next call."""
         self.scene.ngeom = 0
         draw(self.pen)
         self._static_geoms = self.scene.ngeom
 
     def render(self, context: Any, aim: Aim, draw: Callable[[Pen], None]) -> None:
-        """Render what stays, the world as it is, and what is drawn now.
+        """Render the static content, the world as it is, and what `draw` adds.
 
         Without a GPU multisampling would double the time; `kraft.video.smooth` takes its place.
         """
@@ -70,13 +83,13 @@ class View:
         mujoco.mjr_render(self._rectangle, scene, context)
 
     def _view_centre(self) -> Floats:
-        """The middle of what the view from behind shows, in the world's frame."""
+        """Centre of the view from behind, in the world's frame."""
         x, y, theta = map(float, self._world.pose)
         return self._world.frame.to_world(np.array([x + math.cos(theta), y + math.sin(theta), 0.0]))
 
 
 class SceneRenderer:
-    """Both views of a trial.  Needs a current graphics context; `close` frees what it holds there."""
+    """Both views of a trial.  Needs a current graphics context; `close` frees its buffers."""
 
     def __init__(self, world: World, spec: TrialSpec, size: tuple[int, int], map_width: int, foot: int) -> None:
         """`size` is the picture's width and height, px.
@@ -126,20 +139,6 @@ class SceneRenderer:
             view.set_static(lambda pen: draw_cycle(pen, cycle, self._spec.vehicle))
 
 
-FIELD_OF_VIEW: Final = math.radians(45.0)
-DISTANCE: Final = 2.1
-"""Between the camera and what it looks at, m."""
-AHEAD: Final = 0.5
-"""How far in front of the car it looks, m."""
-MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP = math.radians(36.0), math.radians(80.0), math.radians(3.0)
-"""Elevation of the camera above the floor: as low as nothing stands between it and the car."""
-SETTLING: Final = 0.35
-"""Time in which the camera follows a turn, s."""
-ROOF: Final = 0.26
-SOLID: Final = np.array([1, 1, 0, 0, 0, 0], np.uint8)
-"""Groups of geoms that can hide the car."""
-
-
 @dataclass(frozen=True)
 class Aim:
     """A camera in the world's frame; `half` is half the picture's height: a tangent, or metres without perspective."""
@@ -170,7 +169,7 @@ class ChaseCamera:
         self._elevation = MIN_ELEVATION
 
     def aim(self, world: World) -> Aim:
-        """Where it is now; to be asked in the order of time."""
+        """Aim at the present time; calls have to be in the order of time."""
         x, y, theta = map(float, world.pose)
         self._turn(world.time, theta)
         self._rise(self._clear_elevation(world, x, y))
@@ -179,13 +178,13 @@ class ChaseCamera:
         return Aim(position, *_level_axes(world.frame.rotation @ -offset), math.tan(FIELD_OF_VIEW / 2), True)
 
     def _place(self, x: float, y: float, elevation: float) -> tuple[Floats, Floats]:
-        """What it looks at, and where it is from there, in the floor's frame, m."""
+        """Target of the camera, and position of the camera relative to it, in the floor's frame, m."""
         along, up = np.array([math.cos(self._heading), math.sin(self._heading), 0.0]), np.array([0.0, 0.0, 1.0])
         offset = DISTANCE * (math.sin(elevation) * up - math.cos(elevation) * along)
         return np.array([x, y, 0.08]) + AHEAD * along, offset
 
     def _turn(self, time: float, heading: float) -> None:
-        """Follow the heading like a critically damped spring; the first time it is there at once."""
+        """Follow the heading like a critically damped spring; the first call sets it."""
         self._dt, self._time = time - self._time, time
         if not math.isfinite(self._dt):
             self._heading = heading
@@ -197,12 +196,12 @@ class ChaseCamera:
         self._rate = (self._rate - pull * slope * self._dt) * decay
 
     def _rise(self, elevation: float) -> None:
-        """Rise at once, so that nothing gets between; come down slowly."""
+        """Rise immediately, so that nothing hides the car, and descend slowly."""
         share = 1.0 - math.exp(-self._dt / SETTLING)
         self._elevation = max(elevation, self._elevation + (elevation - self._elevation) * share)
 
     def _clear_elevation(self, world: World, x: float, y: float) -> float:
-        """The lowest elevation from which nothing hides the roof."""
+        """Lowest elevation from which nothing hides the roof."""
         roof = np.array([x, y, ROOF])
         start, hit = world.frame.to_world(roof), np.zeros(1, np.int32)
         for elevation in np.arange(MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP):

@@ -1,4 +1,4 @@
-"""Smooth edges after rendering: FXAA (Lottes 2009), which costs a tenth of what multisampling does without a GPU."""
+"""Anti-aliasing after rendering: FXAA (Lottes 2009), ten times faster than multisampling without a GPU."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ompl_ext.jit import compiled
 Image = NDArray[np.uint8]
 
 CONTRAST: Final = 0.11
-"""Contrast from which on neighbours count as an edge, as a share of the brightest."""
+"""Contrast from which on neighbours are an edge, as a share of the brightest."""
 MIN_CONTRAST: Final = 6.0
-"""Contrast that is never seen, of 255."""
+"""Contrast below which there is no edge, of 255."""
 MAX_SEARCH: Final = 6.0
-"""How far along an edge the filter looks at most, px."""
+"""Largest distance of samples along an edge, px."""
 
 
 def smoothed(image: Image) -> Image:
-    """The picture, uint8 (height, width, 3), with its stairs blurred along the edges."""
+    """Picture, uint8 (height, width, 3), with aliased edges blurred along their direction."""
     result = image.copy()
     brightness = image @ np.array([0.299, 0.587, 0.114], np.float32)
     _filter()(image, brightness, result)

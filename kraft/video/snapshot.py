@@ -1,4 +1,4 @@
-"""What there is to show of a trial while it goes on."""
+"""Snapshots of a trial for pictures: truth, estimate and cycle at one time."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
 TRAIL_SPACING = 0.04
-"""Distance between the places that the trail remembers, m."""
+"""Distance between the points of the trail, m."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One instant: truth, belief, and what the robot is about.
+    """State of a trial at one time: truth, estimate and current cycle.
 
     Poses are x, y (m) and heading (rad).  `trail` (n, 3) are x, y and speed (m/s) of where the car has been;
     `clearance` is the true distance of its footprint to the nearest obstacle, m.
@@ -36,7 +36,7 @@ class Snapshot:
 
 
 class SnapshotRecorder:
-    """Is told what `run_trial` tells, and says what there is to show."""
+    """Makes snapshots from the callbacks of `run_trial`."""
 
     def __init__(self, spec: TrialSpec) -> None:
         self._vehicle = spec.vehicle
@@ -47,16 +47,16 @@ class SnapshotRecorder:
         self._estimate: Floats = np.zeros(3)
 
     def on_cycle(self, cycle: Cycle) -> None:
-        """Take note of a cycle; it is shown from when it begins."""
+        """Record a cycle; snapshots contain it from its start on."""
         self._committed.append(cycle)
 
     def on_step(self, world: World, step: Step) -> Snapshot:
-        """Take note of a tick of the controller."""
+        """Record a tick of the controller and return the snapshot at it."""
         self._estimate = poses_of(step.estimate[None, :], self._vehicle)[0]
         return self.now(world)
 
     def now(self, world: World) -> Snapshot:
-        """What is to be seen in the world as it is; the belief is that of the last tick."""
+        """Snapshot of the world as it is; the estimate is that of the last tick."""
         while self._committed and self._committed[0].time <= world.time + 1e-9:
             self._cycle = self._committed.pop(0)
         x, y, theta = map(float, world.pose)
@@ -75,7 +75,7 @@ class SnapshotRecorder:
 
 
 def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
-    """x, y and heading (n, 3) of states (n, nx); a vehicle without theta never turns."""
+    """Poses x, y, heading (n, 3) of states (n, nx); the heading is 0 for a vehicle without theta."""
     poses = np.zeros((len(states), 3))
     for column, name in enumerate(("x", "y", "theta")):
         if vehicle.index(name) >= 0:

@@ -1,4 +1,4 @@
-"""A window on a trial while it is driven, in real time: MuJoCo's passive viewer with our drawings in it."""
+"""Window that shows a trial in real time: MuJoCo's passive viewer with the drawings of a video."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from kraft.video.renderer import AHEAD, DISTANCE, MIN_ELEVATION
 from kraft.video.snapshot import Snapshot, SnapshotRecorder
 
 HOLD: Final = 2.0
-"""How long the end is shown, s."""
+"""Duration for which the outcome is shown, s."""
 MAX_DELAY: Final = 0.05
-"""From this delay on a picture is left out, s, but not ten of them in a row."""
+"""Delay above which a picture is skipped, s, but not ten pictures in a row."""
 
 
 class LiveView:
     """Shows a trial: pass `on_cycle` and `on_step` to `run_trial`, and its result to `finish`.
 
-    The trial waits for the clock, so that a second of it takes a second.  What the spectator does in the window
-    changes nothing; if it is closed, the trial goes on without it, as fast as it can.
+    The trial waits for the clock, so that a second of it takes a second.  Input in the window
+    does not affect the trial; if the window is closed, the trial continues at full speed.
     """
 
     def __init__(self, spec: TrialSpec) -> None:
-        """Look whether there is a screen.
+        """Check that there is a screen.
 
         Raises:
             MissingDependency: if a window cannot be opened.
@@ -58,14 +58,14 @@ class LiveView:
         if self._window is not None:
             self._window.close()
             for thread in self._threads:
-                thread.join()  # or it would still draw while the process takes GLFW down
+                thread.join()  # otherwise it would still draw while the process terminates GLFW
 
     def on_cycle(self, cycle: Cycle) -> None:
         """For `run_trial`."""
         self._snapshots.on_cycle(cycle)
 
     def on_step(self, world: World, step: Step) -> None:
-        """For `run_trial`; shows the world when the clock says so."""
+        """For `run_trial`; waits until the world's time and shows it."""
         snapshot = self._snapshots.on_step(world, step)
         if self._window is None:
             self._open(world)
@@ -78,7 +78,7 @@ class LiveView:
                 self._shown = clock.monotonic()
 
     def finish(self, result: TrialResult) -> None:
-        """Show for a moment how it ended."""
+        """Show the outcome for `HOLD` s."""
         if self._window is not None and self._window.is_running():
             self._window.set_texts(_text(outcome_caption(result)[0], ""))
             self._window.sync()
@@ -101,7 +101,7 @@ class LiveView:
         self._began = clock.monotonic() - world.time
 
     def _show(self, world: World, snapshot: Snapshot) -> None:
-        """Draw; the camera moves with the car, and from where it looks is the spectator's choice."""
+        """Draw; the camera moves with the car, and the user chooses its direction."""
         assert self._pen is not None, "it is made with the window"
         x, y, theta = snapshot.pose
         ahead = np.array([x + AHEAD * math.cos(theta), y + AHEAD * math.sin(theta), 0.08])

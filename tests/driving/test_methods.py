@@ -8,7 +8,7 @@ import pytest
 
 from kraft.config import bundled
 from kraft.driving.method import Filter, Kinodynamic, Latest, load_method
-from kraft.errors import InputError
+from kraft.errors import Diagnostic, InputError
 from kraft_cli.work.validate import check_file
 
 GOOD = """name: mine
@@ -19,9 +19,9 @@ controller: {kind: kinodynamic, k_path: 5, look: 0.1}
 """
 
 
-def problems_of(folder: Path, text: str) -> list[str]:
+def problems_of(folder: Path, text: str) -> tuple[Diagnostic, ...]:
     (folder / "m.yaml").write_text(text, encoding="utf-8")
-    return [str(problem).removeprefix(f"{folder / 'm.yaml'}:") for problem in check_file(folder / "m.yaml").problems]
+    return check_file(folder / "m.yaml").problems
 
 
 @pytest.mark.parametrize("name", bundled.names("method"))
@@ -35,7 +35,7 @@ def test_a_bundled_method_is_described_and_names_its_schema(name: str) -> None:
 
 
 def test_a_good_file_has_no_problems_and_loads(tmp_path: Path) -> None:
-    assert problems_of(tmp_path, GOOD) == []
+    assert problems_of(tmp_path, GOOD) == ()
     method = load_method(tmp_path / "m.yaml")
     assert isinstance(method.estimator, Filter)
     assert isinstance(method.controller, Kinodynamic)
@@ -49,27 +49,35 @@ def test_the_estimator_of_the_paper_is_the_default(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "expected"),
+    ("old", "new", "place", "path", "name"),
     [
-        ("kinodynamic", "kinodynmic", "5:20: controller.kind: is the text 'kinodynmic'; did you mean 'kinodynamic'?"),
-        ("kinodynamic", "3", "5:20: controller.kind: is the number 3; expected one of open_loop, geometric, kinodynamic"),
-        ("kind: kinodynamic, ", "", "5:1: controller.kind: the key is missing; expected which one it is"),
-        ("{kind: kinodynamic, k_path: 5, look: 0.1}", "fast", "5:13: controller: is the text 'fast'; expected a mapping (how a plan is tracked)"),
-        ("k_path", "k_pth", "5:33: controller.k_pth: unknown key; did you mean 'k_path'?"),
-        ("k_path: 5", "lookahead: 5", "5:33: controller.lookahead: unknown key; expected one of kind, rate_hz, k_path, k_heading, k_along, softening, look"),
-        ("k_path: 5", "k_path: x", "5:41: controller.k_path: is the text 'x'; expected a number (gain on the cross-track error, 1/s)"),
-        ("look: 0.1", "softening: 0", "5:55: controller.softening: is the number 0; expected a number greater than 0 (speed added where the law divides by the speed, m/s)"),
-        ("kind: kinodynamic, k_path: 5, look: 0.1", "kind: geometric, gains: [1, 2]", "5:38: controller.gains: the list is too short; expected 3 items (proportional, integral and derivative gain on the direction to the point aimed at)"),
-        ("kind: filter", "kind: kalman", "4:19: estimator.kind: is the text 'kalman'; expected latest or filter"),
-        ("replanning,", "replanning, lead: 2,", "3:35: planner.lead: is 2, not less than the cycle; expected less than 1"),
-        ("replanning,", "replanning, vehicle: musrh,", "3:38: planner.vehicle: there is no vehicle 'musrh'; did you mean 'mushr'?"),
-        ("title: Mine\n", "", "1:1: title: the key is missing; expected name in a results table"),
+        ("kinodynamic", "kinodynmic", (5, 20), "controller.kind", "did you mean 'kinodynamic'"),
+        ("kinodynamic", "3", (5, 20), "controller.kind", "open_loop, geometric, kinodynamic"),
+        ("kind: kinodynamic, ", "", (5, 1), "controller.kind", ""),
+        ("{kind: kinodynamic, k_path: 5, look: 0.1}", "fast", (5, 13), "controller", "'fast'"),
+        ("k_path", "k_pth", (5, 33), "controller.k_pth", "did you mean 'k_path'"),
+        ("k_path: 5", "lookahead: 5", (5, 33), "controller.lookahead", "kind, rate_hz, k_path, k_heading, k_along, softening, look"),
+        ("k_path: 5", "k_path: x", (5, 41), "controller.k_path", "'x'"),
+        ("look: 0.1", "softening: 0", (5, 55), "controller.softening", "greater than 0"),
+        ("kind: kinodynamic, k_path: 5, look: 0.1", "kind: geometric, gains: [1, 2]", (5, 38), "controller.gains", "3 items"),
+        ("kind: filter", "kind: kalman", (4, 19), "estimator.kind", "latest or filter"),
+        ("replanning,", "replanning, lead: 2,", (3, 35), "planner.lead", "less than 1"),
+        ("replanning,", "replanning, vehicle: musrh,", (3, 38), "planner.vehicle", "did you mean 'mushr'"),
+        ("title: Mine\n", "", (1, 1), "title", ""),
     ],
 )  # fmt: skip
-def test_a_wrong_method_file_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:
-    assert problems_of(tmp_path, GOOD.replace(old, new)) == [expected]
+def test_a_wrong_method_file_has_one_problem_at_its_place(
+    old: str, new: str, place: tuple[int, int], path: str, name: str, tmp_path: Path
+) -> None:
+    """`name` is what the message has to name: the value that is wrong, or what is allowed instead."""
+    (problem,) = problems_of(tmp_path, GOOD.replace(old, new))
+    assert ((problem.line, problem.column), problem.path) == (place, path)
+    assert name in str(problem)
 
 
 def test_an_unknown_method_is_answered_with_the_nearest_one() -> None:
-    with pytest.raises(InputError, match="kraf: there is no method of this name; did you mean 'kraft'"):
+    with pytest.raises(InputError) as caught:
         load_method("kraf")
+    (diagnostic,) = caught.value.diagnostics
+    assert diagnostic.file == "kraf"
+    assert "'kraft'" in diagnostic.expected

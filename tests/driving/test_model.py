@@ -12,12 +12,13 @@ import pytest
 from support.driving import PROMPT, car, slow_car
 
 from kraft.driving.car_model import SETTLING_TIME, CarModel
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Settings
 from ompl_ext.solver import DirtSolver
+from ompl_ext.vehicle import Vehicle
 
 STATE = np.array([0.3, -0.2, 0.7, 0.4])
 CONTROL = np.array([0.8, -0.25])
@@ -81,21 +82,24 @@ def test_the_benchmark_vehicle_is_a_car_too() -> None:
     assert model.curvature(1.0) == pytest.approx(2 * math.sin(math.atan(0.5 * math.tan(0.4203))) / 0.2965, rel=1e-3)
 
 
+def refusal(vehicle: Vehicle) -> tuple[str, Code]:
+    """Which vehicle is refused, and for what kind of reason."""
+    with pytest.raises(InputError) as caught:
+        CarModel(vehicle)
+    (diagnostic,) = caught.value.diagnostics
+    return diagnostic.file, diagnostic.code
+
+
 def test_a_vehicle_without_throttle_and_steering_is_refused() -> None:
-    with pytest.raises(
-        InputError, match="unicycle2: has the controls acceleration, angular_acceleration; expected thro"
-    ):
-        CarModel(UNICYCLE2)
+    assert refusal(UNICYCLE2) == ("unicycle2", Code.MISMATCH)
 
 
 def test_a_car_without_a_speed_is_refused() -> None:
-    with pytest.raises(InputError, match="names no speed among what rests"):
-        CarModel(replace(PROMPT, rest=()))
+    assert refusal(replace(PROMPT, rest=())) == ("mushr", Code.MISMATCH)
 
 
 def test_a_car_that_does_not_move_is_refused() -> None:
-    with pytest.raises(InputError, match="mushr: does not move at full throttle"):
-        CarModel(PROMPT.with_parameters({"v_delta": 0.0}))
+    assert refusal(PROMPT.with_parameters({"v_delta": 0.0})) == ("mushr", Code.MISMATCH)
 
 
 def test_a_copy_is_the_same_model() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kraft.driving.messages import Observation
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.scenario import Sensing, load_scenario
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
@@ -120,8 +120,10 @@ def test_a_marker_above_the_camera_is_not_detected() -> None:
 
 
 def test_a_camera_below_the_marker_is_refused() -> None:
-    with pytest.raises(InputError, match=r"sensing\.camera: is 0.1 m high; expected more than the marker's 0\.2 m"):
+    with pytest.raises(InputError) as caught:
         camera(camera=(1.0, 3.0, 0.1))
+    (diagnostic,) = caught.value.diagnostics
+    assert (diagnostic.file, diagnostic.code) == ("sensing.camera", Code.GEOMETRY)
 
 
 # Time

@@ -1,4 +1,4 @@
-"""How a plan is tracked: controllers from an estimate and a reference to a command. All are blind to obstacles."""
+"""Controllers: from an estimate and a reference to a command. None of them knows obstacles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Controller", "GeometricController", "KinodynamicController", "OpenLo
 
 
 def make_controller(settings: OpenLoop | Geometric | Kinodynamic, model: CarModel) -> Controller:
-    """The controller that a method names, for the vehicle of `model`."""
+    """Make the controller of a method for the vehicle of `model`."""
     match settings:
         case OpenLoop():
             return OpenLoopController(model)

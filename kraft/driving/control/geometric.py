@@ -1,4 +1,4 @@
-"""Follows the path alone: a PID towards a point of it a fixed length ahead, the paper's baseline."""
+"""Path following without time: a PID on the direction to a lookahead point, a baseline of the paper."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from kraft.driving.method import Geometric
 from ompl_ext.arrays import Floats
 
 INTEGRAL_LIMIT: Final = 0.5
-"""Largest share of the steering that the integral may come to."""
+"""Limit of the integral part, as a share of the largest steering (anti-windup)."""
 DERIVATIVE_TIME_CONSTANT: Final = 0.25
-"""Time constant of the slope of a noisy error, s: with the paper's authors' gains it is that of the whole response."""
+"""Time constant of the filtered derivative, s; with the gains of the paper's authors also that of the response."""
 
 
 class GeometricController:
-    """Steers to a point `lookahead` m beyond the nearest one; the throttle grows with the distance to that point."""
+    """Steers to the point `lookahead` m beyond the nearest one; the throttle grows with the distance to that point."""
 
     def __init__(self, settings: Geometric, model: CarModel) -> None:
         self._settings, self._model = settings, model
@@ -29,7 +29,7 @@ class GeometricController:
         self._time: float | None = None
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
-        """Control (nu,) at the estimate's time; past the end of the path what the reference holds at rest."""
+        """Control (nu,) at the estimate's time; past the end of the path the rest control of the reference."""
         tracker, model, time = self._tracker, self._model, estimate.time
         tracker.set_reference(reference, time)
         projection = tracker.project(estimate.state)
@@ -49,7 +49,7 @@ class GeometricController:
         return model.command(self._planned_throttle(path, projection) * share, steering)
 
     def _to_lookahead_point(self, state: Floats, path: Path, projection: Projection) -> tuple[float, float]:
-        """From the car to the point aimed at, m; beyond the end of the path it lies on the tangent."""
+        """Vector from the car to the lookahead point (m), which lies on the tangent beyond the end of the path."""
         x, y = path.point_at(projection.arc_length + self._settings.lookahead)
         return x - float(state[self._model.x]), y - float(state[self._model.y])
 
@@ -58,7 +58,7 @@ class GeometricController:
         proportional, integral, derivative = self._settings.gains
         if self._time is None:
             self._time, self._filtered_error = time, error
-        step = min(max(time - self._time, 0.0), 2.0 / self._settings.rate_hz)  # a pause is no error that lasted
+        step = min(max(time - self._time, 0.0), 2.0 / self._settings.rate_hz)  # a pause must not be integrated
         self._time = time
         change = math.remainder(error - self._filtered_error, math.tau)
         self._filtered_error += change * (1.0 - math.exp(-step / DERIVATIVE_TIME_CONSTANT))
@@ -67,7 +67,7 @@ class GeometricController:
         return proportional * error + self._integral + derivative * change / DERIVATIVE_TIME_CONSTANT
 
     def _planned_throttle(self, path: Path, projection: Projection) -> float:
-        """Throttle for the mean planned speed on the way to the point aimed at."""
+        """Throttle for the mean planned speed on the way to the lookahead point."""
         last = path.index_at(projection.arc_length + self._settings.lookahead)
         first = max(last - max(1, round(self._settings.lookahead / SPACING)), 0)
         duration = float(path.time[last] - path.time[first])

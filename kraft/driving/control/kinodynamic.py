@@ -1,4 +1,4 @@
-"""Tracks the planned trajectory: Stanley's steering law, speed and steering fed forward from the plan.
+"""Trajectory tracking: Stanley's steering law with speed and steering fed forward from the plan.
 
 Hoffmann, Tomlin, Montemerlo, Thrun: Autonomous Automobile Trajectory Tracking for Off-Road Driving: Controller Design,
 Experimental Validation and Racing. ACC 2007.
@@ -16,14 +16,14 @@ from kraft.driving.method import Kinodynamic
 from ompl_ext.arrays import Floats
 
 WINDOW: Final = 25
-"""Samples to both sides among which the next nearest one is searched."""
+"""Samples to each side of the last nearest one among which the next one is searched."""
 
 
 class KinodynamicController:
-    """Steers the front axle onto the path of the planned front axle, and drives as fast as planned and to catch up.
+    """Steers the front axle onto the path of the planned front axle, and controls the progress along it.
 
-    Where the car is beside the path decides the steering, and how far the plan has got by now decides, with where the
-    car is along it, the throttle.  In reverse it is the rear axle that is steered onto its path.
+    The cross-track error decides the steering.  The difference between the planned and the actual progress along the
+    path decides the throttle.  In reverse the controller steers the rear axle onto its path instead.
     """
 
     def __init__(self, settings: Kinodynamic, model: CarModel) -> None:
@@ -31,7 +31,7 @@ class KinodynamicController:
         self._tracker = PathTracker(model, 0.5 * model.wheelbase, WINDOW)
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
-        """Control (nu,) at the estimate's time; past the end of the path what the reference holds at rest."""
+        """Control (nu,) at the estimate's time; past the end of the path the rest control of the reference."""
         tracker = self._tracker
         tracker.set_reference(reference, estimate.time)
         tracker.advance_to(estimate.time + self._settings.look)
@@ -44,11 +44,11 @@ class KinodynamicController:
         return self._model.command(self._throttle(estimate.time, reference, path, projection), steering)
 
     def _feedback(self, state: Floats, speed: float, path: Path, projection: Projection) -> float:
-        """Steering beyond the planned one, rad (Hoffmann et al. 2007, eq. 5, with a softened denominator).
+        """Feedback added to the planned steering, rad (Hoffmann et al. 2007, eq. 5, with a softened denominator).
 
-        The front axle moves in the direction theta + steering, so the heading error to the direction of its path is the
-        error of the car's heading and the planned steering, which is fed forward.  Backwards, turning the wheels turns
-        the car the other way, so the heading error changes sign; the error across the path does not.
+        The front axle moves in the direction theta + steering.  Its heading error relative to its path is therefore the
+        heading error of the car plus the planned steering, which is fed forward.  In reverse, steering turns the car
+        the other way, so the heading error changes its sign; the cross-track error does not.
         """
         settings = self._settings
         heading = math.remainder(float(path.theta[projection.index] - state[self._model.theta]), math.tau)
@@ -56,10 +56,10 @@ class KinodynamicController:
         return path.direction * settings.k_heading * heading - cross_track_term
 
     def _throttle(self, time: float, reference: Reference, path: Path, projection: Projection) -> float:
-        """Planned throttle and more where the car is behind; a manoeuvre that stops the car is never given more.
+        """Planned throttle plus feedback on the progress; a contingency never gets more throttle than planned.
 
-        What is planned for this time counts, not for this place: a car that is a little early where the plan crawls
-        would else be given the throttle of a later, faster part, and be earlier still.
+        The planned throttle is that of the present time, not of the present position: otherwise a car that is a little
+        ahead of a slow part of the plan would get the throttle of a later, faster part and get further ahead.
         """
         behind = path.arc_length_at(time) - projection.arc_length
         planned = float(reference.control_at(time + self._settings.look)[self._model.throttle])

@@ -1,4 +1,4 @@
-"""Sends the planned controls as they are: the paper's baseline without feedback."""
+"""Open-loop control: the planned controls without feedback, a baseline of the paper."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ompl_ext.arrays import Floats
 
 
 class OpenLoopController:
-    """Blindly executes the plan."""
+    """Sends the planned controls and ignores the estimated state."""
 
     def __init__(self, model: CarModel) -> None:
         self._model = model

@@ -1,4 +1,4 @@
-"""A reference as paths: where a point of the car is led, sampled evenly, apart for every change of direction."""
+"""Evenly sampled paths of a reference, one per direction of travel, and the progress of the car along them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from kraft.driving.messages import Reference
 from ompl_ext.arrays import Floats, Matrix
 
 SPACING: Final = 0.02
-"""Between samples of a path, m."""
+"""Distance between samples of a path, m."""
 ARRIVAL_TOLERANCE: Final = 1e-3
-"""How near to the end of a path the car is taken to have arrived, m."""
+"""Distance to the end of a path below which the car has arrived, m."""
 STANDSTILL_SPEED: Final = 1e-3
-"""Speed below which a direction of travel means nothing, m/s."""
+"""Speed below which there is no direction of travel, m/s."""
 
 
 @dataclass(frozen=True)
 class Projection:
-    """A point of a path: sample `index` and the car's offset from it.
+    """Projection of the car onto a path; `index` is the nearest sample.
 
-    `arc_length` is the length of path before the point (m), beyond the ends of the path along their tangents;
-    `cross_track` is how far the car is to the left of the path as the car is headed (m).
+    `arc_length` is the length of the path up to the projection (m), measured along the tangents beyond the ends;
+    `cross_track` is the offset of the car to the left of the path, left as seen by the car (m).
     """
 
     index: int
@@ -38,10 +38,10 @@ class Projection:
 
 @dataclass(frozen=True)
 class Path:
-    """Samples (n,) of a part of a reference that leads in one direction: `direction` 1 forwards, -1 backwards.
+    """Samples (n,) of a part of a reference with one direction of travel: `direction` is 1 forwards, -1 backwards.
 
-    `x`, `y` (m) are those of the point that is led, `theta` (rad, unwrapped) the car's heading, `throttle` and
-    `steering` what is planned; `time` (s) ascends. Samples are `spacing` m apart.
+    `x`, `y` (m) are the positions of the tracked point, `theta` (rad, unwrapped) the car's headings, `throttle` and
+    `steering` the planned controls; `time` (s) ascends.  Samples are `spacing` m apart.
     """
 
     direction: int
@@ -59,11 +59,11 @@ class Path:
         return self.spacing * (len(self.x) - 1)
 
     def is_past_end(self, projection: Projection) -> bool:
-        """Whether a place is at or beyond the end."""
+        """Whether a projection is at or beyond the end."""
         return projection.arc_length >= self.length - ARRIVAL_TOLERANCE
 
     def arc_length_at(self, time: float) -> float:
-        """Length of path that is planned to lie behind the car at `time` (s), m."""
+        """Planned arc length at `time` (s), m."""
         return self.spacing * interpolate(time, self._time_list, range(len(self._time_list)))
 
     @cached_property
@@ -72,13 +72,14 @@ class Path:
         return times
 
     def index_at(self, arc_length: float) -> int:
-        """Index of the sample at a length of path (m), the nearest there is."""
+        """Index of the sample nearest to an arc length (m)."""
         return round(min(max(arc_length / self.spacing, 0.0), len(self.x) - 1.0)) if self.spacing > 0.0 else 0
 
     def nearest(self, x: float, y: float, start: int, window: int) -> int:
-        """Sample nearest to a point, searched from `start` on: `window` samples to both sides, on while it gets nearer.
+        """Index of the sample nearest to a point, by local search from `start` within `window` samples to each side.
 
-        So a path that comes by the same place twice is not cut short, and a car that was moved is found again.
+        The search repeats while it finds nearer samples.  It does not skip a loop of a path that crosses itself, and it
+        recovers after the car was moved.
         """
         while True:
             low, high = max(start - window, 0), min(start + window + 1, len(self.x))
@@ -89,7 +90,7 @@ class Path:
             start = found
 
     def project(self, x: float, y: float, start: int, window: int) -> Projection:
-        """The point of the path beside (x, y)."""
+        """Project (x, y) onto the path."""
         k = self.nearest(x, y, start, window)
         ahead, left = self._directions_at(k)
         dx, dy = x - float(self.x[k]), y - float(self.y[k])
@@ -97,14 +98,14 @@ class Path:
         return Projection(k, self.spacing * k + along, dx * left[0] + dy * left[1])
 
     def point_at(self, arc_length: float) -> tuple[float, float]:
-        """Point (m) at a length of path (m); beyond the ends on their tangents."""
+        """Point (m) at an arc length (m), on the tangents beyond the ends."""
         k = self.index_at(arc_length)
         ahead, _ = self._directions_at(k)
         remainder = arc_length - self.spacing * k
         return float(self.x[k]) + remainder * ahead[0], float(self.y[k]) + remainder * ahead[1]
 
     def _directions_at(self, k: int) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Direction of travel at a sample, and the car's left at right angles to it."""
+        """Unit vectors at a sample: direction of travel, and the car's left perpendicular to it."""
         i, j = max(k - 1, 0), min(k + 1, len(self.x) - 1)
         dx, dy = float(self.x[j] - self.x[i]), float(self.y[j] - self.y[i])
         norm = math.hypot(dx, dy)
@@ -116,7 +117,7 @@ class Path:
 
 
 def paths_of(reference: Reference, model: CarModel, offset: float) -> tuple[Path, ...]:
-    """Paths of the point `offset` m ahead of the centre (behind it where the car backs up), in the order of time."""
+    """Paths of the point `offset` m ahead of the centre (behind it in reverse), in the order of time."""
     states, times = reference.states, reference.times
     directions = _travel_directions(states[:, model.v])
     cuts = [0, *(int(k) for k in np.flatnonzero(np.diff(directions))), len(times) - 1]
@@ -126,7 +127,7 @@ def paths_of(reference: Reference, model: CarModel, offset: float) -> tuple[Path
 
 
 def _travel_directions(speeds: Floats) -> Floats:
-    """Direction of each sample, 1 or -1; one that stands has the direction in which it moved last, or will first."""
+    """Direction of travel of each sample, 1 or -1; at standstill the last direction before, or else the first after."""
     signs = np.where(np.abs(speeds) > STANDSTILL_SPEED, np.sign(speeds), 0.0)
     moving = np.flatnonzero(signs)
     if len(moving) == 0:
@@ -159,7 +160,7 @@ def _path(reference: Reference, model: CarModel, offset: float, direction: int, 
 
 
 def _controls(reference: Reference, times: Floats) -> Matrix:
-    """Planned controls (n, nu) at `times`; at the very end those that lead there."""
+    """Planned controls (n, nu) at `times`; at the end of the reference its last control."""
     if len(reference.controls) == 0:
         return np.tile(reference.rest, (len(times), 1))
     k = np.searchsorted(reference.times, times, side="right") - 1
@@ -168,9 +169,9 @@ def _controls(reference: Reference, times: Floats) -> Matrix:
 
 
 class PathTracker:
-    """The paths of the present reference, the one that is followed, and the car's nearest sample on it.
+    """Paths of the present reference, the current path, and the nearest sample of it to the car.
 
-    The point of the car that is led is `offset` m ahead of its centre, and behind it where the car backs up.
+    The tracked point is `offset` m ahead of the car's centre, and behind it in reverse.
     """
 
     def __init__(self, model: CarModel, offset: float, window: int) -> None:
@@ -180,21 +181,21 @@ class PathTracker:
         self._path_index = self._nearest_index = 0
 
     def __deepcopy__(self, memo: object) -> PathTracker:
-        """Model, reference and paths are never written to: a copy shares them."""
+        """Copy the indices and share model, reference and paths, which are immutable."""
         return copy.copy(self)
 
     @property
     def path(self) -> Path:
-        """The path that is followed."""
+        """The current path."""
         return self._paths[self._path_index]
 
     @property
     def is_last(self) -> bool:
-        """Whether nothing follows this path."""
+        """Whether the current path is the last one."""
         return self._path_index == len(self._paths) - 1
 
     def set_reference(self, reference: Reference, time: float) -> None:
-        """Follow a reference; of a new one the part that is planned for `time` (s), from where the car should be."""
+        """Set the reference; for a new one, select the path and the sample that are planned for `time` (s)."""
         if reference is self._reference:
             return
         self._reference, self._paths = reference, paths_of(reference, self._model, self._offset)
@@ -202,16 +203,16 @@ class PathTracker:
         self.advance_to(time)
 
     def advance_to(self, time: float) -> None:
-        """Go on to the part that is planned for `time` (s)."""
+        """Advance to the path that is planned for `time` (s)."""
         while not self.is_last and time >= self.path.time[-1]:
             self._select(self._path_index + 1, time)
 
     def next_path(self, time: float) -> None:
-        """Go on to the next part."""
+        """Advance to the next path."""
         self._select(self._path_index + 1, time)
 
     def project(self, state: Floats) -> Projection:
-        """The place beside the point of the car that is led, searched from the previous one on."""
+        """Project the tracked point onto the current path, searching from the last nearest sample on."""
         model, offset = self._model, self._offset * self.path.direction
         theta = float(state[model.theta])
         x, y = float(state[model.x]) + offset * math.cos(theta), float(state[model.y]) + offset * math.sin(theta)

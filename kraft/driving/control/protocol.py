@@ -1,4 +1,4 @@
-"""What every controller can do."""
+"""Interface of every controller."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ompl_ext.arrays import Floats
 
 
 class Controller(Protocol):
-    """Tracks a reference; a new one may come with any call."""
+    """Tracks a reference; each call may pass a new one."""
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) to send at the estimate's time, within the actuators' bounds."""

@@ -1,4 +1,4 @@
-"""Where the vehicle is believed to be: estimators over late, noisy poses and the commands that were sent."""
+"""Estimators of the vehicle's state from late, noisy poses and the commands that were sent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Estimator", "LatestPose", "PoseFilter", "make_estimator"]
 
 
 def make_estimator(settings: Latest | Filter, model: CarModel, start_state: Floats) -> Estimator:
-    """The estimator that a method names; the vehicle is known to be in `start_state` (nx,) at time 0."""
+    """Make the estimator of a method; the state at time 0 is `start_state` (nx,)."""
     if isinstance(settings, Filter):
         return PoseFilter(settings, model, start_state)
     return LatestPose(settings, model, start_state)

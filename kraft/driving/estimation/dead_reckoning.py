@@ -1,4 +1,4 @@
-"""A known state and the commands since then: where the model says the vehicle is now."""
+"""Dead reckoning: the prediction from a known state with the commands since then."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterator
 from ompl_ext.arrays import Floats
 
 Advance = Callable[[Floats, Floats, float], Floats]
-"""Takes a state (nx,), a control (nu,) and a duration (s) to the state after it."""
+"""Function from a state (nx,), a control (nu,) and a duration (s) to the next state (nx,)."""
 
 
 class Commands:
-    """What was commanded when: each control (nu,) is held until the next; before the first one `rest`."""
+    """History of commands: each control (nu,) is held until the next one; before the first one `rest` is held."""
 
     def __init__(self, rest: Floats) -> None:
         self._times: list[float] = [-math.inf]
         self._controls: list[Floats] = [rest.copy()]
 
     def add(self, time: float, control: Floats) -> None:
-        """Hold `control` from `time` (s) on; times ascend, and of two controls at one time the later one counts."""
+        """Hold `control` from `time` (s) on; times ascend, and a second control at the same time replaces the first."""
         if time < self._times[-1]:
             raise ValueError(f"commanded at {time} s after a command at {self._times[-1]} s")
         if time == self._times[-1]:
@@ -30,7 +30,7 @@ class Commands:
         self._controls.append(control.copy())
 
     def between(self, begin: float, end: float) -> Iterator[tuple[Floats, float]]:
-        """Controls held from `begin` to `end` (s), each with for how long (s)."""
+        """Controls held from `begin` to `end` (s), each with its duration (s)."""
         if begin < self._times[0]:
             raise ValueError(f"the commands before {self._times[0]} s are forgotten, {begin} s is asked for")
         k = bisect_right(self._times, begin) - 1
@@ -40,15 +40,15 @@ class Commands:
             begin, k = until, k + 1
 
     def forget(self, before: float) -> None:
-        """Drop what nobody needs who asks about `before` (s) and later."""
+        """Drop the commands that are not needed for times from `before` (s) on."""
         k = bisect_right(self._times, before) - 1
         del self._times[:k], self._controls[:k]
 
 
 class DeadReckoning:
-    """Prediction from an anchor, a state at a time (s), along the commands.
+    """Prediction from a known state at a time (s) with the recorded commands.
 
-    The latest prediction is kept, so that a vehicle that is not seen for long costs no more than one that is.
+    Predictions continue from the latest one, so that their cost does not grow with the age of the known state.
     """
 
     def __init__(self, advance: Advance, rest: Floats, time: float, state: Floats) -> None:
@@ -69,7 +69,7 @@ class DeadReckoning:
         self.commands.add(time, control)
 
     def at(self, time: float) -> Floats:
-        """Predicted state at `time` (s); before the anchor it is the anchor's."""
+        """Predicted state at `time` (s); before the time of the known state that state."""
         if time < self._latest[0]:
             self._latest = self.time, self._state
         begin, state = self._latest
@@ -77,7 +77,7 @@ class DeadReckoning:
         return self._latest[1].copy()
 
     def propagate(self, state: Floats, begin: float, end: float) -> Floats:
-        """State (nx,) that another `state` at `begin` leads to at `end` (s), as far back as commands are kept."""
+        """State (nx,) at `end` (s) predicted from any `state` at `begin` (s), as far back as commands are kept."""
         for control, duration in self.commands.between(begin, end):
             state = self._advance(state, control, duration)
         return state

@@ -1,4 +1,4 @@
-"""The newest pose, predicted forward to now: the estimator of the paper's experiments."""
+"""Estimate from the newest pose, predicted to the present: the estimator of the paper's experiments."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ompl_ext.arrays import Floats
 
 
 class LatestPose:
-    """Takes the newest pose at its word.
+    """Uses the newest pose without filtering.
 
-    What a pose does not tell, the speed above all, is what the commands lead to by the model (Sec. V: "the robot's
-    current velocity is the commanded desired velocity from the previous timestep").  A plan is committed for a whole
-    cycle, and one bad pose must not let a bad one pass: replanning takes the mean of the newest poses.
+    State components that a pose does not contain, such as the speed, follow the commands by the model (Sec. V: "the
+    robot's current velocity is the commanded desired velocity from the previous timestep").  A plan is committed for a
+    whole cycle, so one bad pose could admit a bad plan: replanning therefore uses the mean of the newest poses.
     """
 
     def __init__(self, settings: Latest, model: CarModel, start_state: Floats) -> None:
@@ -30,31 +30,32 @@ class LatestPose:
         self._window_poses: deque[tuple[float, Floats]] = deque()
 
     def observe(self, observation: Observation) -> None:
-        """Predict from this pose on, unless a newer one is known."""
+        """Predict from this pose on, unless a newer one has arrived before."""
         if observation.time <= self._newest_time or observation.time < self._reckoning.time:
             return
         self._newest_time = observation.time
         state, model = self._reckoning.at(observation.time), self._model
         state[model.x], state[model.y] = observation.x, observation.y
-        state[model.theta] += math.remainder(observation.theta - state[model.theta], math.tau)  # no jump of a turn
+        # continuous over full turns
+        state[model.theta] += math.remainder(observation.theta - state[model.theta], math.tau)
         self._window_poses.append((observation.time, state))
         while self._window_poses[0][0] < observation.time - self._window - 1e-9:
             self._window_poses.popleft()
         self._reckoning.reset(observation.time, state, self._window_poses[0][0])
 
     def commanded(self, time: float, control: Floats) -> None:
-        """Note that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
+        """Record that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
         self._reckoning.command(time, control)
 
     def estimate(self, time: float) -> Estimate:
-        """State at `time` (s)."""
+        """Estimate at `time` (s)."""
         return Estimate(time, self._reckoning.at(time), time - self._newest_time)
 
     def replanning_estimate(self, time: float) -> Estimate:
-        """State at `time` (s): mean of what each of the newest poses alone leads to with the commands since."""
+        """Estimate at `time` (s): mean of the predictions from each of the newest poses."""
         if len(self._window_poses) < 2:
             return self.estimate(time)
         states = np.array([self._reckoning.propagate(state, observed, time) for observed, state in self._window_poses])
         turned = states[:, self._model.theta] - states[-1, self._model.theta]
-        states[:, self._model.theta] -= math.tau * np.round(turned / math.tau)  # headings far off may be a turn apart
+        states[:, self._model.theta] -= math.tau * np.round(turned / math.tau)  # outliers may be a full turn apart
         return Estimate(time, states.mean(axis=0), time - self._newest_time)

@@ -1,4 +1,7 @@
-"""An extended Kalman filter over all observed poses that doubts those that are far from what it expects."""
+"""Extended Kalman filter over all observed poses that gives outliers less weight.
+
+Its process model is the vehicle's, with the excess of the speed over the model's as one more state component.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,19 @@ from kraft.driving.method import Filter
 from ompl_ext.arrays import Floats, Matrix
 
 MAX_HISTORY: Final = 32
-"""Observations that are kept to be gone through again after one that comes out of order."""
+"""Number of observations that are kept to be processed again after one that arrives out of order."""
 OUTLIERS_BEFORE_RESET: Final = 5
-"""Outliers in a row that agree with each other before they are believed: the vehicle was moved, not mismeasured."""
+"""Number of consistent outliers in a row after which the filter resets: then the vehicle was moved."""
+
+EXCESS_TIME_CONSTANT: Final = 2.0
+"""Time constant with which an excess of speed decays without observations, s."""
+DIFFERENCE_STEP: Final = 1e-5
+"""Step of the numeric derivatives, SI."""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Mean (nx + 1,) and covariance after `observation`; `outliers` are the innovations (sd) of the latest outliers."""
+    """Mean (nx + 1,) and covariance after `observation`; `outliers` are the latest outliers' whitened innovations."""
 
     time: float
     mean: Floats
@@ -34,10 +42,10 @@ class Posterior:
 
 
 class PoseFilter:
-    """Weighs every pose against the model by their noise.
+    """Fuses all poses with the model by their covariances.
 
-    Observations count at their stamps; what was commanded since leads from there to the present.  An outlier's noise is
-    taken to be larger by its distance over the limit (Huber's weight), so its influence is bounded.
+    Observations are processed at their stamps; the commands since then lead to the present.  The noise of an outlier is
+    scaled by its distance over the limit (Huber's weight), so its influence is bounded.
     """
 
     def __init__(self, settings: Filter, model: CarModel, start_state: Floats) -> None:
@@ -60,11 +68,11 @@ class PoseFilter:
 
     @property
     def posterior(self) -> Posterior:
-        """After the newest observation."""
+        """Posterior after the newest observation."""
         return self._posteriors[-1]
 
     def observe(self, observation: Observation) -> None:
-        """Take in a pose at its stamp; after one out of order the newer ones are gone through again."""
+        """Process a pose at its stamp; after one that arrives out of order, process the newer ones again."""
         k = bisect_right([posterior.time for posterior in self._posteriors], observation.time)
         if k == 0:
             return
@@ -80,18 +88,18 @@ class PoseFilter:
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
 
     def commanded(self, time: float, control: Floats) -> None:
-        """Note that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
+        """Record that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
         self._reckoning.command(time, control)
 
     def estimate(self, time: float) -> Estimate:
-        """State at `time` (s), its speed with the excess over the model's that the poses show."""
+        """Estimate at `time` (s); its speed includes the estimated excess over the model's speed."""
         state = self._reckoning.at(time)
         state[self._model.v] += state[-1]
         newest = self.posterior.time if self.posterior.observation is not None else -math.inf
         return Estimate(time, state[:-1], time - newest)
 
     def replanning_estimate(self, time: float) -> Estimate:
-        """The same: it rests on all observations anyway."""
+        """Estimate at `time` (s), the same as `estimate`, which already rests on all observations."""
         return self.estimate(time)
 
     def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
@@ -102,7 +110,7 @@ class PoseFilter:
         return mean, covariance
 
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
-        """The belief after a pose: Kalman's update with Huber's weight."""
+        """Posterior after a pose: the Kalman update with Huber's weight."""
         mean, covariance = self._predict(posterior, pose.time)
         x, y, theta = mean[self._pose]
         innovation = np.array([pose.x - x, pose.y - y, math.remainder(pose.theta - theta, math.tau)])
@@ -121,7 +129,7 @@ class PoseFilter:
         return Posterior(pose.time, mean + gain @ innovation, 0.5 * (after + after.T), pose, outliers)
 
     def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
-        """Begin anew at a pose that keeps being seen."""
+        """Posterior with the pose reset to a measured one."""
         mean, covariance = mean.copy(), covariance.copy()
         mean[self._pose] += innovation
         covariance[self._pose, :] = covariance[:, self._pose] = 0.0
@@ -129,18 +137,11 @@ class PoseFilter:
         return Posterior(pose.time, mean, covariance, pose)
 
 
-EXCESS_TIME_CONSTANT: Final = 2.0
-"""Time constant with which an excess of speed that is no longer observed is forgotten, s."""
-DIFFERENCE_STEP: Final = 1e-5
-"""Step of the numeric derivatives, SI."""
-
-
 class ExcessSpeedModel:
-    """State (nx + 1,): the vehicle's, then the excess of its speed (m/s).
+    """Process model of the state (nx + 1,): the vehicle's state and the excess of its speed (m/s).
 
-    A speed that follows the commands in the model cannot be corrected for long by observations, the model pulls it
-    back.  So the excess stands beside it: the model's motion plus that of driving `excess` m/s faster along the same
-    curve.
+    In the model the speed follows the commands, so a correction of the speed itself would decay at once.  The excess is
+    therefore a state component of its own: the vehicle moves as in the model and `excess` m/s faster along its curve.
     """
 
     def __init__(self, model: CarModel) -> None:
@@ -148,18 +149,18 @@ class ExcessSpeedModel:
         self.size = len(model.vehicle.state) + 1
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx + 1,) after a control (nu,) was held for `duration` s."""
+        """State (nx + 1,) after holding a control (nu,) for `duration` s."""
         steps = max(1, math.ceil(duration / MAX_STEP - 1e-9))
         for _ in range(steps if duration > 0.0 else 0):
             state = self._step(state, control, duration / steps)
         return state
 
     def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
-        """The state (nx + 1,) after `duration` s and its derivative (nx + 1, nx + 1) by the state before."""
+        """State (nx + 1,) after `duration` s and its Jacobian (nx + 1, nx + 1) with respect to the state before."""
         after = self.advance(state, control, duration)
         jacobian = np.eye(self.size)
         for k in range(self.size):
-            if k not in (self._model.x, self._model.y):  # a car moves alike everywhere
+            if k not in (self._model.x, self._model.y):  # the motion does not depend on the position
                 perturbed = state.copy()
                 perturbed[k] += DIFFERENCE_STEP
                 jacobian[:, k] = (self.advance(perturbed, control, duration) - after) / DIFFERENCE_STEP

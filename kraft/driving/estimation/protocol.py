@@ -1,4 +1,4 @@
-"""What every estimator can do."""
+"""Interface of every estimator."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ from ompl_ext.arrays import Floats
 
 
 class Estimator(Protocol):
-    """Believes in a state, given poses as they arrive and commands as they are sent.
+    """Estimates the state from poses as they arrive and commands as they are sent.
 
-    A command counts from the time it is sent, as if it took effect at once: a delay between the two is part of what
-    the robot does not know.
+    A command is taken to act from the time it is sent: the robot does not know of any delay.
     """
 
     def observe(self, observation: Observation) -> None:
-        """Take in a pose that has arrived, in whatever order of stamps; one seen before changes nothing."""
+        """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing."""
 
     def commanded(self, time: float, control: Floats) -> None:
-        """Note that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
+        """Record that `control` (nu,) is sent at `time` (s, ascending) and held from then on."""
 
     def estimate(self, time: float) -> Estimate:
-        """State at `time` (s), predicted from the newest observation with the commands since."""
+        """Estimate at `time` (s), predicted from the newest observation with the commands since then."""
 
     def replanning_estimate(self, time: float) -> Estimate:
-        """State at `time` (s) for a decision that holds for a whole cycle: it need not rest on one observation."""
+        """Estimate at `time` (s) for a decision that holds for a whole cycle; it may combine several observations."""
