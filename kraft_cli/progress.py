@@ -9,7 +9,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
-from kraft.evaluation import Experiment, TrialRow, Watch
+from kraft.evaluation import Experiment, Observer, TrialRow
 from kraft.evaluation.row import Key
 from kraft.text import counted
 from kraft.trial.result import outcome_text
@@ -24,7 +24,7 @@ class Interrupts:
     """The first interrupt is a wish to stop, the second one stops at once."""
 
     def __init__(self, terminal: Terminal) -> None:
-        self.wished = False
+        self.stop_requested = False
         self._terminal = terminal
         self._before: Any = None
 
@@ -42,17 +42,17 @@ class Interrupts:
             signal.signal(signal.SIGINT, self._before)
 
     def _interrupted(self, _: int, __: FrameType | None) -> None:
-        if self.wished:
+        if self.stop_requested:
             raise KeyboardInterrupt
-        self.wished = True
+        self.stop_requested = True
         self._terminal.problem("waiting for the trials that run; interrupt again to drop them")
 
 
-class Progress(Watch):
+class Progress(Observer):
     """Bars for the rows that run, a line for each that is done; without a terminal a line for each trial."""
 
     def __init__(self, terminal: Terminal, interrupts: Interrupts) -> None:
-        self.begun = False
+        self.has_started = False
         self._terminal, self._interrupts = terminal, interrupts
         self._counts: dict[tuple[str, str], Counter[str]] = {}
         self._trials = self._total = self._done = 0
@@ -60,7 +60,7 @@ class Progress(Watch):
         self._tasks: dict[tuple[str, str], TaskID] = {}
 
     def __enter__(self) -> Progress:
-        """Nothing is shown before `begin`."""
+        """Nothing is shown before `started`."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None) -> None:
@@ -73,20 +73,20 @@ class Progress(Watch):
             self._bars.stop()
             self._bars = None
 
-    def stop(self) -> bool:
+    def stop_requested(self) -> bool:
         """Whether somebody wished it."""
-        return self._interrupts.wished
+        return self._interrupts.stop_requested
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """Print a remark above the bars."""
         if self._bars is not None:
             self._bars.console.print(text)
         else:
             self._terminal.say(text)
 
-    def begin(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
+    def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
         """Count what is there, and show the bars."""
-        self.begun = True
+        self.has_started = True
         self._counts = {cell.key: Counter() for cell in experiment.cells}
         self._trials, self._total = experiment.trials, experiment.trials * len(experiment.cells)
         for row in rows.values():
@@ -95,9 +95,9 @@ class Progress(Watch):
         there = f", {self._done} of them there already" if rows else ""
         self._terminal.say(f"{counted(self._total, 'trial')}{there}; results in {folder}")
         if self._terminal.interactive and not self._terminal.quiet:
-            self._bars = self._started()
+            self._bars = self._new_bars()
 
-    def ended(self, row: TrialRow) -> None:
+    def trial_ended(self, row: TrialRow) -> None:
         """Show it."""
         self._done += 1
         key = row.key[:2]
@@ -108,7 +108,7 @@ class Progress(Watch):
         else:
             self._advance(self._bars, key, counts)
 
-    def _started(self) -> Bars:
+    def _new_bars(self) -> Bars:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars

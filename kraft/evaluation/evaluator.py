@@ -23,19 +23,19 @@ from kraft.planning.compilation import ensure_maps_compiled
 from kraft.planning.feasibility import check_reachable
 
 
-class Watch:
-    """Is told how an evaluation goes; this one is not interested.  `stop` is asked often."""
+class Observer:
+    """Is told how an evaluation goes; this one is not interested.  `stop_requested` is asked often."""
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """Something worth knowing happened."""
 
-    def begin(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
+    def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
         """Trials are about to run; `rows` were there before."""
 
-    def ended(self, row: TrialRow) -> None:
+    def trial_ended(self, row: TrialRow) -> None:
         """A trial ended, and is on the disk."""
 
-    def stop(self) -> bool:
+    def stop_requested(self) -> bool:
         """Whether to begin no more trials."""
         return False
 
@@ -63,7 +63,7 @@ def evaluate(
     resume: bool = False,
     realtime: bool = False,
     cluster: str | None = None,
-    watch: Watch | None = None,
+    observer: Observer | None = None,
     arguments: Mapping[str, Any] | None = None,
     command_line: CommandLine | None = None,
 ) -> Evaluation:
@@ -83,7 +83,7 @@ def evaluate(
         resume: go on with the folder `out`.
         realtime: give planning its wall-clock time instead of a number of iterations; nothing repeats then.
         cluster: address of a Dask scheduler to use instead of processes of this machine.
-        watch: is told how it goes and may stop it.
+        observer: is told how it goes and may stop it.
         arguments: what to record as having been asked for.
         command_line: makes the commands on the report page that repeat a trial; without it there are none.
 
@@ -94,22 +94,22 @@ def evaluate(
         MissingError: if something this installation should have is not there.
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
-    watch = watch or Watch()
-    problems = _problems(jobs, resume, out)
+    observer = observer or Observer()
+    problems = _argument_problems(jobs, resume, out)
     try:
         experiment = experiment_of(scenarios, methods, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime)
     except InputError as error:
         raise InputError([*problems, *error.diagnostics]) from error
     if problems:
         raise InputError(problems)
-    ensure_maps_compiled(watch.say)
+    ensure_maps_compiled(observer.log)
     _check_reachable(experiment)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
-        return _carried_out(experiment, executor, None, watch, command_line)
+        return _run_experiment(experiment, executor, None, observer, command_line)
     folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
     with closing(folder.journal):
-        return _carried_out(experiment, executor, folder, watch, command_line)
+        return _run_experiment(experiment, executor, folder, observer, command_line)
 
 
 def usable_cores() -> int:
@@ -128,7 +128,7 @@ def _check_reachable(experiment: Experiment) -> None:
         raise Unreachable(found)
 
 
-def _problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
+def _argument_problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
     problems = []
     if jobs is not None and jobs < 1:
         problems.append(Diagnostic("jobs", f"is {jobs}", "expected a number of at least 1", argument=True))
@@ -138,21 +138,25 @@ def _problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Di
     return problems
 
 
-def _carried_out(
-    experiment: Experiment, executor: Executor, folder: Folder | None, watch: Watch, command_line: CommandLine | None
+def _run_experiment(
+    experiment: Experiment,
+    executor: Executor,
+    folder: Folder | None,
+    observer: Observer,
+    command_line: CommandLine | None,
 ) -> Evaluation:
     began = time.perf_counter()
     rows = dict(folder.rows) if folder else {}
     if folder and folder.torn:
-        watch.say(f"{folder.journal.path}: the last line is torn; its trial is repeated")
-    watch.begin(experiment, folder.path if folder else None, rows)
+        observer.log(f"{folder.journal.path}: the last line is torn; its trial is repeated")
+    observer.started(experiment, folder.path if folder else None, rows)
     todo = [each for each in experiment.jobs() if each.key not in rows]
-    with closing(executor.run(todo, watch.stop, watch.say)) as ended:  # type: ignore[type-var]
+    with closing(executor.run(todo, observer.stop_requested, observer.log)) as ended:  # type: ignore[type-var]
         for row in ended:
             if folder:
                 folder.journal.append(row)
             rows[row.key] = row
-            watch.ended(row)
+            observer.trial_ended(row)
     ordered = tuple(rows[each.key] for each in experiment.jobs() if each.key in rows)
     summary = summarise(experiment, rows, time.perf_counter() - began)
     complete = len(ordered) == sum(1 for _ in experiment.jobs())

@@ -169,7 +169,7 @@ def _cells(
         checked: set[str] = set()
         for method in methods:
             try:
-                reference = vehicle or _own(method) or scenario.vehicle
+                reference = vehicle or _vehicle_of_method(method) or scenario.vehicle
                 if reference not in loaded:
                     given = reference == scenario.vehicle
                     loaded[reference] = vehicle_of_task(scenario) if given else load_vehicle(reference)
@@ -182,7 +182,7 @@ def _cells(
                 problems += error.diagnostics
 
 
-def _own(method: Method) -> str | None:
+def _vehicle_of_method(method: Method) -> str | None:
     """The vehicle that a method itself plans with; its path is relative to the method's file."""
     if method.planner.vehicle is None:
         return None

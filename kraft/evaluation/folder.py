@@ -16,7 +16,7 @@ from kraft.evaluation.ompl_log import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import SCHEMA, Summary, json_content
+from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json
 from kraft.files import check_writable, write_json, write_whole
 
 ROOT: Final = Path("results")
@@ -98,7 +98,7 @@ def write_results(
     Raises:
         InputError: if there is no room.
     """
-    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **json_content(summary)})
+    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **evaluation_json(summary)})
     write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
     results = Results.of(experiment, folder.manifest, rows, summary, command_line)
     write_whole(folder.path / report.NAME, report.page(results).encode())

@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeAlias
 
 from kraft.driving.method import Method
 from kraft.errors import InputError, MissingDependency, MissingError
-from kraft.evaluation.row import Key, TrialRow, reduced
+from kraft.evaluation.row import Key, TrialRow, trial_row
 from kraft.scenario import Scenario
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle
@@ -47,15 +47,15 @@ def perform(job: Job) -> TrialRow:
     began = time.perf_counter()
     try:
         result = run_trial(TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime))
-        return reduced(job.key, result, time.perf_counter() - began)
+        return trial_row(job.key, result, time.perf_counter() - began)
     except (InputError, MissingError):
         raise
     except Exception as error:  # a defect: said, recorded, and the others go on
         place = traceback.extract_tb(error.__traceback__)[-1]
-        return failed(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
+        return failed_row(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
 
 
-def failed(job: Job, error: str) -> TrialRow:
+def failed_row(job: Job, error: str) -> TrialRow:
     """The row of a trial that did not come to an end."""
     return TrialRow(scenario=job.scenario.name, method=job.method.name, seed=job.seed, outcome="failed", error=error)
 
@@ -78,8 +78,8 @@ def _vehicle(reference: str) -> Vehicle:
     return load_vehicle(reference)
 
 
-Stop: TypeAlias = Callable[[], bool]
-Say: TypeAlias = Callable[[str], None]
+StopRequested: TypeAlias = Callable[[], bool]
+Log: TypeAlias = Callable[[str], None]
 
 DEATHS: Final = 2
 """A trial whose worker died this often has failed."""
@@ -88,10 +88,10 @@ DEATHS: Final = 2
 class Executor(Protocol):
     """Runs trials."""
 
-    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
         """Yield the row of every job once, in whatever order they end.
 
-        As soon as `stop()` is true no further trial is begun, and those that run are waited for.  Closing the
+        As soon as `stop_requested()` is true no further trial is begun, and those that run are waited for.  Closing the
         iterator drops them.  A trial whose worker dies is begun again on another one, until it has died
         too often; then its row says so.
 

@@ -20,7 +20,7 @@ NAME: Final = "trials.jsonl"
 
 
 @dataclass(frozen=True)
-class Read:
+class JournalContent:
     """What a journal holds: the rows, how many bytes of it are whole lines, and how many the torn end has."""
 
     rows: dict[Key, TrialRow]
@@ -28,7 +28,7 @@ class Read:
     torn: int
 
 
-def read_journal(path: Path, expected: Collection[Key] | None = None) -> Read:
+def read_journal(path: Path, expected: Collection[Key] | None = None) -> JournalContent:
     """Read a journal.  The last line may be torn by a crash; it does not count.
 
     A failed trial may come again, after it was repeated; the last line of a trial holds.
@@ -62,7 +62,7 @@ def read_journal(path: Path, expected: Collection[Key] | None = None) -> Read:
         rows[row.key] = row
     if problems:
         raise InputError(problems)
-    return Read(rows, whole, len(content) - whole)
+    return JournalContent(rows, whole, len(content) - whole)
 
 
 class Journal:
@@ -103,7 +103,7 @@ class Journal:
                 left = left[os.write(self._file, left) :]
             os.fsync(self._file)
         except OSError as error:
-            self._cut()
+            self._truncate()
             raise self._problem(error) from error
         self._end += len(line)
 
@@ -111,7 +111,7 @@ class Journal:
         """Close the file, and let others write it."""
         os.close(self._file)
 
-    def _cut(self) -> None:
+    def _truncate(self) -> None:
         with suppress(OSError):  # then the line stays torn, which reading allows for
             os.ftruncate(self._file, self._end)
 

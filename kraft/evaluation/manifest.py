@@ -21,9 +21,9 @@ NAME: Final = "manifest.json"
 SCHEMA: Final = "kraft.eval-manifest/1"
 DESCRIPTIVE: Final = ("arguments", "began", "host")
 """keys that may differ when an evaluation is gone on with"""
-WORDS: Final = ("title", "description")
+TEXTS: Final = ("title", "description")
 """keys of scenarios and methods that nothing depends on"""
-PARTS: Final = ("scenarios", "methods", "vehicles")
+SECTIONS: Final = ("scenarios", "methods", "vehicles")
 """sections with an entry for each"""
 MISSING: Final = object()
 
@@ -62,7 +62,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
 
 def scenario_entry(scenario: Scenario) -> dict[str, Any]:
     """A scenario without its vehicle, which has a section of its own: `content`, and its hash `sha256`."""
-    names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *WORDS))
+    names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *TEXTS))
     return _hashed({name: plain(getattr(scenario, name)) for name in names})
 
 
@@ -123,8 +123,8 @@ def _differences(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any,
             for key in {**was, **now}
             for difference in _differences(was.get(key, MISSING), now.get(key, MISSING), f"{path}.{key}".lstrip("."))
         ]
-        telling = [difference for difference in found if not difference[0].endswith(".sha256")]
-        yield from telling or found
+        of_values = [difference for difference in found if not difference[0].endswith(".sha256")]
+        yield from of_values or found
     elif was != now:
         yield path, was, now
 
@@ -133,15 +133,15 @@ def _difference(key: str, before: Any, after: Any) -> str:
     """What is different at a key, in words."""
     section, _, name = key.partition(".")
     part = f"{section.removesuffix('s')} {name}"
-    known = section in PARTS and "." not in name
+    known = section in SECTIONS and "." not in name
     if before is MISSING:
-        return f"{part} is not part of it" if known else f"was made without it, now it is {_told(after)}"
+        return f"{part} is not part of it" if known else f"was made without it, now it is {_json(after)}"
     if after is MISSING:
-        return f"{part} is part of it, but left out now" if known else f"was made with {_told(before)}, now without"
-    return f"was made with {_told(before)}, now it is {_told(after)}"
+        return f"{part} is part of it, but left out now" if known else f"was made with {_json(before)}, now without"
+    return f"was made with {_json(before)}, now it is {_json(after)}"
 
 
-def _told(value: Any) -> str:
+def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
@@ -152,7 +152,7 @@ def _labels(names: Mapping[str, str]) -> dict[str, str]:
 
 
 def _method(method: Method) -> dict[str, Any]:
-    return method.model_dump(mode="json", exclude=set(WORDS))
+    return method.model_dump(mode="json", exclude=set(TEXTS))
 
 
 def _hashed(content: Any) -> dict[str, Any]:

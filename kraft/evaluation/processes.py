@@ -14,13 +14,13 @@ from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
 
 from kraft.errors import Defect, KraftError
-from kraft.evaluation.job import DEATHS, Job, Say, Stop, failed, perform
+from kraft.evaluation.job import DEATHS, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.row import Key, TrialRow
 from kraft.planning.compilation import ensure_compiled
 from kraft.vehicles.load import load_vehicle
 
 POLL: Final = 0.1  # s, how late a request to stop is seen
-FALSE_STARTS: Final = 3  # workers in a row that die before they are ready
+FAILED_STARTS: Final = 3  # workers in a row that die before they are ready
 
 
 @dataclass(eq=False)
@@ -33,7 +33,7 @@ class _Worker:
     ready: bool = False
 
     @property
-    def how_it_died(self) -> str:
+    def exit_text(self) -> str:
         """For a sentence."""
         self.process.join(5.0)
         code = self.process.exitcode
@@ -56,7 +56,7 @@ class _State:
     todo: deque[Job]
     workers: list[_Worker] = field(default_factory=list)
     deaths: Counter[Key] = field(default_factory=Counter)
-    false_starts: int = 0
+    failed_starts: int = 0
 
 
 class Processes:
@@ -65,28 +65,28 @@ class Processes:
     def __init__(self, count: int) -> None:
         self.count = count
 
-    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
         """See `kraft.evaluation.job.Executor`.
 
         Raises:
             Defect: if workers do not start.
         """
         for reference in dict.fromkeys(job.vehicle for job in jobs):  # once, and not by each worker in a trial
-            ensure_compiled(load_vehicle(reference), say)
+            ensure_compiled(load_vehicle(reference), log)
         state = _State(deque(jobs))
         try:
             while True:
-                if stop():
+                if stop_requested():
                     state.todo.clear()
                 busy = sum(worker.job is not None for worker in state.workers)
                 if not state.todo and not busy:
                     return
                 self._assign(state, busy)
-                for worker in _heard(state.workers):
+                for worker in _readable(state.workers):
                     try:
-                        row = _taken(state, worker, worker.pipe.recv())
+                        row = _receive(state, worker, worker.pipe.recv())
                     except (EOFError, OSError):  # it died: nobody else has the other end
-                        row = _buried(state, worker, say)
+                        row = _handle_death(state, worker, log)
                     if row is not None:
                         yield row
         finally:
@@ -98,54 +98,54 @@ class Processes:
         for worker in state.workers:
             if worker.ready and worker.job is None and state.todo:
                 worker.job = state.todo.popleft()
-                with suppress(OSError):  # if it died meanwhile, `_heard` will see
+                with suppress(OSError):  # if it died meanwhile, `_readable` will see
                     worker.pipe.send(worker.job)
                 busy += 1
         while len(state.workers) < min(self.count, busy + len(state.todo)):
-            state.workers.append(_started())
+            state.workers.append(_start_worker())
 
 
-def _heard(workers: Sequence[_Worker]) -> list[_Worker]:
+def _readable(workers: Sequence[_Worker]) -> list[_Worker]:
     """The workers that sent something or died."""
     found = connection.wait([worker.pipe for worker in workers], POLL)
     return [worker for worker in workers if worker.pipe in found]
 
 
-def _taken(state: _State, worker: _Worker, answer: Answer) -> TrialRow | None:
+def _receive(state: _State, worker: _Worker, answer: Answer) -> TrialRow | None:
     """Take what a worker sent; the row, if it is one."""
     if isinstance(answer, KraftError):
         raise answer
     if answer is None:
-        worker.ready, state.false_starts = True, 0
+        worker.ready, state.failed_starts = True, 0
     else:
         worker.job = None
     return answer
 
 
-def _buried(state: _State, worker: _Worker, say: Say) -> TrialRow | None:
+def _handle_death(state: _State, worker: _Worker, log: Log) -> TrialRow | None:
     """Put away a dead worker; the row of its job if that is given up now.
 
     Raises:
         Defect: if one worker after the other dies before it is ready.
     """
-    how, job = worker.how_it_died, worker.job
+    how, job = worker.exit_text, worker.job
     state.workers.remove(worker)
     worker.close()
     if job is None:
-        state.false_starts += not worker.ready
-        if state.false_starts >= FALSE_STARTS:
+        state.failed_starts += not worker.ready
+        if state.failed_starts >= FAILED_STARTS:
             raise Defect(f"worker processes do not start ({how})")
         return None
     state.deaths[job.key] += 1
     if state.deaths[job.key] >= DEATHS:
-        return failed(job, f"its worker process died {state.deaths[job.key]} times ({how})")
+        return failed_row(job, f"its worker process died {state.deaths[job.key]} times ({how})")
     name = f"{job.scenario.name}, {job.method.name}, seed {job.seed}"
-    say(f"the worker of {name} died ({how}); the trial is repeated on a fresh one")
+    log(f"the worker of {name} died ({how}); the trial is repeated on a fresh one")
     state.todo.appendleft(job)
     return None
 
 
-def _started() -> _Worker:
+def _start_worker() -> _Worker:
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=serve, args=(theirs,), daemon=True)

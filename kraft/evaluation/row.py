@@ -63,7 +63,7 @@ class TrialRow(_Record):
         return self.scenario, self.method, self.seed
 
 
-def reduced(key: Key, result: TrialResult, wall: float) -> TrialRow:
+def trial_row(key: Key, result: TrialResult, wall: float) -> TrialRow:
     """Keep of a trial what the tables need; `wall` is how long it took (s)."""
     scenario, method, seed = key
     planning = tuple(round(cycle.planning_ms, 3) for cycle in result.cycles)

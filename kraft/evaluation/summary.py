@@ -92,7 +92,7 @@ def tabulate(
     return Summary(len(seeds), seeds.start, realtime, wall, tuple(results))
 
 
-def json_content(summary: Summary) -> dict[str, Any]:
+def evaluation_json(summary: Summary) -> dict[str, Any]:
     """Content of the ``kraft.eval/1`` object, without its schema."""
     return {
         "trials": summary.trials,
@@ -100,7 +100,7 @@ def json_content(summary: Summary) -> dict[str, Any]:
         "realtime": summary.realtime,
         "wall_s": round(summary.wall, 3),
         "failed": summary.failed,
-        "results": [_json(result) for result in summary.results],
+        "results": [_result_json(result) for result in summary.results],
     }
 
 
@@ -141,7 +141,7 @@ def _result(scenario: str, method: str, title: str, rows: Sequence[TrialRow], ag
     )
 
 
-def _json(result: Result) -> dict[str, Any]:
+def _result_json(result: Result) -> dict[str, Any]:
     paper, against = result.paper, result.against
     return {
         "scenario": result.scenario,

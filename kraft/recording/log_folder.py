@@ -29,7 +29,7 @@ UNITS: Final = {
 }  # fmt: skip
 
 
-def check_target(folder: Path) -> None:
+def check_log_folder(folder: Path) -> None:
     """Refuse a folder that exists, and a place that cannot be written.
 
     Raises:

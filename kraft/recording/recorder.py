@@ -9,8 +9,8 @@ import numpy as np
 
 from kraft.driving.car_model import Model
 from kraft.errors import InputError
+from kraft.recording.free_space import FreeSpace, Place, predicted
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
-from kraft.recording.room import Place, Room, predicted
 from kraft.scenario import Scenario
 from kraft.simulation.world import World
 from kraft.trial.plant import Plant
@@ -66,7 +66,7 @@ class Recorder:
         """
         self._scenario, self._seed = scenario, seed
         self._model = Model(vehicle)
-        self._room = Room(scenario, vehicle)
+        self._free_space = FreeSpace(scenario, vehicle)
         self._world = World(scenario)
 
     def record(self, number: int) -> Recording:
@@ -78,46 +78,46 @@ class Recorder:
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
         high = self._model.high
         steering = min(high[self._model.steering], -self._model.low[self._model.steering])
-        wanted = manoeuvre(
+        commanded = manoeuvre(
             NAMES[(number - 1) % len(NAMES)], float(high[self._model.throttle]), float(steering), generator
         )
-        place = self._room.place(predicted(self._model, wanted), generator)
+        place = self._free_space.place(predicted(self._model, commanded), generator)
         if place.time < SHORTEST:
             name = self._scenario.name
-            problem = f"has no room for a run of {SHORTEST:g} s (manoeuvre {wanted.name!r})"
+            problem = f"has no room for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"
             raise InputError.of(name, problem, "expected more free floor, as in the scenario training")
         self._world.reset(place.start)
         plant = Plant(self._world, self._scenario.sensing, int(generator.integers(2**62)), COMMAND_RATE)
-        return _Run(plant, self._room, wanted, place).driven(number)
+        return _Run(plant, self._free_space, commanded, place).drive(number)
 
 
 class _Run:
     """One run while it is driven."""
 
-    def __init__(self, plant: Plant, room: Room, wanted: Manoeuvre, place: Place) -> None:
-        self._plant, self._world, self._room = plant, plant.world, room
-        self._manoeuvre, self._place = wanted, place
+    def __init__(self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place) -> None:
+        self._plant, self._world, self._free_space = plant, plant.world, free_space
+        self._manoeuvre, self._place = commanded, place
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
         self._truth: list[tuple[float, ...]] = []
 
-    def driven(self, number: int) -> Recording:
+    def drive(self, number: int) -> Recording:
         """Drive it to its end, or to where it would touch something."""
         world, end = self._world, round(self._manoeuvre.end / self._world.dt)
         note = ""
         while not note:
-            self._see()
-            self._command()
+            self._observe()
+            self._send()
             if world.steps >= end:
                 break
             self._plant.advance(end)
-            note = self._danger()
+            note = self._stop_reason()
         return Recording(
             number, self._manoeuvre, self._place, np.array(self._commands), np.array(self._poses).reshape(-1, 4),
             np.array(self._truth), world.time, note,
         )  # fmt: skip
 
-    def _see(self) -> None:
+    def _observe(self) -> None:
         world = self._world
         if not self._plant.frame_due:
             return
@@ -127,7 +127,7 @@ class _Run:
         if seen is not None:
             self._poses.append((seen.time, seen.x, seen.y, seen.theta))
 
-    def _command(self) -> None:
+    def _send(self) -> None:
         world = self._world
         if not self._plant.command_due:
             return
@@ -135,12 +135,12 @@ class _Run:
         self._commands.append((world.time, throttle, steering))
         self._plant.send(throttle, steering)
 
-    def _danger(self) -> str:
+    def _stop_reason(self) -> str:
         """Why the run has to end here, or nothing."""
         world = self._world
         if world.collision is not None:
             return f"touched {world.collision.obstacle} after {world.time:.2f} s"
-        clearance = self._room.clearance(*map(float, world.pose))
+        clearance = self._free_space.clearance(*map(float, world.pose))
         if clearance < STOP:
             return f"stopped after {world.time:.2f} s, {clearance:.2f} m from what it would have touched"
         return ""

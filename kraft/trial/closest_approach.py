@@ -31,14 +31,14 @@ class ClosestApproach:
         """Measure with `distance(x, y, theta)` (m); `reach` (m) is that of the footprint's farthest point."""
         self._distance, self._reach = distance, reach
         self._poses: list[tuple[float, float, float]] = []
-        self._way: list[float] = []  # up to each pose, by the farthest that any point has moved
+        self._travelled: list[float] = []  # up to each pose, by the farthest that any point has moved
 
-    def show(self, x: float, y: float, theta: float) -> None:
+    def add(self, x: float, y: float, theta: float) -> None:
         """Take in a pose (m, rad)."""
         x0, y0, theta0 = self._poses[-1] if self._poses else (x, y, theta)
         moved = math.hypot(x - x0, y - y0) + self._reach * abs(math.remainder(theta - theta0, math.tau))
         self._poses.append((x, y, theta))
-        self._way.append(moved + (self._way[-1] if self._way else 0.0))
+        self._travelled.append(moved + (self._travelled[-1] if self._travelled else 0.0))
 
     def least(self) -> float:
         """The smallest distance (m), inf before the first pose."""
@@ -60,5 +60,5 @@ class ClosestApproach:
         return _Measured(pose, self._distance(*self._poses[pose]))
 
     def _span(self, a: _Measured, b: _Measured) -> _Span:
-        way = self._way[b.pose] - self._way[a.pose]
+        way = self._travelled[b.pose] - self._travelled[a.pose]
         return 0.5 * (a.distance + b.distance - way), a, b

@@ -45,7 +45,7 @@ def run_trial(
     trial = _Trial(spec, keep_trees)
     log = _Log(on_cycle, on_step)
     while (outcome := trial.outcome) is None:
-        trial.see(log)
+        trial.observe(log)
         trial.receive()
         trial.replan(log)
         trial.control(log)
@@ -108,7 +108,7 @@ class _Trial:
             return Outcome.SUCCESS
         return Outcome.TIMEOUT if self.world.time >= self._limit - 1e-9 else None
 
-    def see(self, log: _Log) -> None:
+    def observe(self, log: _Log) -> None:
         """Expose a frame if one is due, and take in what has arrived."""
         now = self.world.time
         if self._plant.frame_due:
@@ -148,7 +148,7 @@ class _Trial:
         self._plant.send(float(command[0]), float(command[1]))
         self._estimator.commanded(now, command)
         x, y, theta = map(float, world.pose)
-        self.approach.show(x, y, theta)
+        self.approach.add(x, y, theta)
         step = Step(now, (x, y, theta), world.speed, estimate.state, command, len(log.cycles) - 1)
         log.steps.append(step)
         if log.on_step is not None:

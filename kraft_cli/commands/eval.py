@@ -46,18 +46,18 @@ def eval_(
 ) -> ExitStatus:
     """Run methods in scenarios many times and compare them; collisions are results, not errors."""
     from kraft_cli.progress import Interrupts, Progress
-    from kraft_cli.work.evaluate import Request, carry_out, complete, resume_command
+    from kraft_cli.work.evaluate import EvalRequest, complete_request, resume_command, run_evaluation
 
     terminal: Terminal = context.obj
-    request = complete(
-        Request(tuple(scenarios or ()), trials, methods, vehicle, seed, jobs, cluster, out, resume, realtime)
+    request = complete_request(
+        EvalRequest(tuple(scenarios or ()), trials, methods, vehicle, seed, jobs, cluster, out, resume, realtime)
     )
     with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
         try:
-            evaluation = carry_out(request, progress)
+            evaluation = run_evaluation(request, progress)
         except BaseException:
             progress.close()
-            if progress.begun:
+            if progress.has_started:
                 terminal.problem(f"every finished trial is kept; to go on: {resume_command(request)}")
             raise
     if not evaluation.complete:
@@ -67,12 +67,12 @@ def eval_(
 
 
 def _show(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
-    from kraft.evaluation.summary import SCHEMA, json_content
+    from kraft.evaluation.summary import SCHEMA, evaluation_json
     from kraft.text import counted
     from kraft_cli.tables import show_tables
 
     if json:
-        content = {**json_content(evaluation.summary), "folder": str(evaluation.folder)}
+        content = {**evaluation_json(evaluation.summary), "folder": str(evaluation.folder)}
         terminal.json(SCHEMA, content)
     else:
         show_tables(terminal, evaluation.summary)

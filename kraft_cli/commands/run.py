@@ -37,16 +37,16 @@ def run(
     """Drive a scenario once in simulation; it ends with 1 if the goal is not reached."""
     from kraft.trial.result import Outcome
     from kraft_cli.tables import show_rows
-    from kraft_cli.work.run import Request, carry_out, cycle_line, json_content, table_rows
+    from kraft_cli.work.run import RunRequest, cycle_line, run_json, run_scenario, run_table
     from kraft_cli.work.run_folder import SCHEMA
-    from kraft_cli.work.watching import Wanted
+    from kraft_cli.work.trial_outputs import OutputOptions
 
     terminal: Terminal = context.obj
-    request = Request(scenario, method, vehicle, seed, out, Wanted(video, view, plot))
-    driven = carry_out(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)), terminal.detail)
+    request = RunRequest(scenario, method, vehicle, seed, out, OutputOptions(video, view, plot))
+    driven = run_scenario(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)), terminal.detail)
     success = driven.result.outcome is Outcome.SUCCESS
     if json:
-        terminal.json(SCHEMA, json_content(driven))
+        terminal.json(SCHEMA, run_json(driven))
     else:
-        show_rows(terminal, table_rows(driven), good=success)
+        show_rows(terminal, run_table(driven), good=success)
     return ExitStatus.DONE if success else ExitStatus.NEGATIVE

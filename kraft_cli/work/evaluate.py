@@ -10,14 +10,14 @@ from typing import Any, Final
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import manifest
-from kraft.evaluation.evaluator import Evaluation, Watch, evaluate
+from kraft.evaluation.evaluator import Evaluation, Observer, evaluate
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS
 from kraft.evaluation.folder import check_exists, default_path
 from kraft_cli.work.run import run_command
 
 
 @dataclass(frozen=True)
-class Request:
+class EvalRequest:
     """Options of `kraft eval` as they were written; None and empty for what was left out."""
 
     scenarios: tuple[str, ...] = ()
@@ -32,8 +32,8 @@ class Request:
     realtime: bool = False
 
 
-UNSAID: Final = Request()
-READERS: Final[dict[str, Callable[[Any], Any]]] = {
+DEFAULTS: Final = EvalRequest()
+OPTION_FROM_MANIFEST: Final[dict[str, Callable[[Any], Any]]] = {
     "scenarios": lambda value: tuple(map(str, value)),
     "methods": lambda value: ",".join(map(str, value)),
     "vehicle": lambda value: None if value is None else str(value),
@@ -46,7 +46,7 @@ OPTIONAL: Final = ("vehicle", "realtime")
 """Options whose absence says something too."""
 
 
-def complete(request: Request) -> Request:
+def complete_request(request: EvalRequest) -> EvalRequest:
     """Fill in where to write, and when going on, whatever was not said about what to run, from the folder.
 
     Raises:
@@ -56,11 +56,11 @@ def complete(request: Request) -> Request:
         if request.out is None:
             raise InputError.of("--resume", "is given without --out", "expected the folder to go on with", Code.MISSING)
         check_exists(request.out)
-        return _recorded(request, request.out / manifest.NAME)
+        return _with_recorded_arguments(request, request.out / manifest.NAME)
     return replace(request, out=request.out or default_path(request.seed or 0))
 
 
-def carry_out(request: Request, watch: Watch) -> Evaluation:
+def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
     """Run what is asked for; see `evaluate` for what is raised."""
     arguments = arguments_of(request)
     try:
@@ -75,7 +75,7 @@ def carry_out(request: Request, watch: Watch) -> Evaluation:
             resume=request.resume,
             realtime=request.realtime,
             cluster=request.cluster,
-            watch=watch,
+            observer=observer,
             arguments=arguments,
             command_line=run_command,
         )
@@ -83,14 +83,14 @@ def carry_out(request: Request, watch: Watch) -> Evaluation:
         raise InputError(_with_resume(diagnostic, request) for diagnostic in error.diagnostics) from error
 
 
-def _with_resume(diagnostic: Diagnostic, request: Request) -> Diagnostic:
+def _with_resume(diagnostic: Diagnostic, request: EvalRequest) -> Diagnostic:
     """The same problem; where it is that the folder exists, with the options that go on with it."""
     if diagnostic.code is not Code.EXISTS or diagnostic.file != str(request.out):
         return diagnostic
     return replace(diagnostic, expected=f"expected a new folder, or --out {request.out} --resume to go on with it")
 
 
-def arguments_of(request: Request) -> dict[str, Any]:
+def arguments_of(request: EvalRequest) -> dict[str, Any]:
     """What the manifest records: everything that defines the evaluation, defaults filled in."""
     methods = METHODS if request.methods is None else [name.strip() for name in request.methods.split(",")]
     return {
@@ -103,7 +103,7 @@ def arguments_of(request: Request) -> dict[str, Any]:
     }
 
 
-def resume_command(request: Request) -> str:
+def resume_command(request: EvalRequest) -> str:
     """The command that goes on with the evaluation."""
     words = ["kraft", "eval", *request.scenarios]
     options = {
@@ -120,7 +120,7 @@ def resume_command(request: Request) -> str:
     return shlex.join([*words, "--out", str(request.out), "--resume"])
 
 
-def _recorded(request: Request, path: Path) -> Request:
+def _with_recorded_arguments(request: EvalRequest, path: Path) -> EvalRequest:
     """The request with what its folder was made with, wherever nothing was said; what was said is compared later."""
     if not path.exists():
         return request
@@ -128,8 +128,8 @@ def _recorded(request: Request, path: Path) -> Request:
     was = arguments if isinstance(arguments, dict) else {}
     found: dict[str, Any] = {}
     missing = []
-    for name, read in READERS.items():
-        if getattr(request, name) != getattr(UNSAID, name):
+    for name, read in OPTION_FROM_MANIFEST.items():
+        if getattr(request, name) != getattr(DEFAULTS, name):
             continue
         try:
             found[name] = read(was[name])

@@ -16,7 +16,7 @@ RUNS: Final = 10
 
 
 @dataclass(frozen=True)
-class Request:
+class RecordRequest:
     """What was asked for, as it was written; `out` is a new folder."""
 
     scenario: str = "training"
@@ -26,7 +26,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedRun:
     """What one run left: its folder, what was driven and for how long (s), how much was logged, and what was noted."""
 
     folder: Path
@@ -37,9 +37,9 @@ class Recorded:
     note: str
 
 
-def carry_out(
-    request: Request, say: Callable[[str], None], on_run: Callable[[Recorded], None] | None = None
-) -> tuple[Recorded, ...]:
+def record_logs(
+    request: RecordRequest, say: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
+) -> tuple[RecordedRun, ...]:
     """Record every run; each is written as soon as it is over, so that an interruption keeps the finished ones.
 
     Raises:
@@ -55,10 +55,10 @@ def carry_out(
         raise InputError(problems)
     scenario = load_scenario(request.scenario)
     vehicle = vehicle_of_task(scenario)
-    from kraft.recording.log_folder import check_target, write_recording  # these load the simulator
+    from kraft.recording.log_folder import check_log_folder, write_recording  # these load the simulator
     from kraft.recording.recorder import Recorder
 
-    check_target(request.out)
+    check_log_folder(request.out)
     ensure_compiled(vehicle, say)
     recorder = Recorder(scenario, vehicle, request.seed)
     arguments = {"scenario": request.scenario, "runs": request.runs, "seed": request.seed}
@@ -67,7 +67,7 @@ def carry_out(
         recording = recorder.record(number)
         folder = write_recording(request.out, scenario, arguments, recording)
         logged = len(recording.commands), len(recording.poses)
-        done.append(Recorded(folder, recording.manoeuvre.name, recording.end, *logged, recording.note))
+        done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note))
         if on_run is not None:
             on_run(done[-1])
     return tuple(done)

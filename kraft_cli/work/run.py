@@ -18,13 +18,13 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.text import finite, metres
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
-from kraft_cli.work.run_folder import check_target, write_run
+from kraft_cli.work.run_folder import check_run_folder, write_run
+from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
 from kraft_cli.work.verbose import Stages, no_detail, vehicle_details
-from kraft_cli.work.watching import NOTHING, Wanted, Watchers
 
 
 @dataclass(frozen=True)
-class Request:
+class RunRequest:
     """What was asked for, as it was written; `out` is a new folder, None writes nothing."""
 
     scenario: str
@@ -32,20 +32,20 @@ class Request:
     vehicle: str | None = None
     seed: int = 0
     out: Path | None = None
-    wanted: Wanted = NOTHING
+    outputs: OutputOptions = NO_OUTPUT
 
 
 @dataclass(frozen=True)
 class Run:
     """A request, what it was understood as, and what came of it."""
 
-    request: Request
+    request: RunRequest
     spec: TrialSpec
     result: TrialResult = field(repr=False)
 
 
-def carry_out(
-    request: Request,
+def run_scenario(
+    request: RunRequest,
     say: Callable[[str], None],
     on_cycle: Callable[[Cycle], None] | None = None,
     detail: Callable[[str], None] = no_detail,
@@ -63,9 +63,9 @@ def carry_out(
     stages = Stages(detail)
     experiment = _experiment(request)
     out = request.out
-    check_all(*([] if out is None else [lambda: check_target(out)]), request.wanted.check)
+    check_all(*([] if out is None else [lambda: check_run_folder(out)]), request.outputs.check)
     cell = experiment.cells[0]
-    _tell(detail, cell)
+    _log_details(detail, cell)
     stages.ended("loaded and checked")
     ensure_compiled(cell.vehicle, say)
     check_reachable(cell.scenario.task(), cell.vehicle)
@@ -73,19 +73,19 @@ def carry_out(
 
     stages.ended("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
-    with Watchers(request.wanted, spec, on_cycle) as watchers:
-        result = run_trial(spec, watchers.on_cycle, watchers.on_step, keep_trees=watchers.keep_trees)
-        watchers.finish(result)
-    stages.ended(f"{result.time:.2f} s driven" + (", drawn" if request.wanted != NOTHING else ""))
+    with TrialOutputs(request.outputs, spec, on_cycle) as outputs:
+        result = run_trial(spec, outputs.on_cycle, outputs.on_step, keep_trees=outputs.keep_trees)
+        outputs.finish(result)
+    stages.ended(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
     run = Run(request, spec, result)
     if request.out is not None:
         arguments = {"scenario": request.scenario, "method": request.method, "vehicle": request.vehicle}
-        write_run(request.out, experiment, arguments, cell.vehicle, run.result, json_content(run))
+        write_run(request.out, experiment, arguments, cell.vehicle, run.result, run_json(run))
         stages.ended("written")
     return run
 
 
-def _tell(detail: Callable[[str], None], cell: Cell) -> None:
+def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
     detail(f"scenario {cell.scenario.name}: {cell.scenario.source.file}")
     planner, controller = cell.method.planner, cell.method.controller
     detail(f"method {cell.method.name}: {cell.method.source.file}")
@@ -94,14 +94,14 @@ def _tell(detail: Callable[[str], None], cell: Cell) -> None:
         detail(line)
 
 
-def _experiment(request: Request) -> Experiment:
+def _experiment(request: RunRequest) -> Experiment:
     """The trial as an evaluation of one, with its checks."""
     if not request.method:
         raise InputError.of_argument("method", "is empty", "expected the name of a method")
     return experiment_of([request.scenario], [request.method], vehicle=request.vehicle, trials=1, seed=request.seed)
 
 
-def json_content(run: Run) -> dict[str, Any]:
+def run_json(run: Run) -> dict[str, Any]:
     """Content of the ``kraft.run/1`` object; `t_ex_s` is when the trial ended, however it did."""
     spec, result = run.spec, run.result
     planning = _planning(result)
@@ -123,7 +123,7 @@ def json_content(run: Run) -> dict[str, Any]:
     }
 
 
-def table_rows(run: Run) -> list[tuple[str, str]]:
+def run_table(run: Run) -> list[tuple[str, str]]:
     """Label and value of each line of the table that a person reads."""
     result, planning = run.result, _planning(run.result)
     rows = [
@@ -137,8 +137,8 @@ def table_rows(run: Run) -> list[tuple[str, str]]:
     if planning:
         slow = f", {result.missed} took too long" if result.missed else ""
         rows.append(("planning", f"{percentile(planning, 0.5):.1f} ms median, {max(planning):.1f} ms worst{slow}"))
-    wanted = run.request.wanted
-    made = (("film", wanted.video), ("picture", wanted.plot), ("written to", run.request.out))
+    outputs = run.request.outputs
+    made = (("film", outputs.video), ("picture", outputs.plot), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]
 
 

@@ -20,7 +20,7 @@ MANIFEST_SCHEMA: Final = "kraft.run-manifest/1"
 SCHEMA: Final = "kraft.run/1"
 
 
-def check_target(folder: Path) -> None:
+def check_run_folder(folder: Path) -> None:
     """Refuse a folder that exists, and a place that cannot be written.
 
     Raises:

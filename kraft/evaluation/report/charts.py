@@ -57,14 +57,14 @@ def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | 
     for place, seed in enumerate(seeds):
         x, y = (place % CELLS) * step, (place // CELLS) * side
         row = found.get(seed)
-        text = f"{told(row)}\n{commands[seed] or f'{row.scenario}, {row.method}'}" if row else None
+        text = f"{trial_text(row)}\n{commands[seed] or f'{row.scenario}, {row.method}'}" if row else None
         title = element("title", text or f"seed {seed}: not run yet")
         look = row.outcome if row else "missing"
         cells.append(element("rect", title, class_=look, x=x, y=y, width=step - 1.0, height=side - 1.0))
     return svg(WIDTH, side * -(-len(seeds) // CELLS), *cells, class_="trials")
 
 
-def told(row: TrialRow) -> str:
+def trial_text(row: TrialRow) -> str:
     """A trial in words."""
     text = f"seed {row.seed}: {outcome_text(row.outcome, row.obstacle, row.t_s, digits=1)}"
     return text + (f": {row.error}" if row.error else "")
@@ -73,7 +73,7 @@ def told(row: TrialRow) -> str:
 def times(result: Result, rows: Sequence[TrialRow], longest: float) -> Element:
     """A dot for each successful trial, a line at their mean, a ring at the paper's."""
     dots = [
-        element("circle", element("title", told(row)), class_="time", cx=_at(row.t_s, longest), cy=12.0, r=3.0)
+        element("circle", element("title", trial_text(row)), class_="time", cx=_at(row.t_s, longest), cy=12.0, r=3.0)
         for row in rows
         if row.outcome == "success" and row.t_s is not None
     ]

@@ -182,7 +182,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
 
 def _listed(results: Results, row: TrialRow) -> Element:
     command = results.command(row, video=f"{row.scenario}-{row.method}-{row.seed}.mp4")
-    ended = charts.told(row).split(": ", 1)[1]
+    ended = charts.trial_text(row).split(": ", 1)[1]
     return element(
         "tr",
         element("td", results.methods[row.method]),

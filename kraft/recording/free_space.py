@@ -34,7 +34,7 @@ class Place:
     time: float
 
 
-class Room:
+class FreeSpace:
     """The free floor of a scenario: what stands there, whether it would give way or not, and the bounds."""
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
@@ -56,14 +56,14 @@ class Room:
         for _ in range(CANDIDATES):
             x, y, heading = map(float, generator.uniform((x0, y0, -math.pi), (x1, y1, math.pi)))
             start = Start(x, y, heading)
-            time = self._room_of(moved(path, start), wanted, best.time)
+            time = self._free_time(moved(path, start), wanted, best.time)
             if time > best.time:
                 best = Place(start, time)
             if time >= STEP * (len(path) - 1):
                 break
         return best
 
-    def _room_of(self, poses: Matrix, wanted: Floats, known: float) -> float:
+    def _free_time(self, poses: Matrix, wanted: Floats, known: float) -> float:
         """How long poses keep the clearance that is wanted, s; at most `known` if that is clear from the bounds."""
         (x0, x1), (y0, y1) = self._bounds.x, self._bounds.y
         x, y = poses[:, 0], poses[:, 1]
