@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final
 
-from kraft.errors import InputError, MissingDependency
+from kraft.errors import Code, InputError, MissingDependency
 from kraft.evaluation.job import Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.row import TrialRow
 from kraft.provenance import SIMULATION, versions
@@ -66,7 +66,8 @@ class Cluster:
 
     def _no_answer(self, error: Exception) -> InputError:
         problem = f"no Dask scheduler answers at {self.address} ({error})"
-        return InputError.of_argument("cluster", problem, "expected its address, as in tcp://192.0.2.1:8786")
+        expected = "expected its address, as in tcp://192.0.2.1:8786"
+        return InputError.of_argument("cluster", problem, expected, Code.NOT_FOUND)
 
     def _rows(self, client: Client, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
         """Keep a few trials per thread of the cluster going, so that there is little to wait for when it stops."""
@@ -90,8 +91,8 @@ class Cluster:
                 time.sleep(POLL)
 
     def _connection_lost(self) -> InputError:
-        expected = "expected it to answer until the last trial"
-        return InputError.of_argument("cluster", f"the scheduler at {self.address} went away", expected)
+        problem, expected = f"the scheduler at {self.address} went away", "expected it to answer until the last trial"
+        return InputError.of_argument("cluster", problem, expected, Code.NOT_FOUND)
 
     def _row(self, future: Future, job: Job) -> TrialRow:
         from distributed import KilledWorker
@@ -118,6 +119,7 @@ def perform_checked(job: Job, versions_there: Mapping[str, str]) -> TrialRow:
     if here != versions_there:
         names = sorted(name for name in {**here, **versions_there} if here.get(name) != versions_there.get(name))
         differences = ", ".join(f"{name} {here.get(name)} instead of {versions_there.get(name)}" for name in names)
-        raise InputError.of_argument("cluster", f"a worker has {differences}", "expected the same versions everywhere")
+        expected = "expected the same versions everywhere"
+        raise InputError.of_argument("cluster", f"a worker has {differences}", expected, Code.MISMATCH)
     with _one_trial_at_a_time:
         return perform(job)

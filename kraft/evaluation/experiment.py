@@ -114,7 +114,7 @@ def _too_little_time(method: Method) -> Iterator[Diagnostic]:
     if planner.clock_budget <= 0.0:
         most = planner.clock_budget + planner.lead
         problem = f"leaves no time to plan in by the clock: {most:g} s - {planner.lead:g} s"
-        yield method.source.diagnostic("planner.lead", problem, f"expected less than {most:g}")
+        yield method.source.diagnostic("planner.lead", problem, f"expected less than {most:g}", code=Code.CONFLICT)
 
 
 def _numbers(trials: int, seed: int) -> list[Diagnostic]:

@@ -55,7 +55,9 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
     try:
         path.mkdir(parents=True)
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be made: {error.strerror}", "expected a new folder") from None
+        raise InputError.of(
+            str(path), f"cannot be made: {error.strerror}", "expected a new folder", Code.UNWRITABLE
+        ) from None
     return _begun(path, experiment, arguments)
 
 
@@ -83,7 +85,8 @@ def check_exists(path: Path) -> None:
         InputError: if not.
     """
     if not path.is_dir():
-        raise InputError.of(str(path), "there is no such folder", "expected that of an earlier kraft eval")
+        expected = "expected that of an earlier kraft eval"
+        raise InputError.of(str(path), "there is no such folder", expected, Code.NOT_FOUND)
 
 
 def write_results(

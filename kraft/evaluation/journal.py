@@ -12,7 +12,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.row import Key, TrialRow
 from kraft.files import EXPECTED
 
@@ -43,7 +43,8 @@ def read_journal(path: Path, expected: Collection[Key] | None = None) -> Journal
     try:
         content = path.read_bytes() if path.exists() else b""
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be read: {error.strerror}", "expected the lines of trials") from None
+        problem = f"cannot be read: {error.strerror}"
+        raise InputError.of(str(path), problem, "expected the lines of trials", Code.UNREADABLE) from None
     whole = content.rfind(b"\n") + 1
     rows: dict[Key, TrialRow] = {}
     problems = []
@@ -51,14 +52,16 @@ def read_journal(path: Path, expected: Collection[Key] | None = None) -> Journal
         try:
             row = TrialRow.model_validate_json(line)
         except ValidationError:
-            problems.append(Diagnostic(str(path), "is not a trial", "expected it repaired or removed", number, 1))
+            expected_line = "expected it repaired or removed"
+            problems.append(Diagnostic(str(path), "is not a trial", expected_line, number, 1, code=Code.SYNTAX))
             continue
         name = f"{row.scenario}, {row.method}, seed {row.seed}"
         if expected is not None and row.key not in expected:
             problem = f"{name} is not a trial of this evaluation"
-            problems.append(Diagnostic(str(path), problem, "expected it removed", number, 1))
+            problems.append(Diagnostic(str(path), problem, "expected it removed", number, 1, code=Code.MISMATCH))
         if row.key in rows and rows[row.key].outcome != "failed":
-            problems.append(Diagnostic(str(path), f"{name} is there twice", "expected it once", number, 1))
+            problem = f"{name} is there twice"
+            problems.append(Diagnostic(str(path), problem, "expected it once", number, 1, code=Code.DUPLICATE))
         rows[row.key] = row
     if problems:
         raise InputError(problems)
@@ -85,7 +88,8 @@ class Journal:
             os.lseek(self._file, keep, os.SEEK_SET)
         except BlockingIOError:
             os.close(self._file)
-            raise InputError.of(str(path), "another kraft eval writes it", "expected that one to end first") from None
+            expected = "expected that one to end first"
+            raise InputError.of(str(path), "another kraft eval writes it", expected, Code.CONFLICT) from None
         except OSError as error:
             os.close(self._file)
             raise self._problem(error) from error
@@ -116,4 +120,4 @@ class Journal:
             os.ftruncate(self._file, self._end)
 
     def _problem(self, error: OSError) -> InputError:
-        return InputError.of(str(self.path), f"cannot be written: {error.strerror}", EXPECTED)
+        return InputError.of(str(self.path), f"cannot be written: {error.strerror}", EXPECTED, Code.UNWRITABLE)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.driving.method import Method
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
 from kraft.planning.plan_file import vehicle_content
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
@@ -76,11 +76,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_bytes().decode("utf-8"))
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be read: {error.strerror}", expected) from None
+        raise InputError.of(str(path), f"cannot be read: {error.strerror}", expected, Code.UNREADABLE) from None
     except (ValueError, RecursionError) as error:
-        raise InputError.of(str(path), f"is not JSON: {error}", expected) from None
+        raise InputError.of(str(path), f"is not JSON: {error}", expected, Code.SYNTAX) from None
     if not isinstance(content, dict) or not isinstance(content.get("schema"), str):
-        raise InputError.of(str(path), "has no schema", expected)
+        raise InputError.of(str(path), "has no schema", expected, Code.MISSING)
     return content
 
 
@@ -102,6 +102,7 @@ def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> No
                 _difference(key, before, after),
                 "expected the same, or another folder",
                 path=key,
+                code=Code.MISMATCH,
             )
             for key, before, after in differing
         )

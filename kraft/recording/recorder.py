@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.car_model import Model
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.recording.free_space import FreeSpace, Place, predicted
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
 from kraft.scenario import Scenario
@@ -85,7 +85,8 @@ class Recorder:
         if place.time < SHORTEST:
             name = self._scenario.name
             problem = f"has no room for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"
-            raise InputError.of(name, problem, "expected more free floor, as in the scenario training")
+            expected = "expected more free floor, as in the scenario training"
+            raise InputError.of(name, problem, expected, Code.GEOMETRY)
         self._world.reset(place.start)
         plant = Plant(self._world, self._scenario.sensing, int(generator.integers(2**62)), COMMAND_RATE)
         return _Run(plant, self._free_space, commanded, place).drive(number)

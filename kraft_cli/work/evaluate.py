@@ -138,5 +138,5 @@ def _with_recorded_arguments(request: EvalRequest, path: Path) -> EvalRequest:
     unknown = [name for name in missing if name not in OPTIONAL]
     if unknown:
         expected = "expected what kraft eval writes there; else say it again"
-        raise InputError.of(f"{path}: arguments", f"does not tell {', '.join(unknown)}", expected)
+        raise InputError.of(f"{path}: arguments", f"does not state {', '.join(unknown)}", expected, Code.MISSING)
     return replace(request, **found)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.driving.messages import Cycle, Reference
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.files import check_writable, write_csv, write_json, write_whole
@@ -27,7 +27,7 @@ def check_run_folder(folder: Path) -> None:
         InputError: if it is one of these.
     """
     if folder.exists():
-        raise InputError.of(str(folder), "is there already", "expected a new folder")
+        raise InputError.of(str(folder), "is there already", "expected a new folder", Code.EXISTS)
     check_writable(folder)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from kraft.errors import InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.row import Key, TrialRow
@@ -144,20 +144,22 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
     """
     if not folder.is_dir():
         problem = "is not a folder" if folder.exists() else "there is no such folder"
-        raise InputError.of(str(folder), problem, EXPECTED)
+        raise InputError.of(str(folder), problem, EXPECTED, Code.NOT_FOUND)
     file = folder / manifest.NAME
     if not file.exists():
-        raise InputError.of(str(folder), f"has no {manifest.NAME}", EXPECTED)
+        raise InputError.of(str(folder), f"has no {manifest.NAME}", EXPECTED, Code.NOT_FOUND)
     content = manifest.read_manifest(file)
     if content["schema"] != manifest.SCHEMA:
-        raise InputError.of(str(file), f"has the schema {content['schema']!r}", f"expected {manifest.SCHEMA!r}")
+        problem = f"has the schema {content['schema']!r}"
+        raise InputError.of(str(file), problem, f"expected {manifest.SCHEMA!r}", Code.MISMATCH)
     try:
         found = Manifest.model_validate(content)
     except ValidationError as error:
         where = ".".join(str(part) for part in error.errors()[0]["loc"])
-        raise InputError.of(f"{file}: {where}", "is damaged", "expected a manifest as kraft eval writes it") from None
-    expected = {(cell.scenario, cell.method, seed) for cell in found.rows for seed in found.seeds}
-    rows = journal.read_journal(folder / journal.NAME, expected).rows
+        expected = "expected a manifest as kraft eval writes it"
+        raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
+    trials = {(cell.scenario, cell.method, seed) for cell in found.rows for seed in found.seeds}
+    rows = journal.read_journal(folder / journal.NAME, trials).rows
     summary = tabulate(found.names, found.seeds, rows, _wall(folder), realtime=found.realtime)
     return Results(found, rows, summary, _unchanged(found), command_line)
 
@@ -170,7 +172,7 @@ def _wall(folder: Path) -> float:
         return 0.0
     except (OSError, ValueError, KeyError, TypeError):
         expected = "expected what kraft eval writes there; going on with the evaluation makes it again"
-        raise InputError.of(str(folder / SUMMARY), "is damaged", expected) from None
+        raise InputError.of(str(folder / SUMMARY), "is damaged", expected, Code.SYNTAX) from None
 
 
 def _unchanged(found: Manifest) -> dict[str, Scenario]:
