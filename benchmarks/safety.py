@@ -129,6 +129,6 @@ def outcome(query: RandomScene, dirt: Dirt, start: Floats, plan: Plan | None, *,
         planned=True,
         reaches_goal=plan.reaches_goal,
         braking=plan.contingency is not None,
-        refused=verify(dirt, plan).problems,
+        refused=tuple(map(str, verify(dirt, plan).problems)),
         judgement=judge(query, start, plan),
     )

@@ -25,16 +25,16 @@ def check_writable(path: Path) -> None:
         InputError: if a folder stands there, a file stands where a folder has to be, or nothing can be made there.
     """
     if path.is_dir():
-        raise InputError.of(str(path), "is a folder", "expected the name of a file")
+        raise InputError.of(str(path), "is a folder", "expected the name of a file", Code.UNWRITABLE)
     folder = next(p for p in path.absolute().parents if os.path.lexists(p))
     if not folder.is_dir():
-        raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED)
+        raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED, Code.UNWRITABLE)
     try:  # permissions do not tell: think of /proc, and of what is mounted read-only
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".kraft-"):
             pass
     except OSError as error:
         problem = f"cannot be written: nothing can be made in {folder} ({error.strerror})"
-        raise InputError.of(str(path), problem, EXPECTED) from None
+        raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from None
 
 
 def check_all(*checks: Callable[[], object]) -> None:
@@ -90,7 +90,8 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be written: {error.strerror or error}", EXPECTED) from error
+        problem = f"cannot be written: {error.strerror or error}"
+        raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from error
 
 
 def _flush(path: Path) -> None:

@@ -17,8 +17,13 @@ def grouped(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def _folded(word: str) -> str:
-    return word.lower().replace("_", "-")
+def suggestion(word: str, options: Iterable[str], *, none: str = "there is nothing to choose from") -> str:
+    """Say what to write instead of ``word``: the near miss if there is one, else all ``options``."""
+    options = list(options)
+    near = nearest(word, options)
+    if near is not None:
+        return f"did you mean {near!r}?"
+    return f"expected {alternatives(options)}" if options else none
 
 
 def nearest(word: str, options: Iterable[str]) -> str | None:
@@ -31,13 +36,8 @@ def nearest(word: str, options: Iterable[str]) -> str | None:
     return folded[close[0]] if close else None
 
 
-def suggestion(word: str, options: Iterable[str], *, none: str = "there is nothing to choose from") -> str:
-    """Say what to write instead of ``word``: the near miss if there is one, else all ``options``."""
-    options = list(options)
-    near = nearest(word, options)
-    if near is not None:
-        return f"did you mean {near!r}?"
-    return f"expected {alternatives(options)}" if options else none
+def _folded(word: str) -> str:
+    return word.lower().replace("_", "-")
 
 
 def alternatives(options: Iterable[str]) -> str:

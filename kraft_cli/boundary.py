@@ -12,7 +12,7 @@ from typing import Final
 
 import typer
 
-from kraft.errors import Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
+from kraft.errors import Code, Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -39,8 +39,6 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
         return ExitStatus(request.exit_code)
     except Exception as error:  # the boundary: everything has to end in an exit code
         status = explain(terminal, error)
-        if terminal.traceback:
-            terminal.problem("".join(traceback.format_exception(error)).rstrip())
     return status
 
 
@@ -57,7 +55,8 @@ def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatu
         if error.errno not in FULL:
             raise
         place = error.filename or ("stdout" if _stdout_fails() else "a file")
-        raise InputError.of(str(place), f"cannot be written: {error.strerror}", EXPECTED) from error
+        problem = f"cannot be written: {error.strerror}"
+        raise InputError.of(str(place), problem, EXPECTED, Code.UNWRITABLE) from error
     return status
 
 
@@ -72,7 +71,14 @@ def _stdout_fails() -> bool:
 
 
 def explain(terminal: Terminal, error: Exception) -> ExitStatus:
-    """Say what went wrong and return the exit code for it."""
+    """Report what went wrong, with ``--traceback`` also where, and return the exit code for it."""
+    status = _explained(terminal, error)
+    if terminal.traceback:
+        terminal.problem("".join(traceback.format_exception(error)).rstrip())
+    return status
+
+
+def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
     if isinstance(error, InputError | Unreachable):
         for diagnostic in error.diagnostics:
             terminal.problem(str(_with_option(diagnostic)))

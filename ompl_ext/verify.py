@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -15,38 +16,67 @@ TOLERANCE = 1e-6  # of FCL's distances (m)
 FINE = 16  # parts that a step between samples is divided into
 
 
+class Requirement(StrEnum):
+    """Requirement that a plan can violate."""
+
+    COLLISION = "collision"
+    """no collision at any time"""
+    CLEARANCE = "clearance"
+    """clearance delta(v) within the cycle and along the contingency"""
+    CONTINGENCY = "contingency"
+    """a contingency, if SAFETY is enabled"""
+    STANDSTILL = "standstill"
+    """the contingency ends at standstill"""
+    CONSISTENCY = "consistency"
+    """the trajectory ends in the last state"""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """Violated requirement, and a sentence for people with the time and the distance."""
+
+    requirement: Requirement
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
 @dataclass(frozen=True)
 class Verification:
-    """Smallest exact clearance (m) along the plan and along its contingency, and what is wrong, nothing if all is well.
+    """Smallest exact clearance (m) along the plan and along its contingency, and every violated requirement.
 
     Clearances are infinite without obstacles; `contingency_clearance` is None without a contingency.
     """
 
     min_clearance: float
     contingency_clearance: float | None
-    problems: tuple[str, ...]
+    problems: tuple[Violation, ...]
 
 
 def verify(dirt: Dirt, plan: Plan) -> Verification:
     """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency."""
-    problems: list[str] = []
+    problems: list[Violation] = []
     clearance = dirt.exact.distances(_poses(dirt, plan.trajectory))
     problems += _too_close(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
     if not np.all(clearance > 0.0):
-        problems.append(f"plan: collides at t = {plan.times[np.argmin(clearance)]:.3f} s")
+        text = f"plan: collides at t = {plan.times[np.argmin(clearance)]:.3f} s"
+        problems.append(Violation(Requirement.COLLISION, text))
     problems += _between_samples(dirt, plan, clearance)
     if np.any(np.abs(plan.states[-1] - plan.trajectory[-1]) > 1e-6):
-        problems.append("plan: the trajectory does not end in the last state")
+        text = "plan: the trajectory does not end in the last state"
+        problems.append(Violation(Requirement.CONSISTENCY, text))
     if not dirt.safety.enabled:
         return Verification(float(clearance.min()), None, tuple(problems))
     if plan.contingency is None:
-        return Verification(float(clearance.min()), None, (*problems, "contingency: missing"))
+        missing = Violation(Requirement.CONTINGENCY, "contingency: missing")
+        return Verification(float(clearance.min()), None, (*problems, missing))
     stop = plan.contingency
     distances = dirt.exact.distances(_poses(dirt, stop.states))
     problems += _too_close(dirt, "contingency", stop.times, stop.states, distances, np.ones(len(distances), bool))
     resting = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
     if np.any(resting > dirt.safety.rest_speed):
-        problems.append("contingency: does not end at standstill")
+        problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
     return Verification(float(clearance.min()), float(distances.min()), tuple(problems))
 
 
@@ -61,7 +91,9 @@ def _within_cycle(dirt: Dirt, plan: Plan) -> Bools:
     return plan.times <= dirt.safety.cycle + 1e-9
 
 
-def _too_close(dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Bools) -> list[str]:
+def _too_close(
+    dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: Floats, asked: Bools
+) -> list[Violation]:
     """Samples nearer to an obstacle than delta(v)."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
     delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
@@ -69,10 +101,11 @@ def _too_close(dirt: Dirt, what: str, times: Floats, states: Matrix, clearance: 
     k = int(np.argmin(worst))
     if worst[k] >= -TOLERANCE:
         return []
-    return [f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta asks for {delta[k]:.4f} m"]
+    text = f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta asks for {delta[k]:.4f} m"
+    return [Violation(Requirement.CLEARANCE, text)]
 
 
-def _between_samples(dirt: Dirt, plan: Plan, clearance: Floats) -> list[str]:
+def _between_samples(dirt: Dirt, plan: Plan, clearance: Floats) -> list[Violation]:
     """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is halved."""
     problems = []
     ends = np.cumsum(plan.durations)
@@ -84,7 +117,8 @@ def _between_samples(dirt: Dirt, plan: Plan, clearance: Floats) -> list[str]:
         if clearance[k] + clearance[k + 1] > travelled:
             continue
         if not dirt.exact.distances(poses[1:-1]).min() > 0.0:
-            problems.append(f"plan: collides between t = {plan.times[k]:.3f} and {plan.times[k + 1]:.3f} s")
+            text = f"plan: collides between t = {plan.times[k]:.3f} and {plan.times[k + 1]:.3f} s"
+            problems.append(Violation(Requirement.COLLISION, text))
     return problems
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 from kraft.config.yaml_reader import read_document
-from kraft.errors import InputError, MissingAsset
+from kraft.errors import Code, InputError, MissingAsset
 from kraft.text import nearest, suggestion
 
 Kind: TypeAlias = Literal["scenario", "vehicle", "method"]
@@ -69,12 +69,11 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
         if name_or_path in names(kind):
             return folder(kind) / f"{name_or_path}.yaml"
         expected = suggestion(name_or_path, names(kind), none=f"no {kind} comes with kraft")
-        raise InputError.of(
-            name_or_path, f"there is no {kind} of this name", f"{expected} (or the path of a .yaml file)"
-        )
+        problem = f"there is no {kind} of this name"
+        raise InputError.of(name_or_path, problem, f"{expected} (or the path of a .yaml file)", Code.NOT_FOUND)
     path = Path(name_or_path)
     if not os.path.exists(path):
-        raise InputError.of(str(path), "there is no such file", _nearby(kind, path))
+        raise InputError.of(str(path), "there is no such file", _nearby(kind, path), Code.NOT_FOUND)
     return path
 
 

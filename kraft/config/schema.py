@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, TypeAlias
+from typing import Annotated, Final, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from kraft.config.source import KeyPath
+from kraft.errors import Code
 
 
-class FileModel(BaseModel):
+class StrictModel(BaseModel):
     """One mapping of a configuration file: frozen, no unknown keys, no conversions between types."""
 
     model_config = ConfigDict(
@@ -27,9 +28,9 @@ class FileModel(BaseModel):
         yield from ()
 
 
-def refuse(problem: str, expected: str, at: KeyPath = ()) -> PydanticCustomError:
+def refuse(problem: str, expected: str, at: KeyPath = (), code: Code = Code.VALUE) -> PydanticCustomError:
     """Make the error that a validator raises; ``at`` is where, relative to what is being validated."""
-    context = {"problem": problem, "expected": expected, "at": at}
+    context = {"problem": problem, "expected": expected, "at": at, "code": code}
     return PydanticCustomError("kraft", "{problem}; {expected}", context)
 
 
@@ -37,14 +38,18 @@ def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
     low, high = interval
     if low >= high:
         raise refuse(f"the interval [{low:g}, {high:g}] is empty or inverted", "expected [low, high] with low < high")
+    if high - low < LENGTH_MIN:
+        raise refuse(f"the interval [{low:g}, {high:g}] is too short", f"expected at least {LENGTH_MIN:g} m")
     return interval
 
 
-LENGTH_MAX = 10_000.0
+LENGTH_MIN: Final = 0.001
+"""Metres. Shorter than any part of a scene that a robot or a map resolves; products of tiny lengths vanish."""
+LENGTH_MAX: Final = 10_000.0
 """Metres. Beyond it a workspace is a typing mistake, and grids over it would not fit into memory."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-LENGTH_MAX, le=LENGTH_MAX)]
-Length: TypeAlias = Annotated[float, Field(gt=0, le=LENGTH_MAX)]
+Length: TypeAlias = Annotated[float, Field(ge=LENGTH_MIN, le=LENGTH_MAX)]
 Angle: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]
 Positive: TypeAlias = Annotated[float, Field(gt=0, le=1e6)]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]

@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from kraft.config.schema import FileModel
+from kraft.config.schema import StrictModel
 from kraft.config.source import KeyPath, Source
 from kraft.config.yaml_reader import Document, Value, read_document
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import nearest, suggestion
 
 Model = TypeVar("Model", bound=BaseModel)
-
 _NOUNS = {
     "float_type": "a number",
     "finite_number": "a finite number",
@@ -71,15 +71,6 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
     return (None if problems else value), problems
 
 
-def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
-    """What is wrong between the keys of the whole file, which pydantic looks at only if every key is right."""
-    if issubclass(model, FileModel) and isinstance(document.data, dict):
-        for error in model.across_keys(document.data):
-            context = error.context or {}
-            if not _already_reported(context["at"], document):
-                yield document.source.diagnostic(context["at"], context["problem"], context["expected"])
-
-
 def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
     """Make a model from values that come from elsewhere than a file; ``origin`` is what errors name.
 
@@ -100,17 +91,14 @@ def part(model: type[Model], value: Value) -> Model | None:
         return None
 
 
-def describe(value: object) -> str:
-    """Name a value for a sentence: ``the text 'x'``, ``the number 3``, ``a list``."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
-    if isinstance(value, str):
-        return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
-    return "a mapping" if isinstance(value, Mapping) else "a list"
+def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
+    """What is wrong between the keys of the whole file, which pydantic looks at only if every key is right."""
+    if issubclass(model, StrictModel) and isinstance(document.data, dict):
+        for error in model.across_keys(document.data):
+            context = error.context or {}
+            if not _already_reported(context["at"], document):
+                problem, expected = context["problem"], context["expected"]
+                yield document.source.diagnostic(context["at"], problem, expected, code=context["code"])
 
 
 def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
@@ -139,10 +127,12 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     known = lookup(model, detail["loc"])
     about = f" ({known.description})" if known.description else ""
     if kind == "kraft":
-        return source.diagnostic((*path, *context["at"]), context["problem"], context["expected"])
+        at, problem, expected = context["at"], context["problem"], context["expected"]
+        return source.diagnostic((*path, *at), problem, expected, code=context["code"])
     if kind == "extra_forbidden":
         siblings = lookup(model, detail["loc"][:-1]).keys
-        return source.diagnostic(path, "unknown key", suggestion(str(path[-1]), siblings), at_key=True)
+        expected = suggestion(str(path[-1]), siblings)
+        return source.diagnostic(path, "unknown key", expected, at_key=True, code=Code.UNKNOWN)
     if kind in ("missing", "union_tag_not_found"):
         return _missing(source, path, known, "kind" if kind == "union_tag_not_found" else "")
     if kind == "union_tag_invalid":
@@ -160,7 +150,8 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     if kind == "string_pattern_mismatch":
         return source.diagnostic(path, f"is {describe(given)}", f"expected a {known.description}")
     if kind in _NOUNS:
-        return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}")
+        code = Code.VALUE if kind == "finite_number" else Code.TYPE
+        return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}", code=code)
     return source.diagnostic(path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}")
 
 
@@ -172,7 +163,20 @@ def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) ->
         return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
     else:
         expected = f"expected {known.description or 'it'}"
-    return source.diagnostic(path, "the key is missing", expected)
+    return source.diagnostic(path, "the key is missing", expected, code=Code.MISSING)
+
+
+def describe(value: object) -> str:
+    """Name a value for a sentence: ``the text 'x'``, ``the number 3``, ``a list``."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
+    if isinstance(value, str):
+        return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
+    return "a mapping" if isinstance(value, Mapping) else "a list"
 
 
 @dataclass(frozen=True)
@@ -183,6 +187,57 @@ class Known:
     keys: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
     length: int = 0
+
+
+def lookup(model: type[BaseModel], path: KeyPath) -> Known:
+    """Follow a key path of pydantic's through the annotations of a schema."""
+    annotation, description, length = _follow(model, path)
+    if annotation is None:
+        return Known()
+    annotation = _bare(annotation)
+    keys: tuple[str, ...] = ()
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        keys = tuple(_fields(annotation))
+    choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
+    return Known(description, keys, choices, length)
+
+
+def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:
+    """Return a key path of pydantic's, which has the kind of a union's member as if it were a key, as in the file."""
+    return tuple(part for i, part in enumerate(path) if part not in _kinds(_bare(_follow(model, path[:i])[0])))
+
+
+def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int]:
+    """Annotation at a path (None if there is none), its description, and the length of the list it is in."""
+    annotation: Any = model
+    description: str | None = None
+    length = 0
+    for part in path:
+        annotation = _bare(annotation)
+        arguments = get_args(annotation)
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found = _fields(annotation).get(str(part))
+            if found is None:
+                return None, None, 0
+            annotation, description = found.annotation, found.description
+        elif part in _kinds(annotation):
+            annotation = _kinds(annotation)[str(part)]
+        elif get_origin(annotation) is tuple and isinstance(part, int):
+            length = len(arguments)
+            if Ellipsis in arguments:  # the description is that of the list, not of an item
+                annotation, description = arguments[0], None
+            else:
+                annotation = arguments[min(part, length - 1)]
+        elif len(arguments) == 2:
+            annotation, description = arguments[1], None
+        else:
+            return None, None, 0
+    return annotation, description, length
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Fields of a model by their key in the file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _bare(annotation: Any) -> Any:
@@ -202,49 +257,3 @@ def _kinds(annotation: Any) -> dict[str, Any]:
         return {}
     members = [m for m in get_args(annotation) if isinstance(m, type) and issubclass(m, BaseModel)]
     return {get_args(m.model_fields["kind"].annotation)[0]: m for m in members if "kind" in m.model_fields}
-
-
-def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:
-    """Return a key path of pydantic's, which has the kind of a union's member as if it were a key, as in the file."""
-    return tuple(part for i, part in enumerate(path) if part not in _kinds(_bare(_follow(model, path[:i])[0])))
-
-
-def lookup(model: type[BaseModel], path: KeyPath) -> Known:
-    """Follow a key path of pydantic's through the annotations of a schema."""
-    annotation, description, length = _follow(model, path)
-    if annotation is None:
-        return Known()
-    annotation = _bare(annotation)
-    keys: tuple[str, ...] = ()
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        keys = tuple(annotation.model_fields)
-    choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
-    return Known(description, keys, choices, length)
-
-
-def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int]:
-    """Annotation at a path (None if there is none), its description, and the length of the list it is in."""
-    annotation: Any = model
-    description: str | None = None
-    length = 0
-    for part in path:
-        annotation = _bare(annotation)
-        arguments = get_args(annotation)
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found = annotation.model_fields.get(str(part))
-            if found is None:
-                return None, None, 0
-            annotation, description = found.annotation, found.description
-        elif part in _kinds(annotation):
-            annotation = _kinds(annotation)[str(part)]
-        elif get_origin(annotation) is tuple and isinstance(part, int):
-            length = len(arguments)
-            if Ellipsis in arguments:  # the description is that of the list, not of an item
-                annotation, description = arguments[0], None
-            else:
-                annotation = arguments[min(part, length - 1)]
-        elif len(arguments) == 2:
-            annotation, description = arguments[1], None
-        else:
-            return None, None, 0
-    return annotation, description, length

@@ -16,11 +16,18 @@ from typing import Any, Final, TypeAlias
 import yaml
 
 from kraft.config.source import KeyPath, Position, Source
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 
+BYTES_MAX: Final = 256 * 1024
+DEPTH_MAX: Final = 50
 NODES_MAX: Final = 100_000  # after aliases are followed: a few lines of aliases can stand for billions
-
+TOO_DEEP: Final = "nested too deep"
+PLAIN: Final = "!plain"
+"""Tag of a word without quotes, whose meaning is not decided here."""
 _STANDARD: Final = "tag:yaml.org,2002:"
+_VALID: Final = "expected YAML, such as 'key: value'"
+Scalar: TypeAlias = str | int | float | bool | None
+Value: TypeAlias = "Scalar | tuple[Value, ...] | dict[str, Value] | Unusable"
 
 
 class Unusable:
@@ -28,9 +35,6 @@ class Unusable:
 
     def __repr__(self) -> str:
         return "<unusable>"
-
-
-Value: TypeAlias = "Scalar | tuple[Value, ...] | dict[str, Value] | Unusable"
 
 
 @dataclass(frozen=True)
@@ -68,8 +72,123 @@ def parse_document(content: bytes | str, file: str) -> Document:
     return _Converter(file).document(compose(content, file))
 
 
-def _position(node: yaml.Node) -> Position:
-    return Position(node.start_mark.line + 1, node.start_mark.column + 1)
+def read_bytes(path: Path, bytes_max: int = BYTES_MAX, expected: str = "expected a YAML file") -> bytes:
+    """Content of a file of at most `bytes_max` bytes; errors end with `expected`.
+
+    Raises:
+        InputError: if it cannot be read or is larger.
+    """
+    file = str(path)
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(bytes_max + 1)
+    except FileNotFoundError:
+        raise InputError.of(file, "there is no such file", expected, Code.NOT_FOUND) from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise InputError.of(file, f"cannot be read ({reason})", expected, Code.UNREADABLE) from error
+    if len(content) > bytes_max:
+        raise InputError.of(file, f"is larger than {bytes_max // 1024} KiB", expected, Code.UNREADABLE)
+    return content
+
+
+def compose(content: bytes | str, file: str) -> yaml.Node:
+    """Return the root node of a file's content; ``file`` is the name that errors carry.
+
+    Raises:
+        InputError: if it is empty, too large, not UTF-8, or not one YAML document.
+    """
+    if len(content) > BYTES_MAX:
+        problem = f"is larger than {BYTES_MAX // 1024} KiB"
+        raise InputError.of(file, problem, "expected a configuration file", Code.UNREADABLE)
+    text = decode(content, file) if isinstance(content, bytes) else content.removeprefix("\ufeff")
+    root = _composed(text, file)
+    if root is None:
+        raise _syntax_error(file, None, "the file is empty", "expected a mapping")
+    return root
+
+
+def decode(content: bytes, file: str) -> str:
+    """Text of a file without its byte order mark.
+
+    Raises:
+        InputError: if it is not UTF-8.
+    """
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
+        raise _syntax_error(
+            file, Position(line, column), "is not UTF-8 text", "expected the file saved as UTF-8"
+        ) from error
+
+
+def _composed(text: str, file: str) -> yaml.Node | None:
+    loader: _Loader | None = None
+    try:
+        loader = _Loader(text)
+        node: yaml.Node | None = loader.get_single_node()
+    except yaml.reader.ReaderError as error:
+        before = text[: error.position]
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        code = error.character if isinstance(error.character, int) else ord(str(error.character))
+        problem = f"the character U+{code:04X} is not allowed"
+        raise _syntax_error(file, Position(line, column), problem, "expected printable text") from error
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise _syntax_error(file, _marked(mark), *_explained(error)) from error
+    except (ValueError, OverflowError) as error:  # PyYAML lets these out for absurd escapes and directives
+        position = _marked(loader.get_mark()) if loader else None
+        raise _syntax_error(file, position, "not valid YAML (a number out of range)", _VALID) from error
+    return node
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's reader with a depth limit and without any opinion about unquoted words."""
+
+    depth = 0
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
+        if kind is yaml.ScalarNode and implicit[0]:
+            return PLAIN
+        return super().resolve(kind, value, implicit)  # type: ignore[no-untyped-call]
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self.depth += 1
+        if self.depth > DEPTH_MAX:
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem=TOO_DEEP, problem_mark=mark)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+def _explained(error: yaml.MarkedYAMLError) -> tuple[str, str]:
+    """Say what is wrong and what was expected, for the mistakes people make."""
+    problem = error.problem or "cannot be read"
+    if error.context == "expected a single document in the stream":
+        return "a second document begins here", "expected one document in a file"
+    if "'\\t'" in problem:
+        return "a tab is used for indentation", "expected spaces"
+    if problem == TOO_DEEP:
+        return problem, f"expected at most {DEPTH_MAX} levels"
+    return f"not valid YAML ({problem}{f', {error.context}' if error.context else ''})", _VALID
+
+
+def _syntax_error(file: str, at: Position | None, problem: str, expected: str) -> InputError:
+    """Error at a position, by default the beginning of the file."""
+    line, column = (at.line, at.column) if at else (1, 1)
+    return InputError([Diagnostic(file, problem, expected, line, column, code=Code.SYNTAX)])
+
+
+def _marked(mark: Any) -> Position | None:
+    return Position(mark.line + 1, mark.column + 1) if mark else None
+
+
+def holds_surrogate(text: str) -> bool:
+    """Whether a text holds half of a character, which escapes can write and UTF-8 cannot."""
+    return any("\ud800" <= character <= "\udfff" for character in text)
 
 
 @dataclass
@@ -89,12 +208,12 @@ class _Converter:
         source = Source(self.file, self.values, self.keys)
         return Document(data, source, tuple(self.problems), frozenset(self.unusable))
 
-    def report(self, node: yaml.Node, path: KeyPath, problem: str, expected: str) -> None:
+    def report(self, node: yaml.Node, path: KeyPath, problem: str, expected: str, code: Code = Code.SYNTAX) -> None:
         at = Source(self.file, {path: _position(node)})
-        self.problems.append(at.diagnostic(path, problem, expected))
+        self.problems.append(at.diagnostic(path, problem, expected, code=code))
 
-    def reject(self, node: yaml.Node, path: KeyPath, problem: str, expected: str) -> Unusable:
-        self.report(node, path, problem, expected)
+    def reject(self, node: yaml.Node, path: KeyPath, problem: str, expected: str, code: Code = Code.SYNTAX) -> Unusable:
+        self.report(node, path, problem, expected, code)
         self.unusable.add(path)
         return Unusable()
 
@@ -125,14 +244,14 @@ class _Converter:
 
     def scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Value:
         text: str = node.value
-        if any("\ud800" <= character <= "\udfff" for character in text):
+        if holds_surrogate(text):
             return self.reject(node, path, "holds half of a character", "expected text that UTF-8 can write")
         if node.tag != PLAIN:
             return text
         try:
             return plain_scalar(text)
         except AmbiguousScalar as error:
-            return self.reject(node, path, error.problem, error.expected)
+            return self.reject(node, path, error.problem, error.expected, Code.VALUE)
 
     def mapping(self, node: yaml.MappingNode, path: KeyPath) -> dict[str, Value]:
         result: dict[str, Value] = {}
@@ -143,7 +262,8 @@ class _Converter:
             inner = (*path, key)
             if key in result:
                 first = self.keys[inner]
-                self.report(key_node, inner, f"the key is repeated; it is first at {first}", "expected it once")
+                problem = f"the key is repeated; it is first at {first}"
+                self.report(key_node, inner, problem, "expected it once", Code.DUPLICATE)
                 continue
             self.keys[inner] = _position(key_node)
             result[key] = self.value(value_node, inner)
@@ -153,7 +273,7 @@ class _Converter:
         """Return the text of a key, or None after reporting that it is not text."""
         if not isinstance(node, yaml.ScalarNode) or node.tag not in (PLAIN, _STANDARD + "str"):
             self.report(node, path, "a key is a list, a mapping or tagged", "expected keys that are words")
-        elif any("\ud800" <= character <= "\udfff" for character in node.value):
+        elif holds_surrogate(node.value):
             self.report(node, path, "a key holds half of a character", "expected text that UTF-8 can write")
         elif node.value == "<<" and node.tag == PLAIN:
             self.report(node, path, "merge keys (<<) are not supported", "expected the keys written out")
@@ -162,7 +282,9 @@ class _Converter:
         return None
 
 
-Scalar: TypeAlias = str | int | float | bool | None
+def _position(node: yaml.Node) -> Position:
+    return Position(node.start_mark.line + 1, node.start_mark.column + 1)
+
 
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
 _TRUE = frozenset({"true", "True", "TRUE"})
@@ -227,110 +349,3 @@ def _refuse_ambiguous(word: str) -> None:
 
 def _short(word: str) -> str:
     return word if len(word) <= 40 else f"{word[:37]}..."
-
-
-BYTES_MAX: Final = 256 * 1024
-DEPTH_MAX: Final = 50
-TOO_DEEP: Final = "nested too deep"
-PLAIN: Final = "!plain"
-"""Tag of a word without quotes, whose meaning is not decided here."""
-
-_VALID: Final = "expected YAML, such as 'key: value'"
-
-
-class _Loader(yaml.SafeLoader):
-    """PyYAML's reader with a depth limit and without any opinion about unquoted words."""
-
-    depth = 0
-
-    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-        if kind is yaml.ScalarNode and implicit[0]:
-            return PLAIN
-        return super().resolve(kind, value, implicit)  # type: ignore[no-untyped-call]
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        self.depth += 1
-        if self.depth > DEPTH_MAX:
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem=TOO_DEEP, problem_mark=mark)
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-
-def read_bytes(path: Path) -> bytes:
-    """Read a configuration file, or a little more than the largest one allowed.
-
-    Raises:
-        InputError: if it cannot be read.
-    """
-    file = str(path)
-    try:
-        with path.open("rb") as stream:
-            return stream.read(BYTES_MAX + 1)
-    except FileNotFoundError:
-        raise InputError.of(file, "there is no such file", "expected a YAML file") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError.of(file, f"cannot be read ({reason})", "expected a readable YAML file") from error
-
-
-def compose(content: bytes | str, file: str) -> yaml.Node:
-    """Return the root node of a file's content; ``file`` is the name that errors carry.
-
-    Raises:
-        InputError: if it is empty, too large, not UTF-8, or not one YAML document.
-    """
-    if len(content) > BYTES_MAX:
-        raise InputError.of(file, f"is larger than {BYTES_MAX // 1024} KiB", "expected a configuration file")
-    text = _decoded(content, file) if isinstance(content, bytes) else content.removeprefix("\ufeff")
-    root = _composed(text, file)
-    if root is None:
-        raise InputError([Diagnostic(file, "the file is empty", "expected a mapping", 1, 1)])
-    return root
-
-
-def _decoded(content: bytes, file: str) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
-        problem = "is not UTF-8 text"
-        raise InputError([Diagnostic(file, problem, "expected the file saved as UTF-8", line, column)]) from error
-
-
-def _composed(text: str, file: str) -> yaml.Node | None:
-    loader: _Loader | None = None
-    try:
-        loader = _Loader(text)
-        node: yaml.Node | None = loader.get_single_node()
-    except yaml.reader.ReaderError as error:
-        before = text[: error.position]
-        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-        code = error.character if isinstance(error.character, int) else ord(str(error.character))
-        problem = f"the character U+{code:04X} is not allowed"
-        raise InputError([Diagnostic(file, problem, "expected printable text", line, column)]) from error
-    except yaml.MarkedYAMLError as error:
-        raise _syntax_error(file, error.problem_mark or error.context_mark, *_explained(error)) from error
-    except (ValueError, OverflowError) as error:  # PyYAML lets these out for absurd escapes and directives
-        mark = loader.get_mark() if loader else None
-        raise _syntax_error(file, mark, "not valid YAML (a number out of range)", _VALID) from error
-    return node
-
-
-def _explained(error: yaml.MarkedYAMLError) -> tuple[str, str]:
-    """Say what is wrong and what was expected, for the mistakes people make."""
-    problem = error.problem or "cannot be read"
-    if error.context == "expected a single document in the stream":
-        return "a second document begins here", "expected one document in a file"
-    if "'\\t'" in problem:
-        return "a tab is used for indentation", "expected spaces"
-    if problem == TOO_DEEP:
-        return problem, f"expected at most {DEPTH_MAX} levels"
-    return f"not valid YAML ({problem}{f', {error.context}' if error.context else ''})", _VALID
-
-
-def _syntax_error(file: str, mark: Any, problem: str, expected: str) -> InputError:
-    line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-    return InputError([Diagnostic(file, problem, expected, line, column)])

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 
 from kraft.config import bundled
-from kraft.config.schema import FileModel, NonNegative, Positive, Probability, refuse
+from kraft.config.schema import NonNegative, Positive, Probability, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
 
@@ -21,7 +21,7 @@ Rate = Annotated[float, Field(gt=0, le=500)]
 Gain = Annotated[float, Field(ge=-1000, le=1000)]
 
 
-class Clearance(FileModel):
+class Clearance(StrictModel):
     """SAFETY's clearance: delta(v) = delta + delta_per_speed |v|."""
 
     delta: NonNegative = 0.05
@@ -36,7 +36,7 @@ RESERVE = 0.2
 """Share of a cycle that planning by the clock leaves unused, as the original system does."""
 
 
-class Planner(FileModel):
+class Planner(StrictModel):
     """When and how long to plan."""
 
     mode: Literal["one-shot", "replanning"]
@@ -77,7 +77,7 @@ class Planner(FileModel):
         return self
 
 
-class OpenLoop(FileModel):
+class OpenLoop(StrictModel):
     """Sends the planned controls as they are."""
 
     kind: Literal["open_loop"]
@@ -86,7 +86,7 @@ class OpenLoop(FileModel):
     """commands per second"""
 
 
-class Geometric(FileModel):
+class Geometric(StrictModel):
     """Steers with a PID towards a point of the path a fixed length ahead of the nearest one."""
 
     kind: Literal["geometric"]
@@ -101,7 +101,7 @@ class Geometric(FileModel):
     """proportional, integral and derivative gain on the direction to the point aimed at"""
 
 
-class Kinodynamic(FileModel):
+class Kinodynamic(StrictModel):
     """Stanley on the planned trajectory, with speed and steering fed forward."""
 
     kind: Literal["kinodynamic"]
@@ -123,7 +123,7 @@ class Kinodynamic(FileModel):
 Controller = Annotated[OpenLoop | Geometric | Kinodynamic, Field(discriminator="kind")]
 
 
-class Latest(FileModel):
+class Latest(StrictModel):
     """The newest observed pose, predicted forward with the model; the speed is the one last commanded."""
 
     kind: Literal["latest"]
@@ -132,7 +132,7 @@ class Latest(FileModel):
     """time before the newest pose: replanning takes the mean of the poses in it, each predicted to now, s"""
 
 
-class Filter(FileModel):
+class Filter(StrictModel):
     """A Kalman filter over the model and all observed poses, which doubts outliers."""
 
     kind: Literal["filter"]
@@ -158,7 +158,7 @@ class Filter(FileModel):
 Estimator = Annotated[Latest | Filter, Field(discriminator="kind")]
 
 
-class Method(FileModel):
+class Method(StrictModel):
     """A method file."""
 
     name: Name

@@ -187,7 +187,7 @@ class Proposer:
         )
         problems = verify(dirt, head).problems
         if problems:
-            raise Defect(f"the plan of cycle {number} fails verification: {'; '.join(problems)}")
+            raise Defect(f"the plan of cycle {number} fails verification: {'; '.join(map(str, problems))}")
 
 
 def _shortfall(progress: Progress) -> str:

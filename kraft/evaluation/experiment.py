@@ -96,7 +96,7 @@ def experiment_of(
             vehicle = resolve_vehicle(vehicle, Path.cwd())
             load_vehicle(vehicle)
         except VehicleProblem as error:
-            problems.append(Diagnostic(vehicle, error.problem, error.expected))
+            problems.append(Diagnostic(vehicle, error.problem, error.expected, code=error.code))
         except InputError as error:
             problems += error.diagnostics
     if problems:
@@ -189,4 +189,5 @@ def _vehicle_of_method(method: Method) -> str | None:
     try:
         return resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
     except VehicleProblem as error:
-        raise InputError([method.source.diagnostic("planner.vehicle", error.problem, error.expected)]) from None
+        problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
+        raise InputError([problem]) from None

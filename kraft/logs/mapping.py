@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
-from kraft.config.schema import FileModel, NonNegative, Positive, refuse
+from kraft.config.schema import NonNegative, Positive, StrictModel, refuse
 from kraft.config.source import KeyPath, Source
 from kraft.config.validation import read_model
 from kraft.logs.names import ALLOWED, Quantity, Unit
@@ -23,7 +23,7 @@ def _or_name(schema: dict[str, Any]) -> None:
     schema.update(anyOf=[_SHORT, full])
 
 
-class Column(FileModel):
+class Column(StrictModel):
     """A column of the table of its family, or a field of a message; a text is its name alone."""
 
     model_config = ConfigDict(json_schema_extra=_or_name)
@@ -65,7 +65,7 @@ def _in(column: Column | None, quantity: Quantity, at: KeyPath = ()) -> Column |
     return column
 
 
-class Commands(FileModel):
+class Commands(StrictModel):
     """Where the commands are."""
 
     table: str | None = None
@@ -88,7 +88,7 @@ class Commands(FileModel):
         return value
 
 
-class Poses(FileModel):
+class Poses(StrictModel):
     """Where the poses are."""
 
     table: str | None = None
@@ -126,7 +126,7 @@ class Poses(FileModel):
         return self
 
 
-class DeadMan(FileModel):
+class DeadMan(StrictModel):
     """A switch that says when the log counts: the driver holds it while the commands reach the vehicle."""
 
     column: str
@@ -146,7 +146,7 @@ class DeadMan(FileModel):
         return _in(value, "time")
 
 
-class Limits(FileModel):
+class Limits(StrictModel):
     """What is a gap and what is a teleport; what is left out is measured from the log itself."""
 
     pose_gap: Positive | None = None
@@ -159,7 +159,7 @@ class Limits(FileModel):
     """a log in which the vehicle moves less than this is refused, m"""
 
 
-class Mapping(FileModel):
+class Mapping(StrictModel):
     """A mapping file."""
 
     commands: Commands = Commands()

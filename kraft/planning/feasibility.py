@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from kraft.errors import Diagnostic, InputError, Unreachable
+from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.planning.workspace import (
     fence,
     goal_of,
     heading_of,
     planar_obstacle,
     pose_text,
-    safety_of,
+    safety_of_task,
     settings_of,
     workspace_of,
 )
@@ -27,6 +27,7 @@ from ompl_ext.query import make_problem
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)
+UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
 
 
 def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | None = None) -> None:
@@ -48,16 +49,17 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         problem = f"{vehicle.name} at {pose_text(x, y, heading)} {hit}"
         expected = "expected a start that is free and inside the bounds"
         if origin is None:
-            problems.append(task.source.diagnostic("start", problem, expected))
+            problems.append(task.source.diagnostic("start", problem, expected, code=Code.GEOMETRY))
         else:
-            problems.append(Diagnostic(origin, problem, expected))
+            problems.append(Diagnostic(origin, problem, expected, code=Code.GEOMETRY))
     if origin is None and abs(task.start.speed) > vehicle.top_speed:
         problem = f"is {task.start.speed:g} m/s, faster than {vehicle.name} can be"
         expected = f"expected at most {vehicle.top_speed:g} m/s"
         problems.append(task.source.diagnostic("start.speed", problem, expected))
     if hit := _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0)):
         problem = f"the goal's centre {hit}"
-        problems.append(task.source.diagnostic("goal.center", problem, "expected a free place"))
+        expected = "expected a free place"
+        problems.append(task.source.diagnostic("goal.center", problem, expected, code=Code.GEOMETRY))
     if problems:
         raise InputError(problems)
 
@@ -80,19 +82,16 @@ def _collides(task: Task, footprint: Footprint, pose: tuple[float, float, float]
     return ExactClearance(alone, footprint).distance(*pose) <= 0.0
 
 
-UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
-
-
 def check_reachable(task: Task, vehicle: Vehicle) -> None:
     """Check that a path leads from the task's start to its goal; 15 ms for a map of 4 m by 10 m.
 
     Raises:
         Unreachable: at the goal, if there is none.
     """
-    problem = make_problem(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
+    problem = make_problem(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
     if not reachable(problem, task.start.x, task.start.y):
         expected = "expected a goal that the vehicle can get to"
-        raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected)])
+        raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected, code=Code.GEOMETRY)])
 
 
 def reachable(problem: Problem, x: float, y: float) -> bool:

@@ -8,26 +8,43 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, Self, TypeGuard
 
 import numpy as np
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from kraft.config.validation import describe
-from kraft.errors import Diagnostic, InputError
+from kraft.config.json_reader import read_json
+from kraft.config.schema import NonNegative, Positive, StrictModel, refuse
+from kraft.config.validation import check, describe
+from kraft.config.yaml_reader import Document
+from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.planning.plan_task import PlanResult
 from kraft.planning.search import Previous
 from kraft.planning.workspace import settings_of
 from kraft.provenance import PLANNING, plain_hash, versions
 from kraft.scenario import Task
-from ompl_ext.arrays import Floats
+from kraft.text import counted
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.vehicle import Vehicle
 
 NAME: Final = "plan.json"
+SCHEMA: Final = "kraft.plan-file/1"
+SIZE_MAX: Final = 256 * 1024 * 1024  # bytes
+EXPECTED: Final = f"expected a plan file ({SCHEMA})"
+TOLERANCE: Final = 1e-6  # s, between numbers that say the same thing twice
+
+
+Number = Annotated[float, Field(ge=-1e9, le=1e9)]
+Times = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
+Row = Annotated[tuple[Number, ...], Field(min_length=1)]
+Table = Annotated[tuple[Row, ...], Field(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -45,11 +62,11 @@ def write_plan(path: Path, task: Task, vehicle: Vehicle, result: PlanResult, ori
     Raises:
         InputError: if something else than a plan file is there, or it cannot be written.
     """
-    check_target(path)
+    check_plan_target(path)
     write_whole(path, plan_text(task, vehicle, result, origin).encode())
 
 
-def check_target(path: Path) -> None:
+def check_plan_target(path: Path) -> None:
     """Refuse to replace a file that is not a plan file, and a place that cannot be written.
 
     Raises:
@@ -58,30 +75,13 @@ def check_target(path: Path) -> None:
     check_writable(path)
     if path.exists():
         try:
-            read_object(path)
+            _read_document(path)
         except InputError:
-            problem = "there is a file that is not a plan file"
-            raise InputError.of(str(path), problem, "expected a folder without it, or an earlier plan") from None
-
-
-def read_plan(path: Path) -> Plan:
-    """Read the plan of a plan file.
-
-    Raises:
-        InputError: if it is not a plan file or something in it is missing, misshapen, or not a finite number.
-    """
-    return plan_from(path)
-
-
-def planned_scenario(path: Path) -> str | None:
-    """Name of the scenario that a plan file says its plan is for; None if it does not say.
-
-    Raises:
-        InputError: if it is not a plan file.
-    """
-    scenario = read_object(path).get("scenario")
-    name = scenario.get("name") if isinstance(scenario, dict) else None
-    return name if isinstance(name, str) else None
+            problem, expected = (
+                "there is a file that is not a plan file",
+                "expected a folder without it, or an earlier plan",
+            )
+            raise InputError.of(str(path), problem, expected, Code.EXISTS) from None
 
 
 def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) -> str:
@@ -178,152 +178,222 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-SCHEMA: Final = "kraft.plan-file/1"
-SIZE_MAX: Final = 256 * 1024 * 1024  # bytes
-TOLERANCE: Final = 1e-6  # s, between numbers that say the same thing twice
-
-
-def plan_from(path: Path) -> Plan:
+def read_plan_file(path: Path) -> PlanFile:
     """Read and check a plan file.
 
     Raises:
         InputError: with every problem of the file.
     """
-    reader = _Reader(str(path), read_object(path))
-    plan = reader.plan()
-    if reader.problems or plan is None:
-        raise InputError(reader.problems)
-    return plan
-
-
-def read_object(path: Path) -> dict[str, Any]:
-    """Read a JSON object that says it is a plan file.
-
-    Raises:
-        InputError: if the file cannot be read or is something else.
-    """
-    expected = f"expected a plan file ({SCHEMA}), as `kraft plan --out` writes it"
-    try:
-        if path.stat().st_size > SIZE_MAX:
-            raise InputError.of(str(path), f"is larger than {SIZE_MAX >> 20} MiB", expected)
-        content = json.loads(path.read_bytes().decode("utf-8"), parse_constant=_refuse_constant)
-    except FileNotFoundError:
-        raise InputError.of(str(path), "there is no such file", expected) from None
-    except OSError as error:
-        raise InputError.of(str(path), f"cannot be read: {error.strerror}", expected) from None
-    except json.JSONDecodeError as error:
-        problem = f"is not JSON: {error.msg}"
-        raise InputError([Diagnostic(str(path), problem, expected, error.lineno, error.colno)]) from None
-    except (ValueError, RecursionError) as error:  # not UTF-8, a number that is not finite, nested without end
-        raise InputError.of(str(path), f"is not JSON: {error}", expected) from None
-    if not isinstance(content, dict):
-        raise InputError.of(str(path), f"holds {describe(content)}", expected)
-    if content.get("schema") != SCHEMA:
-        found = describe(content["schema"]) if "schema" in content else "missing"
-        raise InputError([Diagnostic(str(path), f"is {found}", f"expected {SCHEMA!r}", path="schema")])
+    content, problems = check(PlanFile, _read_document(path))
+    if content is None:
+        raise InputError(problems)
     return content
 
 
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a finite number")
+def read_plan(path: Path) -> Plan:
+    """Plan of a plan file.
+
+    Raises:
+        InputError: with every problem of the file.
+    """
+    return read_plan_file(path).plan()
 
 
-class _Reader:
-    """Takes arrays out of a plan file and notes every problem on the way."""
+def _read_document(path: Path) -> Document:
+    """Content of a file whose schema is that of a plan file.
 
-    def __init__(self, file: str, content: dict[str, Any]) -> None:
-        self.file, self.content = file, content
-        self.problems: list[Diagnostic] = []
+    Raises:
+        InputError: if it cannot be read, is not JSON, or has another schema.
+    """
+    document = read_json(path, SIZE_MAX, EXPECTED)
+    if not isinstance(document.data, dict):
+        raise InputError.of(str(path), f"holds {describe(document.data)}", EXPECTED, Code.MISMATCH)
+    schema = document.data.get("schema")
+    if schema != SCHEMA:
+        problem = f"is {describe(schema)}" if "schema" in document.data else "the key is missing"
+        raise InputError([document.source.diagnostic("schema", problem, f"expected {SCHEMA!r}", code=Code.MISMATCH)])
+    return document
 
-    def plan(self) -> Plan | None:
-        durations = self.array("durations", (None,))
-        n = len(durations) if durations is not None else None
-        controls = self.array("controls", (n, None))
-        states = self.array("states", (n + 1 if n is not None else None, None))
-        nx = states.shape[1] if states is not None else None
-        times = self.array("times", (None,))
-        trajectory = self.array("trajectory", (len(times) if times is not None else None, nx))
-        cost, cost_to_go, reached = self.number("cost"), self.number("cost_to_go"), self.flag("goal.reached")
-        contingency = self.contingency(nx)
-        if durations is None or controls is None or states is None or times is None or trajectory is None:
+
+class PlannedScenario(StrictModel):
+    """Scenario that the plan is for."""
+
+    name: str | None = None
+    """its name"""
+    reference: str | None = None
+    """how it was named"""
+    sha256: str | None = None
+    """hash of what the planner was given"""
+
+
+class PlannedGoal(StrictModel):
+    """Goal region that the plan is for."""
+
+    center: object = None
+    """[x, y] of the centre, m"""
+    radius: object = None
+    """distance from the centre that counts as arrived, m"""
+    reached: bool
+    """whether the plan ends in the goal region"""
+
+
+class PlannedContingency(StrictModel):
+    """Manoeuvre that stops the vehicle where the plan leaves its first cycle."""
+
+    manoeuvre: str
+    """name of the manoeuvre"""
+    spare: NonNegative | None
+    """clearance beyond the one that is required, m; null without obstacles"""
+    times: Times
+    """times of the states, s"""
+    states: Table
+    """states [n, nx]"""
+
+
+class PlanFile(StrictModel):
+    """Content of a plan file; `object` marks what is recorded for people and not read."""
+
+    schema_: Annotated[Literal["kraft.plan-file/1"], Field(alias="schema")]
+    """kind and version of the file"""
+    scenario: PlannedScenario = PlannedScenario()
+    """scenario {name, reference, sha256}"""
+    vehicle: object = None
+    """the vehicle with its parameters"""
+    planner: object = None
+    """name of the planner"""
+    seed: object = None
+    """seed of the random generator"""
+    iterations: object = None
+    """iterations of the search"""
+    settings: object = None
+    """settings of the planner"""
+    from_: Annotated[object, Field(alias="from")] = None
+    """the earlier plan that planning began with"""
+    goal: PlannedGoal
+    """goal region {center, radius, reached}"""
+    cost: NonNegative
+    """duration of the plan, s"""
+    cost_to_go: NonNegative
+    """estimated time from the end of the plan to the goal, s"""
+    durations: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    """duration of each edge [n], s"""
+    controls: Table
+    """control of each edge [n, nu]"""
+    states: Table
+    """states between the edges [n + 1, nx]"""
+    times: Times
+    """times of the trajectory [m], s"""
+    trajectory: Table
+    """states at these times [m, nx]"""
+    contingency: PlannedContingency | None
+    """manoeuvre that stops the vehicle {manoeuvre, spare, times, states}"""
+    versions: object = None
+    """versions of what shaped the plan"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        content = {**dict(self), "contingency": None if self.contingency is None else dict(self.contingency)}
+        for error in self.across_keys(content):
+            raise error
+        return self
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that the tables have the sizes that their keys require of each other, and that the times agree."""
+        edges, samples = _length(content.get("durations")), _length(content.get("times"))
+        yield from _wrong_rows(content, ("controls",), edges, "durations")
+        yield from _wrong_rows(content, ("states",), None if edges is None else edges + 1, "durations, and one more")
+        yield from _wrong_rows(content, ("trajectory",), samples, "times")
+        width = _width(content.get("states"))
+        yield from _wrong_width(content, ("trajectory",), width)
+        stop = content.get("contingency")
+        if isinstance(stop, Mapping):
+            yield from _wrong_rows(content, ("contingency", "states"), _length(stop.get("times")), "contingency.times")
+            yield from _wrong_width(content, ("contingency", "states"), width)
+        yield from _wrong_times(content.get("durations"), content.get("times"), content.get("cost"))
+
+    def plan(self) -> Plan:
+        """The plan as arrays."""
+        return Plan(
+            np.array(self.states),
+            np.array(self.controls),
+            np.array(self.durations),
+            np.array(self.times),
+            np.array(self.trajectory),
+            self.cost,
+            self.cost_to_go,
+            self.goal.reached,
+            self._contingency(),
+        )
+
+    def _contingency(self) -> Contingency | None:
+        stop = self.contingency
+        if stop is None:
             return None
-        self.check_times(durations, times, cost)
-        return Plan(states, controls, durations, times, trajectory, cost, cost_to_go, reached, contingency)
-
-    def contingency(self, nx: int | None) -> Contingency | None:
-        if self.find("contingency") is None:
-            return None
-        times = self.array("contingency.times", (None,))
-        states = self.array("contingency.states", (len(times) if times is not None else None, nx))
-        name = self.find("contingency.manoeuvre")
-        if not isinstance(name, str):
-            self.report("contingency.manoeuvre", f"is {describe(name)}", "expected text")
-        spare = self.find("contingency.spare")
-        clearance = np.inf if spare is None else self.number("contingency.spare")
-        return None if times is None or states is None else Contingency(str(name), times, states, clearance)
-
-    def check_times(self, durations: Floats, times: Floats, cost: float) -> None:
-        if not np.all(durations > 0):
-            k = int(np.argmin(durations))
-            self.report(f"durations[{k}]", f"is {durations[k]:g}", "expected a duration greater than 0")
-        if len(times) == 0 or times[0] != 0.0 or not np.all(np.diff(times) > 0):
-            self.report("times", "do not increase from 0", "expected the times of the trajectory's states")
-        elif abs(times[-1] - durations.sum()) > TOLERANCE or abs(cost - durations.sum()) > TOLERANCE:
-            problem = f"times end at {times[-1]:g} s, cost is {cost:g} s, durations last {durations.sum():g} s"
-            self.report("cost", problem, "expected the same three times")
-
-    def array(self, path: str, shape: tuple[int | None, ...]) -> Any:
-        """The numbers at a path as an array of `shape` (None: any length), or None after a report."""
-        value = self.find(path)
-        wanted = " x ".join("n" if length is None else str(length) for length in shape)
-        array = _table(value)
-        if array.ndim != len(shape) or 0 in array.shape:
-            self.report(path, f"is not a table of numbers of {wanted}", "expected lists of equal length")
-        elif any(length not in (None, found) for length, found in zip(shape, array.shape, strict=True)):
-            found = " x ".join(str(length) for length in array.shape)
-            self.report(path, f"has {found} numbers", f"expected {wanted}")
-        elif not np.all(np.isfinite(array)):
-            self.report(path, "holds a number that is not finite", "expected finite numbers")
-        else:
-            return array
-        return None
-
-    def number(self, path: str) -> float:
-        value = self.find(path)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value) or value < 0:
-            self.report(path, f"is {describe(value)}", "expected a number of at least 0")
-            return 0.0
-        return float(value)
-
-    def flag(self, path: str) -> bool:
-        value = self.find(path)
-        if not isinstance(value, bool):
-            self.report(path, f"is {describe(value)}", "expected true or false")
-        return value is True
-
-    def find(self, path: str) -> Any:
-        """The value at a dotted path; None, after a report, where there is none."""
-        value: Any = self.content
-        parts = path.split(".")
-        for i, key in enumerate(parts):
-            if not isinstance(value, dict) or key not in value:
-                self.report(".".join(parts[: i + 1]), "the key is missing", "expected it in a plan file")
-                return None
-            value = value[key]
-        return value
-
-    def report(self, path: str, problem: str, expected: str) -> None:
-        if not any(d.path == path for d in self.problems):  # what is missing is not also misshapen
-            self.problems.append(Diagnostic(self.file, problem, expected, path=path))
+        spare = np.inf if stop.spare is None else stop.spare
+        return Contingency(stop.manoeuvre, np.array(stop.times), np.array(stop.states), spare)
 
 
-def _table(value: Any) -> Floats:
-    """Nested lists of numbers as an array; of no dimension if they are anything else."""
-    rows = value if isinstance(value, list) else [None]
-    items = [item for row in rows for item in (row if isinstance(row, list) else [row])]
-    if any(isinstance(item, bool) or not isinstance(item, int | float) for item in items):
-        return np.array(np.nan)
-    try:
-        return np.array(value, dtype=float)
-    except (ValueError, OverflowError):  # rows of different lengths, an integer beyond every double
-        return np.array(np.nan)
+def _at(content: Mapping[str, object], path: tuple[str, ...]) -> object:
+    value: object = content
+    for key in path:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+def _length(value: object) -> int | None:
+    """Length of a list that is not empty; None for anything else."""
+    return len(value) if isinstance(value, tuple) and value else None
+
+
+def _width(value: object) -> int | None:
+    """Length of the first row of a table; None for anything else."""
+    return _length(value[0]) if isinstance(value, tuple) and value else None
+
+
+def _wrong_rows(
+    content: Mapping[str, object], path: tuple[str, ...], rows: int | None, equal_to: str
+) -> Iterator[PydanticCustomError]:
+    """Check the number of rows of a table, unless `rows` is None, and that they are equally long."""
+    table = _at(content, path)
+    if not isinstance(table, tuple) or not table:
+        return
+    if rows is not None and len(table) != rows:
+        expected = f"expected {rows}, as many as {equal_to}"
+        yield refuse(f"has {counted(len(table), 'row')}", expected, path, Code.MISMATCH)
+    width = _width(table)
+    for i, row in enumerate(table):
+        if width is not None and _length(row) not in (None, width):
+            problem = f"has {counted(_length(row) or 0, 'number')}"
+            yield refuse(problem, f"expected {width}, as in the first row", (*path, i), Code.MISMATCH)
+
+
+def _wrong_width(
+    content: Mapping[str, object], path: tuple[str, ...], width: int | None
+) -> Iterator[PydanticCustomError]:
+    """Check that the rows of a table are as long as a state, unless that is None."""
+    found = _width(_at(content, path))
+    if width is not None and found is not None and found != width:
+        problem = f"has rows of {counted(found, 'number')}"
+        yield refuse(problem, f"expected {width}, as in states", path, Code.MISMATCH)
+
+
+def _wrong_times(durations: object, times: object, cost: object) -> Iterator[PydanticCustomError]:
+    """Check that the times increase from 0 and end with the durations and the cost."""
+    if not (_numbers(durations) and _numbers(times)):
+        return
+    if times[0] != 0.0 or not all(a < b for a, b in pairwise(times)):
+        yield refuse("do not increase from 0", "expected the times of the trajectory's states", ("times",))
+        return
+    end, total = times[-1], math.fsum(durations)
+    if abs(end - total) > TOLERANCE:
+        problem = f"end at {end:g} s, but the durations last {total:g} s"
+        yield refuse(problem, "expected the same time", ("times",), Code.MISMATCH)
+    if isinstance(cost, int | float) and not isinstance(cost, bool) and abs(cost - total) > TOLERANCE:
+        problem = f"is {cost:g} s, but the durations last {total:g} s"
+        yield refuse(problem, "expected the same time", ("cost",), Code.MISMATCH)
+
+
+def _numbers(values: object) -> TypeGuard[tuple[float, ...]]:
+    """Whether a value is a list of numbers and not empty."""
+    return isinstance(values, tuple) and bool(values) and all(type(value) in (int, float) for value in values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -9,15 +10,23 @@ import numpy as np
 
 from kraft.errors import Defect
 from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
-from kraft.planning.search import Budget, Found, Previous, search_of
-from kraft.planning.workspace import goal_of, heading_of, safety_of, settings_of, start_state, workspace_of
+from kraft.planning.search import Budget, Previous, SearchResult, search_named
+from kraft.planning.workspace import (
+    goal_of,
+    heading_of,
+    pose_of,
+    safety_of_task,
+    settings_of,
+    start_state,
+    workspace_of,
+)
 from kraft.scenario import Task
 from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.solver import Dirt, Progress
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Verification, verify
+from ompl_ext.verify import Requirement, Verification, verify
 
 
 @dataclass(frozen=True)
@@ -80,28 +89,28 @@ def plan_task(
             there is no such planner.
         Defect: if the plan found does not stand up to exact verification.
     """
-    search = search_of(task.planning.planner)
+    search = search_named(task.planning.planner)
     if previous is not None:
         previous.check(vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = time.perf_counter()
-    dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of(task), settings_of(task))
+    dirt = Dirt(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
     spare = dirt.start(state, seed)
     setup_seconds = time.perf_counter() - began
     budget = budget or budget_of(task)
-    reason = _hopeless(dirt, state, spare)
-    found = Found(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
+    reason = _infeasible_start(dirt, state, spare)
+    found = SearchResult(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
     began = time.perf_counter()
     verification = verify(dirt, found.plan) if found.plan is not None else None
     verify_seconds = time.perf_counter() - began
     plan, unfit = _accepted(found, verification, seed)
-    reason = reason or unfit or _shortfall(plan, found.progress)
+    reason = reason or unfit or _failure_reason(task, vehicle, plan, found.progress)
     judged = verification if plan is not None else None
     return PlanResult(plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds)
 
 
-def _accepted(found: Found, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:
+def _accepted(found: SearchResult, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:
     """The plan if it stands up to its verification, else why there is none.
 
     Raises:
@@ -109,15 +118,16 @@ def _accepted(found: Found, verification: Verification | None, seed: int) -> tup
     """
     if found.plan is None or verification is None or not verification.problems:
         return found.plan, ""
-    told = "; ".join(verification.problems)
-    if found.strict:
-        raise Defect(f"the plan of seed {seed} fails verification: {told}")
-    if verification.min_clearance > 0.0 and not any("collides" in problem for problem in verification.problems):
+    problems = "; ".join(map(str, verification.problems))
+    if found.promises_safety:
+        raise Defect(f"the plan of seed {seed} fails verification: {problems}")
+    collides = any(problem.requirement is Requirement.COLLISION for problem in verification.problems)
+    if verification.min_clearance > 0.0 and not collides:
         return found.plan, ""  # free of collisions, and that is all this planner promises
-    return None, f"the planner's plan was refused: {told}"
+    return None, f"the planner's plan was refused: {problems}"
 
 
-def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
+def _infeasible_start(dirt: Dirt, state: Floats, spare: float) -> str:
     """Why no plan can be found from this start, however long one searches; empty if one might be."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
     if not reachable(dirt.problem, x, y):
@@ -131,12 +141,29 @@ def _hopeless(dirt: Dirt, state: Floats, spare: float) -> str:
     return ""
 
 
-def _shortfall(plan: Plan | None, progress: Progress) -> str:
+def _failure_reason(task: Task, vehicle: Vehicle, plan: Plan | None, progress: Progress) -> str:
     """Why the search ended without a plan that reaches the goal; empty if there is one."""
     if plan is not None and plan.reaches_goal:
         return ""
     used = f"{counted(progress.iterations, 'iteration')} ({progress.seconds:.3g} s)"
     if plan is not None:
-        return f"no plan reaches the goal after {used}; the best one ends {plan.cost_to_go:.3g} s short of it"
+        return f"no plan reaches the goal after {used}; the best one ends {_distance_to_goal(task, vehicle, plan)}"
     unsafe = f", {progress.unsafe} of them because no contingency is safe" if progress.unsafe else ""
     return f"no edge may be executed after {used}, of {counted(progress.edges, 'edge')} tried{unsafe}"
+
+
+def _distance_to_goal(task: Task, vehicle: Vehicle, plan: Plan) -> str:
+    """Where a plan ends relative to the goal region: its distance, and how far its heading is off, for a sentence."""
+    goal = task.goal
+    x, y, heading = pose_of(plan.states[-1], vehicle)
+    distance = math.dist((x, y), goal.center) - goal.radius
+    place = f"{distance:.3g} m from the goal region" if distance > 0.0 else "in the goal region"
+    if goal.heading is None or goal.heading_tolerance is None:
+        return place
+    off = math.degrees(abs(math.remainder(heading - goal.heading, math.tau)))
+    tolerance = math.degrees(goal.heading_tolerance)
+    return (
+        f"{place}, {off:.3g} degrees off the heading, of which {tolerance:.3g} are allowed"
+        if off > tolerance
+        else place
+    )

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
@@ -45,7 +45,7 @@ class Previous:
         if sizes != wanted:
             problem = f"the plan has {sizes[0]} state components and {sizes[1]} controls"
             expected = f"expected a plan of {vehicle.name}, which has {wanted[0]} and {wanted[1]}"
-            raise InputError.of(self.origin, problem, expected)
+            raise InputError.of(self.origin, problem, expected, Code.MISMATCH)
         if not 0.0 <= self.elapsed < plan.cost:
             problem = f"the plan is over after {plan.cost:.6g} s, asked for is {self.elapsed:.6g} s"
             raise InputError.of(self.origin, problem, f"expected from 0 to less than {plan.cost:.6g} s")
@@ -60,45 +60,46 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search found, as the planner claims it, and how it went.
 
-    `strict` is whether the planner promises SAFETY and the clearance delta; OMPL's own planners know neither.
+    `promises_safety` is whether the planner promises SAFETY and the clearance delta; OMPL's own planners know neither.
     """
 
     plan: Plan | None
     progress: Progress
-    strict: bool = True
+    promises_safety: bool = True
 
 
-Search = Callable[[Dirt, Floats, Budget, int, Previous | None], Found]
+Search = Callable[[Dirt, Floats, Budget, int, Previous | None], SearchResult]
 """Search from a state with a budget and a seed.  The `Dirt` holds the query and has been started at the state."""
 
 
-def search_of(planner: str) -> Search:
+def search_named(planner: str) -> Search:
     """The search of a planner.
 
     Raises:
         InputError: if there is no planner of this name.
     """
     if planner not in _SEARCHES:
-        raise InputError.of(planner, "there is no planner of this name", suggestion(planner, _SEARCHES))
+        raise InputError.of_argument("planner", f"is {planner!r}", suggestion(planner, _SEARCHES), Code.NOT_FOUND)
     return _SEARCHES[planner]
 
 
-def _dirt(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> Found:
+def _dirt_search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
     if previous is not None:
         dirt.retain(previous.plan, previous.elapsed)
     progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds)
-    return Found(dirt.plan(), progress)
+    return SearchResult(dirt.plan(), progress)
 
 
-def _peer(name: str) -> Search:
-    def search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> Found:
+def _ompl_search(name: str) -> Search:
+    def search(dirt: Dirt, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
         from ompl_ext.peers import plan_with_ompl
 
         if previous is not None:
-            raise InputError.of(name, "cannot keep an earlier plan", "expected the planner dirt with --from")
+            problem = f"is {name!r}, which cannot keep an earlier plan"
+            raise InputError.of_argument("planner", problem, "expected 'dirt'", Code.CONFLICT)
         assert dirt.goal is not None, "a task has a goal"
         result = plan_with_ompl(
             name, dirt.vehicle, dirt.workspace, state, dirt.goal, safety=dirt.safety, settings=dirt.settings,
@@ -107,9 +108,11 @@ def _peer(name: str) -> Search:
         solved = result.plan is not None and result.plan.reaches_goal
         history = ((result.seconds, result.plan.cost),) if result.plan is not None and solved else ()
         progress = Progress(result.seconds, result.iterations, nodes=result.nodes, history=history)
-        return Found(result.plan, progress, strict=False)
+        return SearchResult(result.plan, progress, promises_safety=False)
 
     return search
 
 
-_SEARCHES: Final[dict[str, Search]] = {name: _dirt if name == "dirt" else _peer(name) for name in PLANNERS}
+_SEARCHES: Final[dict[str, Search]] = {
+    name: _dirt_search if name == "dirt" else _ompl_search(name) for name in PLANNERS
+}

@@ -59,7 +59,7 @@ def goal_of(task: Task) -> Goal:
     return Goal(goal.center, goal.radius, goal.heading, goal.heading_tolerance)
 
 
-def safety_of(task: Task) -> Safety:
+def safety_of_task(task: Task) -> Safety:
     """SAFETY where the plan leaves its first cycle, with the clearance that the task asks for."""
     margin = task.planning.safety
     return Safety(
@@ -126,6 +126,6 @@ def vehicle_of_task(task: Task, parameters: Mapping[str, float] | None = None) -
         return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)
     except InputError as error:
         raise InputError(
-            task.source.diagnostic("vehicle", d.problem, d.expected) if d.file == task.vehicle else d
+            task.source.diagnostic("vehicle", d.problem, d.expected, code=d.code) if d.file == task.vehicle else d
             for d in error.diagnostics
         ) from error

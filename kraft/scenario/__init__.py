@@ -1,29 +1,42 @@
-"""Scenarios: what a YAML file may say, what it means, and loading it."""
+"""Scenarios: what a YAML file may say, what it means, and loading it.
 
-from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon
-from kraft.scenario.loader import load_scenario, parse_scenario
-from kraft.scenario.model import Goal, Scenario, Start, Task
-from kraft.scenario.planning import Planning, Safety
-from kraft.scenario.schema import Bounds
-from kraft.scenario.trial import Sensing, Trial
-from kraft.scenario.truth import Truth
+The modules load when a name is first used: `kraft list planners` needs no arrays.
+"""
 
-__all__ = [
-    "Bounds",
-    "Box",
-    "Circle",
-    "Goal",
-    "Obstacle",
-    "OccupancyMap",
-    "Planning",
-    "Polygon",
-    "Safety",
-    "Scenario",
-    "Sensing",
-    "Start",
-    "Task",
-    "Trial",
-    "Truth",
-    "load_scenario",
-    "parse_scenario",
-]
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from kraft.scenario.geometry import Box as Box
+    from kraft.scenario.geometry import Circle as Circle
+    from kraft.scenario.geometry import Obstacle as Obstacle
+    from kraft.scenario.geometry import OccupancyMap as OccupancyMap
+    from kraft.scenario.geometry import Polygon as Polygon
+    from kraft.scenario.loader import load_scenario as load_scenario
+    from kraft.scenario.loader import parse_scenario as parse_scenario
+    from kraft.scenario.model import Goal as Goal
+    from kraft.scenario.model import Scenario as Scenario
+    from kraft.scenario.model import Start as Start
+    from kraft.scenario.model import Task as Task
+    from kraft.scenario.planning import Planning as Planning
+    from kraft.scenario.planning import Safety as Safety
+    from kraft.scenario.schema import Bounds as Bounds
+    from kraft.scenario.trial import Sensing as Sensing
+    from kraft.scenario.trial import Trial as Trial
+    from kraft.scenario.truth import Truth as Truth
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "geometry": ["Box", "Circle", "Obstacle", "OccupancyMap", "Polygon"],
+        "loader": ["load_scenario", "parse_scenario"],
+        "model": ["Goal", "Scenario", "Start", "Task"],
+        "planning": ["Planning", "Safety"],
+        "schema": ["Bounds"],
+        "trial": ["Sensing", "Trial"],
+        "truth": ["Truth"],
+    },
+)

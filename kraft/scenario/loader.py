@@ -12,7 +12,7 @@ from kraft.config import bundled
 from kraft.config.source import KeyPath
 from kraft.config.validation import check, part
 from kraft.config.yaml_reader import Document, Value, parse_document, read_document
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, signed_area
 from kraft.scenario.model import Goal, Scenario, Start
 from kraft.scenario.occupancy import read_map
@@ -46,7 +46,7 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
         InputError: with every problem of the document and of the maps it names.
     """
     content, problems = check(ScenarioFile, document)
-    problems += _misplaced(document)
+    problems += _outside_bounds(document)
     vehicle, vehicle_problems = _vehicle(document, folder)
     maps, map_problems = _maps(document, folder)
     problems += vehicle_problems + map_problems
@@ -68,7 +68,7 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
     )
 
 
-def _misplaced(document: Document) -> list[Diagnostic]:
+def _outside_bounds(document: Document) -> list[Diagnostic]:
     """Find start and goal outside the bounds, as far as these sections are right in themselves."""
     bounds = part(Bounds, _at(document.data, ("bounds",)))
     start = part(StartFile, _at(document.data, ("start",)))
@@ -87,7 +87,9 @@ def _misplaced(document: Document) -> list[Diagnostic]:
             value = x if axis == "x" else y
             problem = f"{what} is out of bounds ({axis} = {value:.12g})"
             at = place or ("start", axis)
-            found.append(document.source.diagnostic(at, problem, f"expected {axis} in [{low:g}, {high:g}]"))
+            found.append(
+                document.source.diagnostic(at, problem, f"expected {axis} in [{low:g}, {high:g}]", code=Code.GEOMETRY)
+            )
     return found
 
 
@@ -99,7 +101,7 @@ def _vehicle(document: Document, folder: Path) -> tuple[str, list[Diagnostic]]:
     try:
         return resolve_vehicle(reference, folder), []
     except VehicleProblem as error:
-        return "", [document.source.diagnostic("vehicle", error.problem, error.expected)]
+        return "", [document.source.diagnostic("vehicle", error.problem, error.expected, code=error.code)]
 
 
 def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], list[Diagnostic]]:
@@ -117,7 +119,8 @@ def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], li
             if not os.path.isfile(path):
                 at = ("obstacles", i, "map", "file")
                 expected = "expected the path of a map's YAML file, relative to this file"
-                problems.append(document.source.diagnostic(at, f"there is no file {path}", expected))
+                problem = f"there is no file {path}"
+                problems.append(document.source.diagnostic(at, problem, expected, code=Code.NOT_FOUND))
             else:
                 maps[i] = read_map(path, height=settings.height, name=name if isinstance(name, str) else None)
         except InputError as error:

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from pydantic import BeforeValidator, Field, model_validator
 
-from kraft.config.schema import Angle, Coordinate, FileModel, Probability, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.scenario.geometry import OccupancyMap
 
 CELLS_MAX: Final = 16_000_000
@@ -44,12 +44,12 @@ def _as_flag(value: object) -> object:
     return int(value) if isinstance(value, bool) else value
 
 
-class MapServerFile(FileModel):
+class MapServerFile(StrictModel):
     """The YAML file of a map."""
 
     image: Annotated[str, Field(min_length=1)]
     """path of the image, relative to this file"""
-    resolution: Annotated[float, Field(gt=0, le=100)]
+    resolution: Annotated[float, Field(ge=LENGTH_MIN, le=100)]
     """side of a cell, m"""
     origin: tuple[Coordinate, Coordinate, Angle]
     """[x, y, yaw] of the lower left corner, m and rad"""
@@ -66,7 +66,7 @@ class MapServerFile(FileModel):
     def _check(self) -> Self:
         if self.free_thresh >= self.occupied_thresh:
             problem = f"is {self.free_thresh:g}, not below occupied_thresh"
-            raise refuse(problem, f"expected less than {self.occupied_thresh:g}", ("free_thresh",))
+            raise refuse(problem, f"expected less than {self.occupied_thresh:g}", ("free_thresh",), Code.CONFLICT)
         return self
 
 
@@ -90,11 +90,11 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
 def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return brightness in [0, 1] and whether each pixel is opaque, both [rows, columns] from the top."""
 
-    def wrong(problem: str, expected: str) -> InputError:
-        return InputError([source.diagnostic("image", problem, expected)])
+    def wrong(problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
+        return InputError([source.diagnostic("image", problem, expected, code=code)])
 
     if not os.path.isfile(path):
-        raise wrong(f"there is no image {path}", "expected the path of a PGM or PNG file")
+        raise wrong(f"there is no image {path}", "expected the path of a PGM or PNG file", Code.NOT_FOUND)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
@@ -107,9 +107,10 @@ def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArra
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise wrong(f"the image {path} is too large", f"expected at most {CELLS_MAX} pixels") from error
     except UnidentifiedImageError as error:
-        raise wrong(f"{path} is neither PGM nor PNG", "expected a PGM or PNG file") from error
+        raise wrong(f"{path} is neither PGM nor PNG", "expected a PGM or PNG file", Code.SYNTAX) from error
     except _BROKEN as error:
-        raise wrong(f"the image {path} cannot be read ({error})", "expected a whole PGM or PNG file") from error
+        problem = f"the image {path} cannot be read ({error})"
+        raise wrong(problem, "expected a whole PGM or PNG file", Code.UNREADABLE) from error
 
 
 def _brightness(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

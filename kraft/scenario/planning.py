@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from kraft.config.schema import FileModel, NonNegative, Probability, refuse
+from kraft.config.schema import NonNegative, Probability, StrictModel, refuse
 from kraft.config.validation import build
+from kraft.errors import Code, InputError
 
 PLANNERS: Final[dict[str, str]] = {
     "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
@@ -24,7 +26,7 @@ Duration = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 
 
-class Safety(FileModel):
+class Safety(StrictModel):
     """Clearance that every contingency manoeuvre must keep: delta(v) = delta + delta_per_speed |v|."""
 
     delta: NonNegative = 0.0
@@ -39,7 +41,7 @@ class Safety(FileModel):
         return self.delta + self.delta_per_speed * abs(speed)
 
 
-class Planning(FileModel):
+class Planning(StrictModel):
     """Settings of the planner; all of them have defaults."""
 
     planner: Literal["dirt", "rrt", "est", "kpiece1"] = "dirt"
@@ -73,9 +75,9 @@ class Planning(FileModel):
             raise refuse(problem, "expected [shortest, longest]", ("edge_duration",))
         if self.integration_step > shortest:
             problem = f"is {self.integration_step:g}, longer than the shortest edge"
-            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",))
+            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
         if self.iterations is not None and self.time is not None:
-            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",))
+            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",), Code.CONFLICT)
         return self
 
     def with_budget(self, *, iterations: int | None = None, time: float | None = None) -> Planning:
@@ -84,8 +86,10 @@ class Planning(FileModel):
         Raises:
             InputError: if the budget is not positive and finite, or both are given.
         """
-        changes = {"iterations": iterations, "time": time}
-        return build(Planning, {**dict(self), **changes}, "planning budget")
+        try:
+            return build(Planning, {**dict(self), "iterations": iterations, "time": time}, "planning")
+        except InputError as error:
+            raise InputError(replace(d, file=d.path, path="", argument=True) for d in error.diagnostics) from None
 
     @property
     def steps(self) -> int:

@@ -7,7 +7,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
 
-from kraft.config.schema import Angle, Coordinate, FileModel, Length, Point, Size, Span, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Length, Point, Size, Span, StrictModel, refuse
+from kraft.errors import Code
 from kraft.scenario.geometry import crossing_edges
 from kraft.scenario.planning import Planning
 from kraft.scenario.trial import Sensing, Trial
@@ -18,7 +19,7 @@ VERTICES_MAX = 1000
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 
 
-class Bounds(FileModel):
+class Bounds(StrictModel):
     """The workspace. The footprint may not leave it."""
 
     x: Span
@@ -34,7 +35,7 @@ class Bounds(FileModel):
         return None
 
 
-class BoxFile(FileModel):
+class BoxFile(StrictModel):
     """A rectangle."""
 
     center: Point
@@ -47,7 +48,7 @@ class BoxFile(FileModel):
     """height in the physics world, m"""
 
 
-class CircleFile(FileModel):
+class CircleFile(StrictModel):
     """A disc."""
 
     center: Point
@@ -61,22 +62,26 @@ class CircleFile(FileModel):
 def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
     if vertices[0] == vertices[-1]:
         problem = "the last vertex repeats the first"
-        raise refuse(problem, "expected each vertex once (it closes by itself)", (len(vertices) - 1,))
+        raise refuse(problem, "expected each vertex once (it closes by itself)", (len(vertices) - 1,), Code.GEOMETRY)
     seen: dict[Point, int] = {}
     for i, vertex in enumerate(vertices):
         if vertex in seen:
-            raise refuse(f"repeats vertex {seen[vertex]}", "expected each vertex once", (i,))
+            raise refuse(f"repeats vertex {seen[vertex]}", "expected each vertex once", (i,), Code.GEOMETRY)
         seen[vertex] = i
     array = np.array(vertices, dtype=np.float64)
+    edges = np.linalg.norm(np.roll(array, -1, axis=0) - array, axis=1)
+    if edges.min() < LENGTH_MIN:
+        problem = f"the edge to the next vertex is {edges.min():g} m long"
+        raise refuse(problem, f"expected at least {LENGTH_MIN:g} m", (int(edges.argmin()),), Code.GEOMETRY)
     if np.linalg.matrix_rank(array - array[0]) < 2:
-        raise refuse("the polygon has no area", "expected vertices that are not on one line")
+        raise refuse("the polygon has no area", "expected vertices that are not on one line", code=Code.GEOMETRY)
     if crossing := crossing_edges(array):
         problem = f"the polygon meets itself: edge {crossing[0]} and edge {crossing[1]}"
-        raise refuse(problem, "expected a simple polygon (edge i runs from vertex i to the next)")
+        raise refuse(problem, "expected a simple polygon (edge i runs from vertex i to the next)", code=Code.GEOMETRY)
     return vertices
 
 
-class PolygonFile(FileModel):
+class PolygonFile(StrictModel):
     """A simple polygon, convex or not."""
 
     vertices: Annotated[tuple[Point, ...], Field(min_length=3, max_length=VERTICES_MAX), AfterValidator(_simple)]
@@ -85,7 +90,7 @@ class PolygonFile(FileModel):
     """height in the physics world, m"""
 
 
-class MapFile(FileModel):
+class MapFile(StrictModel):
     """An occupancy map in the format of ROS's map_server. Unknown cells count as occupied."""
 
     file: str
@@ -97,7 +102,7 @@ class MapFile(FileModel):
 SHAPES = ("box", "circle", "polygon", "map")
 
 
-class ObstacleFile(FileModel):
+class ObstacleFile(StrictModel):
     """One obstacle: exactly one shape, and perhaps a name."""
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [shape]} for shape in SHAPES]})
@@ -118,11 +123,12 @@ class ObstacleFile(FileModel):
         given = [shape for shape in SHAPES if getattr(self, shape) is not None]
         if len(given) != 1:
             problem = f"holds {' and '.join(given)}" if given else "holds no shape"
-            raise refuse(problem, "expected exactly one of box, circle, polygon, map")
+            code = Code.CONFLICT if given else Code.MISSING
+            raise refuse(problem, "expected exactly one of box, circle, polygon, map", code=code)
         return self
 
 
-class StartFile(FileModel):
+class StartFile(StrictModel):
     """Where the vehicle starts."""
 
     x: Coordinate
@@ -135,7 +141,7 @@ class StartFile(FileModel):
     """forward speed, m/s"""
 
 
-class GoalFile(FileModel):
+class GoalFile(StrictModel):
     """Where the vehicle has to arrive."""
 
     center: Point
@@ -153,11 +159,11 @@ class GoalFile(FileModel):
             given, other = "heading_deg", "heading_tolerance_deg"
             if self.heading_deg is None:
                 given, other = other, given
-            raise refuse(f"is given without {other}", "expected both or none", (given,))
+            raise refuse(f"is given without {other}", "expected both or none", (given,), Code.CONFLICT)
         return self
 
 
-class ScenarioFile(FileModel):
+class ScenarioFile(StrictModel):
     """A scene, what to do in it, and what the planner is not told."""
 
     name: Name

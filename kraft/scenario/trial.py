@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kraft.config.schema import Coordinate, FileModel, Probability
+from kraft.config.schema import Coordinate, Probability, StrictModel
 
 Delay = Annotated[float, Field(ge=0, le=10)]
 Timeout = Annotated[float, Field(gt=0, le=86_400)]
 
 
-class Sensing(FileModel):
+class Sensing(StrictModel):
     """Camera and marker that the pose comes from, and the radio that commands go through."""
 
     preset: Literal["planar", "single-tag"] = "single-tag"
@@ -33,7 +33,7 @@ class Sensing(FileModel):
     """time between a command of the controller and its effect, s"""
 
 
-class Trial(FileModel):
+class Trial(StrictModel):
     """When a trial counts as timed out."""
 
     timeout: Timeout = 60.0

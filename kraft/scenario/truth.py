@@ -11,20 +11,21 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from kraft.config.schema import Angle, FileModel, Length, Point, Positive, Size, Span, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
+from kraft.errors import Code
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]
 
 
-class SpeedBump(FileModel):
+class SpeedBump(StrictModel):
     """A ridge on the floor that a car can drive over; touching it is not a collision."""
 
     center: Point
     """[x, y] of the centre, m"""
     size: Size
     """[length, width] before turning by yaw_deg, m"""
-    height: Annotated[float, Field(gt=0, le=0.5)]
+    height: Annotated[float, Field(ge=LENGTH_MIN, le=0.5)]
     """height of the crest, m"""
     yaw_deg: Angle = 0.0
     """rotation, degrees"""
@@ -35,7 +36,7 @@ class SpeedBump(FileModel):
         return math.radians(self.yaw_deg)
 
 
-class FrictionPatch(FileModel):
+class FrictionPatch(StrictModel):
     """An axis-aligned part of the floor with another friction."""
 
     x: Span
@@ -46,7 +47,7 @@ class FrictionPatch(FileModel):
     """sliding friction coefficient"""
 
 
-class MovableBox(FileModel):
+class MovableBox(StrictModel):
     """A free box that gives way when it is pushed and that nobody knows about."""
 
     center: Point
@@ -66,7 +67,7 @@ class MovableBox(FileModel):
         return math.radians(self.yaw_deg)
 
 
-class Tilt(FileModel):
+class Tilt(StrictModel):
     """The whole floor, obstacles with it, leans; give `angle` or `angle_deg`."""
 
     angle: Annotated[float, Field(ge=0, le=0.7)] | None = None
@@ -79,7 +80,9 @@ class Tilt(FileModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if (self.angle is None) == (self.angle_deg is None):
-            raise refuse("needs one of `angle` and `angle_deg`", "expected angle in rad or angle_deg in degrees")
+            code = Code.MISSING if self.angle is None else Code.CONFLICT
+            expected = "expected angle in rad or angle_deg in degrees"
+            raise refuse("needs one of `angle` and `angle_deg`", expected, code=code)
         return self
 
     @property
@@ -93,7 +96,7 @@ class Tilt(FileModel):
         return math.radians(self.uphill_deg)
 
 
-class VehicleGap(FileModel):
+class VehicleGap(StrictModel):
     """How the true car differs from the one its model was identified on."""
 
     drive_scale: Factor = 1.0
@@ -111,7 +114,7 @@ class VehicleGap(FileModel):
         return math.radians(self.steering_offset_deg)
 
 
-class Truth(FileModel):
+class Truth(StrictModel):
     """Everything the planner's model leaves out; the default is a flat floor with good grip."""
 
     floor_friction: Friction = 1.0

@@ -12,7 +12,7 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import counted
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.kernels.specialise import is_cached
@@ -31,7 +31,7 @@ def check_functions(vehicle: Vehicle, reference: str) -> None:
         return
     with interrupts_between_passes():
         problems = [
-            Diagnostic(reference, problem, expected)
+            Diagnostic(reference, problem, expected, code=Code.CODE)
             for function, arguments, count, what in _functions(vehicle)
             for problem, expected in _problems(function, arguments, count, what)
         ]

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 import ompl_ext
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.text import suggestion
 from kraft.vehicles.reference import split_file
 from ompl_ext.vehicle import Vehicle
@@ -56,7 +56,7 @@ def _import_file(file: Path, subject: str) -> ModuleType:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise InputError.of(subject, f"there is no file {file}", "expected the path of a Python file")
+        raise InputError.of(subject, f"there is no file {file}", "expected the path of a Python file", Code.NOT_FOUND)
     module = importlib.util.module_from_spec(spec)
     if str(path.parent) not in sys.path:  # so that it can import its neighbours, as a script can
         sys.path.append(str(path.parent))
@@ -76,18 +76,19 @@ def _import_error(error: BaseException, subject: str) -> InputError:
     theirs = [f for f in files if not Path(f.filename).is_relative_to(_PLANNER)]
     place = f" at {theirs[-1].filename}:{theirs[-1].lineno}" if theirs else ""
     problem = f"does not import: {type(error).__name__}: {error}{place}"
-    return InputError.of(subject, problem, "expected code that defines a Vehicle")
+    return InputError.of(subject, problem, "expected code that defines a Vehicle", Code.CODE)
 
 
 def _attribute(module: ModuleType, attribute: str, subject: str) -> Vehicle:
     vehicles = _vehicles(module)
     if not hasattr(module, attribute):
         expected = suggestion(attribute, vehicles, none="expected the name of a Vehicle, and it defines none")
-        raise InputError.of(subject, f"there is no {attribute} in {_place(module)}", expected)
+        raise InputError.of(subject, f"there is no {attribute} in {_place(module)}", expected, Code.NOT_FOUND)
     value = getattr(module, attribute)
     if not isinstance(value, Vehicle):
         expected = suggestion(attribute, vehicles, none="expected an ompl_ext.vehicle.Vehicle")
-        raise InputError.of(subject, f"{attribute} is of type {type(value).__name__}, not a Vehicle", expected)
+        problem = f"{attribute} is of type {type(value).__name__}, not a Vehicle"
+        raise InputError.of(subject, problem, expected, Code.TYPE)
     return value
 
 
@@ -98,7 +99,7 @@ def _only(module: ModuleType, subject: str) -> Vehicle:
         expected = f"expected one of {', '.join(f'{subject}:{name}' for name in vehicles)}"
         if not vehicles:
             expected = "expected a module-level ompl_ext.vehicle.Vehicle"
-        raise InputError.of(subject, found, expected)
+        raise InputError.of(subject, found, expected, Code.CODE)
     return next(iter(vehicles.values()))
 
 

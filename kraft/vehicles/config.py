@@ -17,25 +17,25 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
-from kraft.config.schema import FileModel, Length, NonNegative, Positive, refuse
+from kraft.config.schema import Length, NonNegative, Positive, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import build, describe, read_model
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles.reference import is_attribute, split_file
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Quantity = Annotated[float, Field(ge=-1e9, le=1e9)]
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+_SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
 
 def _model_reference(text: str) -> str:
     if not is_attribute(text) and split_file(text) is None:
         raise refuse(f"is {text!r}", "expected module:attribute, as in kraft.vehicles.mushr:MUSHR")
     return text
-
-
-_SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
 
 def _speed(value: object) -> float | str:
@@ -49,45 +49,7 @@ def _speed(value: object) -> float | str:
 _SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
 
 
-class Parameter(FileModel):
-    """One number of a model, with what system identification may do to it."""
-
-    value: Quantity
-    """nominal value, in the unit given"""
-    unit: str
-    """unit, `1` if it has none"""
-    description: str = ""
-    """what it is"""
-    min: Quantity | None = None
-    """smallest plausible value"""
-    max: Quantity | None = None
-    """largest plausible value"""
-    std: Positive | None = None
-    """standard deviation of what is known beforehand"""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.min is not None and self.max is not None and self.min >= self.max:
-            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",))
-        if self.min is not None and self.value < self.min:
-            raise refuse(f"is {self.value:g}, below min", f"expected at least {self.min:g}", ("value",))
-        if self.max is not None and self.value > self.max:
-            raise refuse(f"is {self.value:g}, above max", f"expected at most {self.max:g}", ("value",))
-        return self
-
-
-class Footprint(FileModel):
-    """The rectangle that must not touch anything."""
-
-    length: Length
-    """extent along x, m"""
-    width: Length
-    """extent along y, m"""
-    offset: Annotated[float, Field(ge=-100, le=100)] = 0.0
-    """distance of the rectangle's centre ahead of the body frame, m"""
-
-
-class VehicleConfig(FileModel):
+class VehicleConfig(StrictModel):
     """A vehicle file. The order of the parameters is the order in which the model takes them."""
 
     name: Name
@@ -118,7 +80,7 @@ class VehicleConfig(FileModel):
         """Whether the top speed is the name of a parameter, if it is a name."""
         speed, parameters = content.get("top_speed"), content.get("parameters", {})
         if isinstance(speed, str) and isinstance(parameters, Mapping) and speed not in parameters:
-            yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",))
+            yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",), Code.UNKNOWN)
 
     @property
     def source(self) -> Source:
@@ -142,7 +104,7 @@ class VehicleConfig(FileModel):
             InputError: for parameters that the vehicle does not have and values outside their limits.
         """
         problems = [
-            Diagnostic(name, f"{self.name} has no such parameter", suggestion(name, self.parameters))
+            Diagnostic(name, f"{self.name} has no such parameter", suggestion(name, self.parameters), code=Code.UNKNOWN)
             for name in values
             if name not in self.parameters
         ]
@@ -172,75 +134,45 @@ def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
     return config
 
 
-Number = Annotated[float, Field(ge=-1e12, le=1e12)]
-Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+class Parameter(StrictModel):
+    """One number of a model, with what system identification may do to it."""
 
-
-class Covariance(FileModel):
-    """How uncertain the estimated parameters are, and how they depend on each other."""
-
-    names: tuple[str, ...]
-    """parameters and extras, in the order of rows and columns"""
-    matrix: tuple[tuple[Number, ...], ...]
-    """covariance, in the units of the parameters"""
+    value: Quantity
+    """nominal value, in the unit given"""
+    unit: str
+    """unit, `1` if it has none"""
+    description: str = ""
+    """what it is"""
+    min: Quantity | None = None
+    """smallest plausible value"""
+    max: Quantity | None = None
+    """largest plausible value"""
+    std: Positive | None = None
+    """standard deviation of what is known beforehand"""
 
     @model_validator(mode="after")
-    def _square(self) -> Self:
-        size = len(self.names)
-        if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
-            raise refuse("has another size than names", f"expected {size} rows of {size} numbers", ("matrix",))
+    def _check(self) -> Self:
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",), Code.CONFLICT)
+        if self.min is not None and self.value < self.min:
+            raise refuse(f"is {self.value:g}, below min", f"expected at least {self.min:g}", ("value",))
+        if self.max is not None and self.value > self.max:
+            raise refuse(f"is {self.value:g}, above max", f"expected at most {self.max:g}", ("value",))
         return self
 
 
-class Extra(FileModel):
-    """A parameter of the logs that the model does not have, such as the delay of the commands."""
+class Footprint(StrictModel):
+    """The rectangle that must not touch anything."""
 
-    value: Number
-    """identified value, in the unit given"""
-    unit: str
-    """unit, `1` if it has none"""
-    std: NonNegative
-    """standard deviation of the identified value"""
-    description: str = ""
-    """what it is"""
+    length: Length
+    """extent along x, m"""
+    width: Length
+    """extent along y, m"""
+    offset: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    """distance of the rectangle's centre ahead of the body frame, m"""
 
 
-class Logged(FileModel):
-    """A log that was used."""
-
-    name: str
-    """what the log is called"""
-    held_out: bool = False
-    """whether it was left out of the fit, to test the prediction with"""
-    files: Mapping[str, Digest]
-    """SHA-256 of each of its files, by path"""
-
-
-class Prediction(FileModel):
-    """Root mean square errors of open-loop prediction over windows of up to 3 s."""
-
-    position: tuple[NonNegative, ...]
-    """position after 1, 2 and 3 s, as far as the windows reach, m"""
-    yaw: tuple[NonNegative, ...]
-    """yaw after the same times, rad"""
-    overall_position: NonNegative
-    """position over all poses of all windows, m"""
-    overall_yaw: NonNegative
-    """yaw over all poses of all windows, rad"""
-
-
-class PoseNoise(FileModel):
-    """Standard deviations of one observed pose."""
-
-    position: Positive
-    """in x and in y, m"""
-    yaw: Positive
-    """rad"""
-    measured: bool
-    """whether it was measured from the logs, rather than stated"""
-
-
-class IdentificationRecord(FileModel):
+class IdentificationRecord(StrictModel):
     """How the parameters were identified, and how well they are known."""
 
     started_from: str
@@ -265,3 +197,69 @@ class IdentificationRecord(FileModel):
     """every log that was used"""
     versions: Mapping[str, str]
     """versions of what shaped the result"""
+
+
+class Covariance(StrictModel):
+    """How uncertain the estimated parameters are, and how they depend on each other."""
+
+    names: tuple[str, ...]
+    """parameters and extras, in the order of rows and columns"""
+    matrix: tuple[tuple[Number, ...], ...]
+    """covariance, in the units of the parameters"""
+
+    @model_validator(mode="after")
+    def _square(self) -> Self:
+        size = len(self.names)
+        if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
+            raise refuse(
+                "has another size than names", f"expected {size} rows of {size} numbers", ("matrix",), Code.MISMATCH
+            )
+        return self
+
+
+class Extra(StrictModel):
+    """A parameter of the logs that the model does not have, such as the delay of the commands."""
+
+    value: Number
+    """identified value, in the unit given"""
+    unit: str
+    """unit, `1` if it has none"""
+    std: NonNegative
+    """standard deviation of the identified value"""
+    description: str = ""
+    """what it is"""
+
+
+class Logged(StrictModel):
+    """A log that was used."""
+
+    name: str
+    """what the log is called"""
+    held_out: bool = False
+    """whether it was left out of the fit, to test the prediction with"""
+    files: Mapping[str, Digest]
+    """SHA-256 of each of its files, by path"""
+
+
+class Prediction(StrictModel):
+    """Root mean square errors of open-loop prediction over windows of up to 3 s."""
+
+    position: tuple[NonNegative, ...]
+    """position after 1, 2 and 3 s, as far as the windows reach, m"""
+    yaw: tuple[NonNegative, ...]
+    """yaw after the same times, rad"""
+    overall_position: NonNegative
+    """position over all poses of all windows, m"""
+    overall_yaw: NonNegative
+    """yaw over all poses of all windows, rad"""
+
+
+class PoseNoise(StrictModel):
+    """Standard deviations of one observed pose."""
+
+    position: Positive
+    """in x and in y, m"""
+    yaw: Positive
+    """rad"""
+    measured: bool
+    """whether it was measured from the logs, rather than stated"""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles.check import check_functions
 from kraft.vehicles.code import vehicle_of
@@ -29,7 +29,7 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
     try:
         resolved = resolve_vehicle(reference, folder or Path.cwd())
     except VehicleProblem as error:
-        raise InputError.of(reference, error.problem, error.expected) from None
+        raise InputError.of(reference, error.problem, error.expected, error.code) from None
     if is_attribute(resolved) or split_file(resolved) is not None:
         vehicle = with_parameters(vehicle_of(resolved, reference), parameters or {})
     else:
@@ -51,6 +51,7 @@ def configured(config: VehicleConfig) -> Vehicle:
             f"{model.name} has no such parameter",
             suggestion(name, model.parameters, none=f"{model.name} has no parameters"),
             at_key=True,
+            code=Code.UNKNOWN,
         )
         for name in config.parameters
         if name not in model.parameters
@@ -77,9 +78,9 @@ def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicl
     """
     unknown = [name for name in parameters if name not in vehicle.parameters]
     if unknown:
-        none = f"{vehicle.name} has no parameters"
+        problem, none = f"{vehicle.name} has no such parameter", f"{vehicle.name} has no parameters"
         raise InputError(
-            Diagnostic(name, f"{vehicle.name} has no such parameter", suggestion(name, vehicle.parameters, none=none))
+            Diagnostic(name, problem, suggestion(name, vehicle.parameters, none=none), code=Code.UNKNOWN)
             for name in unknown
         )
     return vehicle.with_parameters(parameters)
@@ -93,6 +94,8 @@ def _model(config: VehicleConfig) -> Vehicle:
             reference = resolve_vehicle(reference, Path(config.source.file).parent)
         return vehicle_of(reference)
     except VehicleProblem as error:
-        raise InputError([config.source.diagnostic("model", error.problem, error.expected)]) from None
+        raise InputError([config.source.diagnostic("model", error.problem, error.expected, code=error.code)]) from None
     except InputError as error:
-        raise InputError(config.source.diagnostic("model", d.problem, d.expected) for d in error.diagnostics) from error
+        raise InputError(
+            config.source.diagnostic("model", d.problem, d.expected, code=d.code) for d in error.diagnostics
+        ) from error

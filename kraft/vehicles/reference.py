@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 
 from kraft.config import bundled
+from kraft.errors import Code
 from kraft.text import suggestion
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
@@ -19,10 +20,11 @@ _FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTA
 class VehicleProblem(ValueError):  # noqa: N818 - it becomes an InputError where the place is known
     """A reference that names no vehicle."""
 
-    def __init__(self, problem: str, expected: str) -> None:
-        super().__init__(problem, expected)
+    def __init__(self, problem: str, expected: str, code: Code) -> None:
+        super().__init__(problem, expected, code)
         self.problem = problem
         self.expected = expected
+        self.code = code
 
 
 def is_attribute(text: str) -> bool:
@@ -50,15 +52,16 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
     if is_attribute(reference):
         return reference
     if ":" in reference and bundled.is_name(reference):
-        raise VehicleProblem(f"{reference!r} is not a module and an attribute", "expected module:attribute")
+        raise VehicleProblem(f"{reference!r} is not a module and an attribute", "expected module:attribute", Code.VALUE)
     if bundled.is_name(reference):
         if reference not in bundled.names("vehicle"):
-            raise VehicleProblem(f"there is no vehicle {reference!r}", suggestion(reference, bundled.names("vehicle")))
+            expected = suggestion(reference, bundled.names("vehicle"))
+            raise VehicleProblem(f"there is no vehicle {reference!r}", expected, Code.NOT_FOUND)
         return reference
     return _existing(folder / reference, "a vehicle's YAML file")
 
 
 def _existing(path: Path, what: str) -> str:
     if not os.path.isfile(path):
-        raise VehicleProblem(f"there is no file {path}", f"expected the path of {what}")
+        raise VehicleProblem(f"there is no file {path}", f"expected the path of {what}", Code.NOT_FOUND)
     return str(path.resolve())

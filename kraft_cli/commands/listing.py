@@ -30,13 +30,14 @@ def list_(
 
 def _described(what: str) -> dict[str, str]:
     from kraft.config import bundled
-    from kraft.errors import InputError
-    from kraft.scenario.planning import PLANNERS
+    from kraft.errors import Code, InputError
     from kraft.text import suggestion
 
     if what == "planners":
+        from kraft.scenario.planning import PLANNERS
+
         return PLANNERS
     kinds: dict[str, bundled.Kind] = {"scenarios": "scenario", "methods": "method", "vehicles": "vehicle"}
     if what not in kinds:
-        raise InputError.of(what, "cannot be listed", suggestion(what, THINGS))
+        raise InputError.of(what, "cannot be listed", suggestion(what, THINGS), Code.UNKNOWN)
     return bundled.descriptions(kinds[what])

@@ -46,15 +46,17 @@ def plan(
 ) -> ExitStatus:
     """Plan a scenario and show the result; it ends with 1 if no plan reaches the goal."""
     from kraft_cli.tables import show_rows
-    from kraft_cli.work.plan import Request, carry_out, json_content, table_rows
+    from kraft_cli.work.plan import PlanRequest, plan_json, run_plan, table_rows
 
     terminal: Terminal = context.obj
-    request = Request(scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after)
-    planned = carry_out(request, terminal.say, terminal.detail)
+    request = PlanRequest(
+        scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after
+    )
+    outcome = run_plan(request, terminal.say, terminal.detail)
     if json:
-        terminal.json("kraft.plan/1", json_content(planned))
+        terminal.json("kraft.plan/1", plan_json(outcome))
     else:
-        show_rows(terminal, table_rows(planned), good=planned.result.solved)
-    if planned.result.reason:
-        terminal.error(planned.result.reason)
-    return ExitStatus.DONE if planned.result.solved else ExitStatus.NEGATIVE
+        show_rows(terminal, table_rows(outcome), good=outcome.result.solved)
+    if outcome.result.reason:
+        terminal.error(outcome.result.reason)
+    return ExitStatus.DONE if outcome.result.solved else ExitStatus.NEGATIVE

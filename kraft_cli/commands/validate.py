@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kraft_cli.boundary import explain
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from kraft_cli.work.validate import FileReport
 
 
 def validate(
@@ -19,22 +24,40 @@ def validate(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
     """Check scenario, vehicle, method, map, log mapping and plan files and show every problem of each."""
-    from kraft.text import counted
     from kraft_cli.work.validate import check_file
 
     terminal: Terminal = context.obj
-    checked = [check_file(file) for file in files]
-    problems = [problem for result in checked for problem in result.problems]
+    reports = [check_file(file) for file in files]
     if json:
-        content = [{**asdict(result), "valid": not result.problems} for result in checked]
-        terminal.json("kraft.validate/1", {"valid": not problems, "files": content})
-        return ExitStatus.INVALID if problems else ExitStatus.DONE
-    for result in checked:
-        if not result.problems:
-            terminal.data(f"{result.file}: valid {result.kind}")
+        content = [_file_json(report) for report in reports]
+        terminal.json("kraft.validate/1", {"valid": all(report.valid for report in reports), "files": content})
+    else:
+        _print_problems(terminal, reports)
+    for report in reports:
+        if report.defect is not None:
+            terminal.problem(f"{report.file}: cannot be checked")
+            explain(terminal, report.defect)
+    if any(report.defect is not None for report in reports):
+        return ExitStatus.INTERNAL
+    return ExitStatus.DONE if all(report.valid for report in reports) else ExitStatus.INVALID
+
+
+def _print_problems(terminal: Terminal, reports: Sequence[FileReport]) -> None:
+    from kraft.text import counted
+
+    for report in reports:
+        if report.valid:
+            terminal.data(f"{report.file}: valid {report.kind}")
+    problems = [problem for report in reports for problem in report.problems]
     for problem in problems:
         terminal.problem(str(problem))
     if problems:
-        wrong = sum(bool(result.problems) for result in checked)
-        terminal.say(f"{counted(len(problems), 'problem')} in {counted(wrong, 'file')}")
-    return ExitStatus.INVALID if problems else ExitStatus.DONE
+        invalid = sum(bool(report.problems) for report in reports)
+        terminal.say(f"{counted(len(problems), 'problem')} in {counted(invalid, 'file')}")
+
+
+def _file_json(report: FileReport) -> dict[str, Any]:
+    """One file with its problems; `argument` is about options and never true of a file."""
+    problems = [{key: value for key, value in asdict(d).items() if key != "argument"} for d in report.problems]
+    defect = None if report.defect is None else f"{type(report.defect).__name__}: {report.defect}"
+    return {"file": report.file, "kind": report.kind, "problems": problems, "defect": defect, "valid": report.valid}

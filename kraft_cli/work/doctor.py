@@ -32,6 +32,7 @@ REQUIRED: Final[dict[str, str]] = {
     "rosbags": "rosbags.highlevel",
     "typer": "typer",
     "rich": "rich",
+    "lazy-loader": "lazy_loader",
     "pyyaml": "yaml",
     "pydantic": "pydantic",
     "matplotlib": "matplotlib",

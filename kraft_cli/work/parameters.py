@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 
 
 def parse_parameters(items: Iterable[str]) -> dict[str, float]:
@@ -22,7 +22,9 @@ def parse_parameters(items: Iterable[str]) -> dict[str, float]:
         if not equals or not name.strip() or number is None:
             problems.append(Diagnostic("--param", f"is {item!r}", "expected name=number"))
         elif name.strip() in values:
-            problems.append(Diagnostic("--param", f"{name.strip()} is given twice", "expected it once"))
+            problems.append(
+                Diagnostic("--param", f"{name.strip()} is given twice", "expected it once", code=Code.DUPLICATE)
+            )
         else:
             values[name.strip()] = number
     if problems:

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
-from kraft.planning.plan_file import NAME, Origin, check_target, planned_scenario, read_plan, write_plan
+from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
 from kraft.planning.plan_task import PlanResult, budget_of, plan_task
-from kraft.planning.search import Previous
+from kraft.planning.search import Previous, search_named
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
-from kraft.scenario.planning import PLANNERS
-from kraft.text import counted, grouped, suggestion
+from kraft.text import counted, grouped
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
-from kraft_cli.work.verbose import Stages, no_detail, vehicle_details
+from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 from ompl_ext.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class Request:
+class PlanRequest:
     """What was asked for, as it was written.
 
     Attributes:
@@ -55,17 +53,19 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlanOutcome:
     """A request, what it was understood as, and what came of it; `plan_file` is None if none was written."""
 
-    request: Request
+    request: PlanRequest
     task: Task
     vehicle: Vehicle
     result: PlanResult
     plan_file: Path | None
 
 
-def carry_out(request: Request, say: Callable[[str], None], detail: Callable[[str], None] = no_detail) -> Planned:
+def run_plan(
+    request: PlanRequest, say: Callable[[str], None], detail: Callable[[str], None] = discard_message
+) -> PlanOutcome:
     """Load, check, plan, write, draw; `say` is told what takes long or is strange, `detail` what -v asks for.
 
     Everything that can be wrong with the request is looked at before any planning.
@@ -74,17 +74,17 @@ def carry_out(request: Request, say: Callable[[str], None], detail: Callable[[st
         InputError: with what is wrong with the request or the files it names.
         Defect: if the plan found does not stand up to exact verification.
     """
-    stages = Stages(detail)
+    timer = StageTimer(detail)
     task = _task(request)
     vehicle = _vehicle(request, task)
     previous = _previous(request, task, say)
     target = None if request.out is None else request.out / NAME
     _check_places(target, request.plot)
-    _tell(detail, request, task, vehicle)
-    stages.ended("loaded and checked")
+    _report_inputs(detail, request, task, vehicle)
+    timer.report("loaded and checked")
     ensure_compiled(vehicle, say)
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
-    stages.ended("planned, with maps and verification,")
+    timer.report("planned, with maps and verification,")
     if target is not None and result.plan is not None:
         origin = Origin(request.scenario, request.vehicle or task.vehicle, previous)
         write_plan(target, task, vehicle, result, origin)
@@ -93,15 +93,15 @@ def carry_out(request: Request, say: Callable[[str], None], detail: Callable[[st
     if request.plot is not None:
         _draw(request.plot, task, vehicle, result)
     if target is not None or request.plot is not None:
-        stages.ended("written and drawn")
-    return Planned(request, task, vehicle, result, target)
+        timer.report("written and drawn")
+    return PlanOutcome(request, task, vehicle, result, target)
 
 
 def _check_places(target: Path | None, plot: Path | None) -> None:
     """Check before the work that plan file and picture can be written."""
     checks: list[Callable[[], object]] = []
     if target is not None:
-        checks.append(partial(check_target, target))
+        checks.append(partial(check_plan_target, target))
     if plot is not None:
         from kraft.plot import picture_format
 
@@ -109,19 +109,18 @@ def _check_places(target: Path | None, plot: Path | None) -> None:
     check_all(*checks)
 
 
-def _task(request: Request) -> Task:
+def _task(request: PlanRequest) -> Task:
     task = load_scenario(request.scenario).task()
     planning: Planning = task.planning
     if request.time is not None or request.iterations is not None:
         planning = planning.with_budget(iterations=request.iterations, time=request.time)
     if request.planner is not None:
-        if request.planner not in PLANNERS:
-            raise InputError.of("--planner", f"is {request.planner!r}", suggestion(request.planner, PLANNERS))
+        search_named(request.planner)
         planning = planning.model_copy(update={"planner": request.planner})
-    return dataclasses.replace(task, planning=planning)
+    return replace(task, planning=planning)
 
 
-def _tell(detail: Callable[[str], None], request: Request, task: Task, vehicle: Vehicle) -> None:
+def _report_inputs(detail: Callable[[str], None], request: PlanRequest, task: Task, vehicle: Vehicle) -> None:
     detail(f"scenario {task.name}: {task.source.file}")
     for line in vehicle_details(vehicle):
         detail(line)
@@ -130,7 +129,7 @@ def _tell(detail: Callable[[str], None], request: Request, task: Task, vehicle: 
     detail(f"planner {task.planning.planner}: {amount}, seed {request.seed}")
 
 
-def _vehicle(request: Request, task: Task) -> Vehicle:
+def _vehicle(request: PlanRequest, task: Task) -> Vehicle:
     parameters = parse_parameters(request.parameters)
     vehicle = vehicle_of_task(task) if request.vehicle is None else load_vehicle(request.vehicle)
     if not parameters:
@@ -139,30 +138,30 @@ def _vehicle(request: Request, task: Task) -> Vehicle:
     try:
         return load_vehicle(named, folder, parameters)
     except InputError as error:  # without them nothing is wrong
-        raise InputError(_of_parameter(d, parameters) for d in error.diagnostics) from error
+        raise InputError(_at_parameter_option(d, parameters) for d in error.diagnostics) from error
 
 
-def _of_parameter(diagnostic: Diagnostic, parameters: Mapping[str, float]) -> Diagnostic:
+def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]) -> Diagnostic:
     """The same problem, said of the option that causes it."""
     section, _, rest = diagnostic.path.partition(".")
     name = rest.partition(".")[0] if section == "parameters" else diagnostic.file
     where = f"--param {name}" if name in parameters else "--param"
     path = "" if name in parameters else diagnostic.path
-    return Diagnostic(where, diagnostic.problem, diagnostic.expected, path=path)
+    return replace(diagnostic, file=where, line=None, column=None, path=path)
 
 
-def _previous(request: Request, task: Task, say: Callable[[str], None]) -> Previous | None:
+def _previous(request: PlanRequest, task: Task, say: Callable[[str], None]) -> Previous | None:
     if request.previous is None:
         if request.after != 0.0:
-            raise InputError.of("--after", "is given without --from", "expected both or none")
+            raise InputError.of("--after", "is given without --from", "expected both or none", Code.CONFLICT)
         return None
     if not (math.isfinite(request.after) and request.after >= 0):
         raise InputError.of("--after", f"is {request.after:g}", "expected a number of at least 0, s")
-    plan = read_plan(request.previous)
-    scenario = planned_scenario(request.previous)
+    content = read_plan_file(request.previous)
+    scenario = content.scenario.name
     if scenario != task.name:
         say(f"note: {request.previous} is a plan of {scenario or 'a scenario without a name'}, not of {task.name}")
-    return Previous(plan, request.after, str(request.previous))
+    return Previous(content.plan(), request.after, str(request.previous))
 
 
 def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:
@@ -171,15 +170,15 @@ def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:
     plot_plan(path, task, vehicle, result.plan, result.tree, notes=notes(result), cycle=task.planning.cycle)
 
 
-def json_content(planned: Planned) -> dict[str, Any]:
+def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
     """Content of the ``kraft.plan/1`` object; what does not exist is null, as is a clearance without obstacles."""
-    result, plan, progress = planned.result, planned.result.plan, planned.result.progress
+    result, plan, progress = outcome.result, outcome.result.plan, outcome.result.progress
     first = progress.first_solution
     verification = result.verification
     return {
-        "scenario": planned.task.name,
-        "vehicle": planned.vehicle.name,
-        "planner": planned.task.planning.planner,
+        "scenario": outcome.task.name,
+        "vehicle": outcome.vehicle.name,
+        "planner": outcome.task.planning.planner,
         "seed": result.seed,
         "solved": result.solved,
         "reason": result.reason or None,
@@ -200,15 +199,15 @@ def json_content(planned: Planned) -> dict[str, Any]:
         "contingency": plan.contingency.manoeuvre if plan and plan.contingency else None,
         "contingency_clearance_m": _finite(verification.contingency_clearance) if verification else None,
         "safe": result.safe,
-        "problems": list(verification.problems) if verification else [],
-        "plan_file": str(planned.plan_file) if planned.plan_file else None,
+        "problems": [str(problem) for problem in verification.problems] if verification else [],
+        "plan_file": str(outcome.plan_file) if outcome.plan_file else None,
     }
 
 
-def table_rows(planned: Planned) -> list[tuple[str, str]]:
+def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
     """Label and value of each line of the table that a person reads."""
-    result, plan, progress = planned.result, planned.result.plan, planned.result.progress
-    rows = [("scenario", planned.task.name), ("vehicle", _vehicle_text(planned))]
+    result, plan, progress = outcome.result, outcome.result.plan, outcome.result.progress
+    rows = [("scenario", outcome.task.name), ("vehicle", _vehicle_text(outcome))]
     rows.append(("result", _outcome(result)))
     if plan is not None:
         rows.append(("plan", f"{plan.cost:.2f} s in {counted(len(plan.durations), 'edge')}"))
@@ -225,15 +224,15 @@ def table_rows(planned: Planned) -> list[tuple[str, str]]:
             ("contingency", f"{stop.manoeuvre} at {stop.times[0]:.2f} s, stands {stands:.1f} s later, {clearance}")
         )
     if result.verification is not None and result.verification.problems:
-        rows.append(("not safe", "\n".join(result.verification.problems)))
+        rows.append(("not safe", "\n".join(map(str, result.verification.problems))))
     if progress.retained:
         rows.append(("retained", f"{counted(progress.retained, 'edge')} of the earlier plan"))
     if progress.iterations:
         rows.append(("search", _search(result)))
-    if planned.plan_file is not None:
-        rows.append(("plan file", str(planned.plan_file)))
-    if planned.request.plot is not None:
-        rows.append(("picture", str(planned.request.plot)))
+    if outcome.plan_file is not None:
+        rows.append(("plan file", str(outcome.plan_file)))
+    if outcome.request.plot is not None:
+        rows.append(("picture", str(outcome.request.plot)))
     return rows
 
 
@@ -248,9 +247,9 @@ def notes(result: PlanResult) -> dict[str, str]:
     return {**found, "iterations": f"{result.progress.iterations:,}", "nodes": f"{result.progress.nodes:,}"}
 
 
-def _vehicle_text(planned: Planned) -> str:
-    values = ", ".join(f"{name} {value:g}" for name, value in planned.vehicle.parameters.items())
-    return f"{planned.vehicle.name} ({values})" if values else planned.vehicle.name
+def _vehicle_text(outcome: PlanOutcome) -> str:
+    values = ", ".join(f"{name} {value:g}" for name, value in outcome.vehicle.parameters.items())
+    return f"{outcome.vehicle.name} ({values})" if values else outcome.vehicle.name
 
 
 def _outcome(result: PlanResult) -> str:

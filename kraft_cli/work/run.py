@@ -20,7 +20,7 @@ from kraft.text import finite, metres
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft_cli.work.run_folder import check_run_folder, write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
-from kraft_cli.work.verbose import Stages, no_detail, vehicle_details
+from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def run_scenario(
     request: RunRequest,
     say: Callable[[str], None],
     on_cycle: Callable[[Cycle], None] | None = None,
-    detail: Callable[[str], None] = no_detail,
+    detail: Callable[[str], None] = discard_message,
 ) -> Run:
     """Load, check, drive, write.
 
@@ -60,28 +60,28 @@ def run_scenario(
         MissingDependency: if a video or a window is asked for and nothing can be drawn here.
         Defect: if a plan does not stand up to exact verification.
     """
-    stages = Stages(detail)
+    timer = StageTimer(detail)
     experiment = _experiment(request)
     out = request.out
     check_all(*([] if out is None else [lambda: check_run_folder(out)]), request.outputs.check)
     cell = experiment.cells[0]
     _log_details(detail, cell)
-    stages.ended("loaded and checked")
+    timer.report("loaded and checked")
     ensure_compiled(cell.vehicle, say)
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
-    stages.ended("kernels, maps and simulator loaded")
+    timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
     with TrialOutputs(request.outputs, spec, on_cycle) as outputs:
         result = run_trial(spec, outputs.on_cycle, outputs.on_step, keep_trees=outputs.keep_trees)
         outputs.finish(result)
-    stages.ended(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
+    timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
     run = Run(request, spec, result)
     if request.out is not None:
         arguments = {"scenario": request.scenario, "method": request.method, "vehicle": request.vehicle}
         write_run(request.out, experiment, arguments, cell.vehicle, run.result, run_json(run))
-        stages.ended("written")
+        timer.report("written")
     return run
 
 

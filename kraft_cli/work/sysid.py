@@ -28,7 +28,7 @@ from kraft.sysid.settings import Extras, Noise, Settings
 from kraft.sysid.vehicle_file import Subject, check_target, load_subject, record_of, write_vehicle
 from kraft.text import suggestion
 from kraft_cli.work.parameters import parse_parameters
-from kraft_cli.work.verbose import no_detail
+from kraft_cli.work.verbose import discard_message
 
 MODEL: Final = "mushr-lag"
 
@@ -82,7 +82,7 @@ class Identified:
     seconds: float
 
 
-def carry_out(request: Request, say: Say, warn: Say, detail: Say = no_detail) -> Identified:
+def carry_out(request: Request, say: Say, warn: Say, detail: Say = discard_message) -> Identified:
     """Load, check, read, identify, predict, write, draw.
 
     A vehicle file is written only if there are no objections.  The page is drawn in any case; where nothing could be

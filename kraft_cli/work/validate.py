@@ -12,7 +12,7 @@ from kraft.config import bundled
 from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, MissingError
 from kraft.logs.mapping import Mapping
 from kraft.planning.feasibility import check_placement
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
@@ -24,6 +24,7 @@ from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.cache_error import CacheError
 
 FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]
 
@@ -39,16 +40,30 @@ _WRITTEN: Final = "kraft."
 
 
 @dataclass(frozen=True)
-class Checked:
-    """What a file was taken for (None if it could not be read that far) and everything wrong with it."""
+class FileReport:
+    """Kind of a file (None if it could not be read that far) and everything wrong with it.
+
+    `defect` is an error of the check itself, after which nothing more is known of the file.
+    """
 
     file: str
     kind: FileKind | None
     problems: tuple[Diagnostic, ...] = ()
+    defect: Exception | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether the file was checked and has no problem."""
+        return not self.problems and self.defect is None
 
 
-def check_file(name_or_path: str | Path) -> Checked:
-    """Check a file, or a bundled scenario, vehicle or method by name. Problems are returned, not raised."""
+def check_file(name_or_path: str | Path) -> FileReport:
+    """Check a file, or a bundled scenario, vehicle or method by name. Problems and defects are returned, not raised.
+
+    Raises:
+        MissingError: if something that the check needs is not installed.
+        CacheError: if kernels cannot be kept.
+    """
     kind: FileKind | None = None
     file = str(name_or_path)
     try:
@@ -58,8 +73,12 @@ def check_file(name_or_path: str | Path) -> Checked:
         kind = "plan" if _schema(document) == PLAN_SCHEMA else recognise(document)
         _check_as(kind, document, path)
     except InputError as error:
-        return Checked(file, kind, error.diagnostics)
-    return Checked(file, kind)
+        return FileReport(file, kind, error.diagnostics)
+    except (MissingError, CacheError):
+        raise
+    except Exception as error:  # one file must not keep the others from being checked
+        return FileReport(file, kind, defect=error)
+    return FileReport(file, kind)
 
 
 def recognise(document: Document) -> FileKind:
@@ -85,7 +104,8 @@ def _schema(document: Document) -> str | None:
         return None
     if schema != PLAN_SCHEMA:
         expected = f"expected a {', '.join(_SCHEMAS)} file, or a plan file ({PLAN_SCHEMA})"
-        raise InputError([document.source.diagnostic("schema", f"is a file that kraft wrote, {schema}", expected)])
+        problem = f"is a file that kraft wrote, {schema}"
+        raise InputError([document.source.diagnostic("schema", problem, expected, code=Code.MISMATCH)])
     return schema
 
 
@@ -105,21 +125,21 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         vehicle = vehicle_of_task(task)
         check_placement(task, vehicle, start_state(task, vehicle))
     elif kind == "vehicle":
-        _checked(VehicleConfig, document)
+        _validated(VehicleConfig, document)
         load_vehicle(str(path))
     elif kind == "method":
-        method = _checked(Method, document)
+        method = _validated(Method, document)
         if method.planner.vehicle is not None:
             _check_vehicle(method.planner.vehicle, document, path.parent)
     elif kind == "plan":
         read_plan(path)
     elif kind == "mapping":
-        _checked(Mapping, document)
+        _validated(Mapping, document)
     else:
         read_map(path, height=0.2, name=None)
 
 
-def _checked(model: type[Model], document: Document) -> Model:
+def _validated(model: type[Model], document: Document) -> Model:
     value, problems = check(model, document)
     if value is None:
         raise InputError(problems)
@@ -132,6 +152,8 @@ def _check_vehicle(reference: str, document: Document, folder: Path) -> None:
         load_vehicle(reference, folder)
     except InputError as error:
         raise InputError(
-            document.source.diagnostic("planner.vehicle", d.problem, d.expected) if d.file == reference else d
+            document.source.diagnostic("planner.vehicle", d.problem, d.expected, code=d.code)
+            if d.file == reference
+            else d
             for d in error.diagnostics
         ) from error

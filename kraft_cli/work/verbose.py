@@ -9,21 +9,21 @@ from ompl_ext.kernels.specialise import is_cached, vehicle_cache_folder
 from ompl_ext.vehicle import Vehicle
 
 
-class Stages:
+class StageTimer:
     """Tells how long each stage of a command took; the clock runs from the beginning on."""
 
     def __init__(self, detail: Callable[[str], None]) -> None:
         self.detail = detail
         self._began = time.perf_counter()
 
-    def ended(self, what: str) -> None:
+    def report(self, what: str) -> None:
         """A stage is over, in which `what` was done."""
         now = time.perf_counter()
         self.detail(f"{what} in {now - self._began:.3f} s")
         self._began = now
 
 
-def no_detail(_: str) -> None:
+def discard_message(_: str) -> None:
     """For those who do not want to know."""
 
 

@@ -52,13 +52,34 @@ def test_all_problems_of_all_files_are_shown(folder: Path, capsys: pytest.Captur
     assert main(["validate", "bad.yaml", "good.yaml", "car.yaml", "none.yaml"]) == 2
     out, err = capsys.readouterr()
     assert out == "good.yaml: valid scenario\n"
-    assert [line.split(";")[0] for line in err.splitlines()] == [
-        "bad.yaml:4:32: goal.radius: is the number 0",
-        "bad.yaml:5:1: colour: unknown key",
-        "car.yaml:2:8: model: is 'x'",
-        "none.yaml: there is no such file",
+    assert [line.split(": ")[0] for line in err.splitlines()] == [
+        "bad.yaml:4:32",
+        "bad.yaml:5:1",
+        "car.yaml:2:8",
+        "none.yaml",
         "4 problems in 3 files",
     ]
+
+
+@pytest.mark.parametrize(
+    ("argv", "status", "message"),
+    [
+        (["validate", "bad.yaml", "-q"], 2, "bad.yaml:4:32: goal.radius: is the number 0; expected a number of at least 0.001 (distance from the centre that counts as arrived, m)\nbad.yaml:5:1: colour: unknown key; expected one of name, description, bounds, obstacles, start, goal, vehicle, planning, truth, sensing, trial\n"),
+        (["plan", "turnz"], 2, "turnz: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)\n"),
+        (["plan", "turns", "--iterations", "0"], 2, "--iterations: is the number 0; expected a number of at least 1 (planning budget in iterations, repeatable; 20000 unless `time` is given)\n"),
+        (["list", "vehicle"], 2, "vehicle: cannot be listed; did you mean 'vehicles'?\n"),
+        (["lst"], 2, "error: No such command 'lst'. Did you mean 'list'?\ntry 'kraft --help'\n"),
+        (["plan", "wall.yaml"], 1, "error: the goal is unreachable: no path from the start is wide enough for the footprint\n"),
+    ],
+)  # fmt: skip
+def test_messages_read_like_this(
+    argv: list[str], status: int, message: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The golden messages of the command line; all other tests compare places and codes."""
+    wall = "obstacles: [{box: {center: [2, 2], size: [0.2, 4]}}]\n"
+    (folder / "wall.yaml").write_text(GOOD + wall)
+    assert main(argv) == status
+    assert capsys.readouterr().err == message
 
 
 def test_quiet_leaves_only_the_problems(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,8 +97,43 @@ def test_validate_prints_one_json_object(folder: Path, capsys: pytest.CaptureFix
         ("good.yaml", "scenario", True),
         ("bad.yaml", "scenario", False),
     ]
-    first = content["files"][1]["problems"][0]
-    assert (first["line"], first["column"], first["path"]) == (4, 32, "goal.radius")
+    problems = content["files"][1]["problems"]
+    assert [(p["line"], p["column"], p["path"], p["code"]) for p in problems] == [
+        (4, 32, "goal.radius", "value"),
+        (5, 1, "colour", "unknown"),
+    ]
+    assert set(problems[0]) == {"file", "line", "column", "path", "code", "problem", "expected"}
+
+
+@pytest.mark.parametrize("size", ["1e-308", "1e-9", "0.0009"])
+def test_a_length_below_a_millimetre_is_refused(size: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "tiny.yaml").write_text(GOOD + f"obstacles: [{{box: {{center: [2, 1], size: [{size}, 1]}}}}]\n")
+    for command in ("validate", "plan"):
+        assert main([command, "tiny.yaml"]) == 2
+        assert capsys.readouterr().err.startswith("tiny.yaml:5:43: obstacles[0].box.size[0]: ")
+
+
+def test_a_defect_in_the_check_of_one_file_leaves_the_others_checked(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr("kraft_cli.work.validate.check_placement", broken)
+    vehicle = str(bundled.folder("vehicle") / "mushr.yaml")
+    assert main(["validate", "good.yaml", "bad.yaml", vehicle]) == 70
+    out, err = capsys.readouterr()
+    assert out == f"{vehicle}: valid vehicle\n"
+    assert "bad.yaml:4:32: goal.radius: " in err
+    assert "good.yaml: cannot be checked" in err
+    assert "ZeroDivisionError" in err
+    assert main(["validate", "--json", "good.yaml", "bad.yaml", vehicle]) == 70
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert [(f["valid"], bool(f["problems"]), f["defect"]) for f in files] == [
+        (False, False, "ZeroDivisionError: division by zero"),
+        (False, True, None),
+        (True, False, None),
+    ]
 
 
 @pytest.mark.parametrize("what", ["scenarios", "vehicles", "planners"])
@@ -111,11 +167,8 @@ def test_every_mistake_of_a_vehicle_file_comes_at_once(folder: Path, capsys: pyt
     (folder / "car.yaml").write_text(text.replace("top_speed: v_delta", "top_speed: vdelta"))
     assert main(["validate", "car.yaml"]) == 2
     *problems, _ = capsys.readouterr().err.splitlines()
-    assert [line.split(": ", 1)[1] for line in problems] == [
-        "parameters.L.value: is 9, above max; expected at most 0.6",
-        "footprint.lenght: unknown key; did you mean 'length'?",
-        "top_speed: is the text 'vdelta'; expected a number in m/s, of at most 100, or the name of a parameter",
-    ]
+    keys = ["parameters.L.value", "footprint.lenght", "top_speed"]
+    assert [line.split(": ")[1] for line in problems] == keys
 
 
 def test_plan_files_are_checked_as_such_and_other_files_of_kraft_are_named(
@@ -128,16 +181,10 @@ def test_plan_files_are_checked_as_such_and_other_files_of_kraft_are_named(
     content = json.loads((folder / "plans/plan.json").read_text())
     (folder / "bad.json").write_text(json.dumps({**content, "durations": "long"}))
     assert main(["validate", "bad.json"]) == 2
-    assert "bad.json: durations: " in capsys.readouterr().err
+    assert re.match(r"bad\.json:1:\d+: durations: ", capsys.readouterr().err)
     (folder / "manifest.json").write_text(json.dumps({"schema": "kraft.eval-manifest/1", "trials": 3}))
     assert main(["validate", "manifest.json"]) == 2
-    assert (
-        capsys.readouterr()
-        .err.splitlines()[0]
-        .startswith(
-            "manifest.json:1:12: schema: is a file that kraft wrote, kraft.eval-manifest/1; expected a scenario, "
-        )
-    )
+    assert capsys.readouterr().err.startswith("manifest.json:1:12: schema: ")
 
 
 def test_the_doctor_looks_at_every_required_package() -> None:
@@ -172,8 +219,9 @@ def test_a_package_that_does_not_load_is_missing_with_the_reason() -> None:
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
 def test_the_doctor_tries_whether_the_cache_can_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("KRAFT_CACHE_DIR", "/proc/c")
-    told = "/proc/c cannot be written; set KRAFT_CACHE_DIR to a folder that can"
-    assert environment._cache() == Finding("kernel cache", "missing", told)
+    finding = environment._cache()
+    assert (finding.subject, finding.state) == ("kernel cache", "missing")
+    assert "KRAFT_CACHE_DIR" in finding.detail
     monkeypatch.setenv("KRAFT_CACHE_DIR", str(tmp_path / "new"))
     assert environment._cache().state == "ok"
     assert list(tmp_path.iterdir()) == []
@@ -199,7 +247,5 @@ def test_a_simulator_that_does_not_load_is_a_missing_dependency() -> None:
         cwd=ROOT, env={**os.environ, "MUJOCO_GL": "foo"}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (3, "")
-    assert done.stderr.splitlines()[-1] == (
-        "error: the simulator, MuJoCo, does not load: invalid value for environment variable MUJOCO_GL: foo; "
-        "unset MUJOCO_GL, which is foo"
-    )
+    assert done.stderr.splitlines()[-1].startswith("error: ")
+    assert "MUJOCO_GL" in done.stderr

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from importlib import import_module
 
 import numpy as np
 import pytest
+from support.diagnostics import located, raised
 
-from kraft.errors import Defect, InputError
-from kraft.planning import plan_task as planning
+from kraft.errors import Code, Defect
 from kraft.planning.plan_task import PlanResult, plan_task
 from kraft.planning.search import Budget, Previous
 from kraft.planning.workspace import fence, workspace_of
@@ -18,7 +19,7 @@ from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
-from ompl_ext.verify import Verification
+from ompl_ext.verify import Requirement, Verification, Violation
 
 SCENE = """name: room
 bounds: {x: [0, 4], y: [0, 4]}
@@ -29,6 +30,7 @@ start: {x: 0.5, y: 0.5, heading_deg: 0}
 goal: {center: [3, 3], radius: 0.3}
 """
 FEW = Budget(iterations=2000)
+COLLISION = Violation(Requirement.COLLISION, "plan: collides at t = 1.000 s")
 
 
 def room(*changes: tuple[str, str]) -> Task:
@@ -110,8 +112,8 @@ def test_ompls_own_planners_answer_the_same_query(planner: str, mushr: Vehicle) 
 def test_ompls_own_planners_cannot_keep_a_plan(solved: PlanResult, mushr: Vehicle) -> None:
     task = parse_scenario(SCENE + "planning: {planner: est}\n").task()
     assert solved.plan is not None
-    with pytest.raises(InputError, match="est: cannot keep an earlier plan; expected the planner dirt with --from"):
-        plan_task(task, mushr, FEW, previous=Previous(solved.plan))
+    (problem,) = raised(lambda: plan_task(task, mushr, FEW, previous=Previous(solved.plan)))
+    assert (problem.file, problem.argument, problem.code) == ("planner", True, Code.CONFLICT)
 
 
 def test_the_footprint_stays_inside_the_bounds(mushr: Vehicle) -> None:
@@ -148,34 +150,34 @@ def test_what_is_left_of_a_plan_is_kept_from_where_it_is_then(solved: PlanResult
 @pytest.mark.parametrize("elapsed", [-0.1, 1000.0])
 def test_a_plan_that_is_over_is_not_a_place_to_start(elapsed: float, solved: PlanResult, mushr: Vehicle) -> None:
     assert solved.plan is not None
-    with pytest.raises(InputError, match=r"the plan is over after .* expected from 0 to less than"):
-        plan_task(room(), mushr, FEW, previous=Previous(solved.plan, elapsed))
+    previous = Previous(solved.plan, elapsed)
+    assert located(raised(lambda: plan_task(room(), mushr, FEW, previous=previous))) == ["value"]
 
 
 def test_a_plan_of_another_vehicle_is_refused(solved: PlanResult) -> None:
     assert solved.plan is not None
-    with pytest.raises(
-        InputError, match=r"p\.json: the plan has 4 state components and 2 controls; expected a plan of unicycle2"
-    ):
-        plan_task(room(), load_vehicle("unicycle2"), FEW, previous=Previous(solved.plan, 0.0, "p.json"))
+    previous = Previous(solved.plan, 0.0, "p.json")
+    (problem,) = raised(lambda: plan_task(room(), load_vehicle("unicycle2"), FEW, previous=previous))
+    assert (problem.file, problem.code) == ("p.json", Code.MISMATCH)
+    assert "unicycle2" in problem.expected
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "expected"),
+    ("old", "new", "expected", "named"),
     [
-        ("start: {x: 0.5, y: 0.5", "start: {x: 1.4, y: 2.0", "room.yaml:6:8: start: mushr at (1.4, 2) heading 0 deg is in collision with 'pillar'; expected a start that is free and inside the bounds"),
-        ("start: {x: 0.5, y: 0.5", "start: {x: 3.2, y: 0.5", "room.yaml:6:8: start: mushr at (3.2, 0.5) heading 0 deg is in collision with obstacles[1]; expected a start that is free and inside the bounds"),
-        ("start: {x: 0.5, y: 0.5", "start: {x: 0.1, y: 0.5", "room.yaml:6:8: start: mushr at (0.1, 0.5) heading 0 deg is out of bounds; expected a start that is free and inside the bounds"),
-        ("heading_deg: 0}", "heading_deg: 0, speed: 3}", "room.yaml:6:48: start.speed: is 3 m/s, faster than mushr can be; expected at most {v_delta:g} m/s"),
-        ("center: [3, 3]", "center: [2.2, 2]", "room.yaml:7:16: goal.center: the goal's centre is in collision with 'pillar'; expected a free place"),
+        ("start: {x: 0.5, y: 0.5", "start: {x: 1.4, y: 2.0", "6:8 start geometry", "'pillar'"),
+        ("start: {x: 0.5, y: 0.5", "start: {x: 3.2, y: 0.5", "6:8 start geometry", "obstacles[1]"),
+        ("start: {x: 0.5, y: 0.5", "start: {x: 0.1, y: 0.5", "6:8 start geometry", "out of bounds"),
+        ("heading_deg: 0}", "heading_deg: 0, speed: 3}", "6:48 start.speed value", "mushr"),
+        ("center: [3, 3]", "center: [2.2, 2]", "7:16 goal.center geometry", "'pillar'"),
     ],
 )  # fmt: skip
 def test_a_start_or_goal_where_nothing_can_be_is_explained_at_its_line(
-    old: str, new: str, expected: str, mushr: Vehicle
+    old: str, new: str, expected: str, named: str, mushr: Vehicle
 ) -> None:
-    with pytest.raises(InputError) as caught:
-        plan_task(room((old, new)), mushr, FEW)
-    assert str(caught.value) == expected.replace("{v_delta:g}", f"{mushr.parameters['v_delta']:g}")
+    (problem,) = raised(lambda: plan_task(room((old, new)), mushr, FEW))
+    assert located([problem]) == [expected]
+    assert named in problem.problem
 
 
 WALL = ("size: [1, 1]", "size: [0.5, 4]")
@@ -210,21 +212,52 @@ def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -
     assert not result.solved
     assert result.plan is not None
     assert result.verification is not None
-    assert result.reason.startswith("no plan reaches the goal after 3 iterations")
     assert result.plan.cost_to_go > 0
+    distance = math.dist(result.plan.states[-1][:2], (1.0, 5.0)) - 0.25
+    assert f"ends {distance:.3g} m from the goal region" in result.reason
+
+
+def test_a_heading_that_is_missed_is_what_is_missing(mushr: Vehicle) -> None:
+    goal = "radius: 0.3, heading_deg: 180, heading_tolerance_deg: 0.01"
+    result = plan_task(room(("radius: 0.3", goal)), mushr, FEW)
+    assert not result.solved
+    assert result.plan is not None
+    off = abs(math.degrees(math.remainder(result.plan.states[-1][2] - math.pi, math.tau)))
+    assert math.dist(result.plan.states[-1][:2], (3, 3)) < 0.3
+    assert f"in the goal region, {off:.3g} degrees off the heading" in result.reason
 
 
 def test_a_plan_that_fails_verification_is_a_defect(mushr: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planning, "verify", lambda *_: Verification(-1.0, None, ("plan: collides at t = 1.000 s",)))
+    monkeypatch.setattr(
+        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(-1.0, None, (COLLISION,))
+    )
     with pytest.raises(Defect, match=r"the plan of seed 3 fails verification: plan: collides at t = 1\.000 s"):
         plan_task(room(), mushr, FEW, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("requirement", "accepted"),
+    [(Requirement.COLLISION, False), (Requirement.CLEARANCE, True), (Requirement.CONTINGENCY, True)],
+)
+def test_a_plan_of_ompls_own_planners_has_to_be_free_of_collisions_and_no_more(
+    requirement: Requirement, accepted: bool, mushr: Vehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Violation(requirement, "plan: has a problem")
+    monkeypatch.setattr(
+        import_module("kraft.planning.plan_task"), "verify", lambda *_: Verification(0.1, None, (problem,))
+    )
+    task = parse_scenario(SCENE + "planning: {planner: rrt}\n").task()
+    result = plan_task(task, mushr, Budget(iterations=20_000), seed=1)
+    assert (result.plan is not None) is accepted
+    assert not result.safe
 
 
 def test_an_unknown_planner_is_answered_with_the_nearest(mushr: Vehicle) -> None:
     task = room()
     wrong = dataclasses.replace(task, planning=task.planning.model_copy(update={"planner": "rrrt"}))
-    with pytest.raises(InputError, match="rrrt: there is no planner of this name; did you mean 'rrt'"):
-        plan_task(wrong, mushr, FEW)
+    (problem,) = raised(lambda: plan_task(wrong, mushr, FEW))
+    assert (problem.file, problem.argument, problem.code) == ("planner", True, Code.NOT_FOUND)
+    assert "'rrt'" in problem.expected
 
 
 def test_a_contingency_stops_the_vehicle_within_the_horizon_that_the_task_gives(

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.diagnostics import located, raised
 
 from kraft.config import bundled
-from kraft.errors import InputError
+from kraft.errors import Code
 from kraft.vehicles.config import Footprint, load_vehicle_config
 from kraft.vehicles.mushr import MUSHR_LAG
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
@@ -24,9 +25,7 @@ top_speed: 1.0
 def problems_of(folder: Path, text: str) -> list[str]:
     path = folder / "car.yaml"
     path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        load_vehicle_config(path)
-    return str(caught.value).replace(f"{path}:", "").splitlines()
+    return located(raised(lambda: load_vehicle_config(path)))
 
 
 def test_the_five_vehicles_are_bundled() -> None:
@@ -68,20 +67,20 @@ def test_a_bundled_vehicle_is_described_and_names_its_schema(name: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("name: car", "name: a/b", "1:7: name: is the text 'a/b'; expected a short name of letters, digits, - and _"),
-        ("my_robots.car:CAR", "my_robots.car", "2:8: model: is 'my_robots.car'; expected module:attribute, as in kraft.vehicles.mushr:MUSHR"),
-        ("my_robots.car:CAR", "my-robots:CAR", "2:8: model: is 'my-robots:CAR'; expected module:attribute, as in kraft.vehicles.mushr:MUSHR"),
-        ("  L:", "  2L:", "4:3: parameters.2L: is not a symbol; expected letters, digits and _"),
-        ("value: 0.3", "value: 0.5", "4:14: parameters.L.value: is 0.5, above max; expected at most 0.4"),
-        ("value: 0.3", "value: 0.1", "4:14: parameters.L.value: is 0.1, below min; expected at least 0.2"),
-        ("value: 0.3", "value: .inf", "4:14: parameters.L.value: .inf is not a finite number; expected a finite number"),
-        ("min: 0.2", "min: 0.9", "4:33: parameters.L.min: is 0.9, not below max; expected less than 0.4"),
-        ("std: 0.01", "std: 0", "4:53: parameters.L.std: is the number 0; expected a number greater than 0 (standard deviation of what is known beforehand)"),
-        ("unit: m, ", "", "4:3: parameters.L.unit: the key is missing; expected unit, `1` if it has none"),
-        ("max: 0.4", "maxx: 0.4", "4:38: parameters.L.maxx: unknown key; did you mean 'max'?"),
-        ("length: 0.4", "length: 0", "5:21: footprint.length: is the number 0; expected a number greater than 0 (extent along x, m)"),
-        ("length: 0.4", "lenght: 0.4, length: 0.4", "5:13: footprint.lenght: unknown key; did you mean 'length'?"),
-        ("top_speed: 1.0", "top_speed: fast", "6:12: top_speed: is the text 'fast'; expected a number in m/s, of at most 100, or the name of a parameter"),
+        ("name: car", "name: a/b", "1:7 name value"),
+        ("my_robots.car:CAR", "my_robots.car", "2:8 model value"),
+        ("my_robots.car:CAR", "my-robots:CAR", "2:8 model value"),
+        ("  L:", "  2L:", "4:3 parameters.2L value"),
+        ("value: 0.3", "value: 0.5", "4:14 parameters.L.value value"),
+        ("value: 0.3", "value: 0.1", "4:14 parameters.L.value value"),
+        ("value: 0.3", "value: .inf", "4:14 parameters.L.value value"),
+        ("min: 0.2", "min: 0.9", "4:33 parameters.L.min conflict"),
+        ("std: 0.01", "std: 0", "4:53 parameters.L.std value"),
+        ("unit: m, ", "", "4:3 parameters.L.unit missing"),
+        ("max: 0.4", "maxx: 0.4", "4:38 parameters.L.maxx unknown"),
+        ("length: 0.4", "length: 0", "5:21 footprint.length value"),
+        ("length: 0.4", "lenght: 0.4, length: 0.4", "5:13 footprint.lenght unknown"),
+        ("top_speed: 1.0", "top_speed: fast", "6:12 top_speed unknown"),
     ],
 )  # fmt: skip
 def test_a_wrong_vehicle_file_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:
@@ -89,8 +88,9 @@ def test_a_wrong_vehicle_file_is_explained(old: str, new: str, expected: str, tm
 
 
 def test_an_unknown_vehicle_is_answered_with_the_nearest_one() -> None:
-    with pytest.raises(InputError, match="musrh: there is no vehicle of this name; did you mean 'mushr'"):
-        load_vehicle_config("musrh")
+    (problem,) = raised(lambda: load_vehicle_config("musrh"))
+    assert (problem.file, problem.code) == ("musrh", Code.NOT_FOUND)
+    assert "'mushr'" in problem.expected
 
 
 def test_a_vehicle_knows_where_its_values_were_written(tmp_path: Path) -> None:
@@ -110,16 +110,15 @@ def test_other_values_keep_the_rest_of_the_vehicle() -> None:
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ({"l": 0.3}, "l: mushr has no such parameter; did you mean 'L'?"),
-        ({"mass": 3.0}, "mass: mushr has no such parameter; expected one of L, phi_diff, v_delta"),
-        ({"L": 9.0}, "mushr: parameters.L.value: is 9, above max; expected at most 0.6"),
-        ({"L": float("nan")}, "mushr: parameters.L.value: is the number nan; expected a finite number"),
+        ({"l": 0.3}, "l unknown"),
+        ({"mass": 3.0}, "mass unknown"),
+        ({"L": 9.0}, "mushr parameters.L.value value"),
+        ({"L": float("nan")}, "mushr parameters.L.value value"),
     ],
 )
 def test_other_values_are_checked(values: dict[str, float], expected: str) -> None:
-    with pytest.raises(InputError) as caught:
-        load_vehicle_config("mushr").with_values(values)
-    assert str(caught.value).startswith(expected)
+    (problem,) = raised(lambda: load_vehicle_config("mushr").with_values(values))
+    assert f"{problem.file} {located([problem])[0]}" == expected
 
 
 def test_a_reference_is_a_name_a_path_or_a_module_and_attribute(tmp_path: Path) -> None:

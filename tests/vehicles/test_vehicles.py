@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
+from support.diagnostics import located, raised
 
 from kraft.config import bundled
-from kraft.errors import InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
@@ -214,7 +214,5 @@ def test_a_top_speed_that_is_a_parameter_follows_it() -> None:
 
 
 def test_parameters_are_checked_against_the_files_limits() -> None:
-    with pytest.raises(InputError, match=r"mushr: parameters\.L\.value: is 9, above max; expected at most 0\.6"):
-        load_vehicle("mushr", parameters={"L": 9.0})
-    with pytest.raises(InputError, match="tau: mushr has no such parameter; expected one of L, phi_diff, v_delta"):
-        load_vehicle("mushr", parameters={"tau": 1.0})
+    assert located(raised(lambda: load_vehicle("mushr", parameters={"L": 9.0}))) == ["parameters.L.value value"]
+    assert located(raised(lambda: load_vehicle("mushr", parameters={"tau": 1.0}))) == ["unknown"]
