@@ -131,7 +131,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         ("method", run.spec.method.title),
         ("vehicle", run.spec.vehicle.name),
         ("result", outcome_text(result.outcome, result.obstacle, result.time)),
-        ("clearance", f"{metres(result.min_clearance)} at least"),
+        ("clearance", f"{metres(result.min_clearance, '-')} at least"),
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
     ]
     if planning:
@@ -156,7 +156,7 @@ def cycle_line(cycle: Cycle) -> str:
     to_goal = f"{cycle.cost_to_goal:5.2f} s" if math.isfinite(cycle.cost_to_goal) else "  -    "
     reason = f": {cycle.reason}" if cycle.reason else ""
     return (
-        f"{cycle.time:6.2f} s  {cycle.speed:5.2f} m/s  to goal {to_goal}  clearance {metres(cycle.clearance)}  "
+        f"{cycle.time:6.2f} s  {cycle.speed:5.2f} m/s  to goal {to_goal}  clearance {metres(cycle.clearance, '-')}  "
         f"{cycle.kind}{reason}"
     )
 
