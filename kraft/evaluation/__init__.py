@@ -1,4 +1,4 @@
-"""Many trials, reduced to a table: the library under `kraft eval`."""
+"""Evaluations: many trials, their statistics, and a report; the library under `kraft eval`."""
 
 from kraft.evaluation.evaluator import Evaluation, Observer, evaluate, usable_cores
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment

@@ -1,4 +1,4 @@
-"""Trials on a Dask cluster."""
+"""Executor that runs trials on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ANSWER_TIMEOUT: Final = 10.0  # s, for the scheduler to answer
-POLL: Final = 0.1  # s, how late a request to stop is seen
-PREFETCHED: Final = 1  # trials that a worker has in hand besides the one it is at
+POLL: Final = 0.1  # s, delay until a request to stop takes effect
+PREFETCHED: Final = 1  # trials queued at each worker thread besides the running one
 
 _one_trial_at_a_time = threading.Lock()
 
@@ -28,10 +28,10 @@ class Cluster:
     """Runs trials on the workers of the Dask scheduler at `address`."""
 
     def __init__(self, address: str) -> None:
-        """Look whether it answers.
+        """Connect to the scheduler once, to check that it answers.
 
         Raises:
-            InputError: if it does not.
+            InputError: if it does not answer.
             MissingDependency: if the package distributed is not installed.
         """
         try:
@@ -41,13 +41,13 @@ class Cluster:
             raise MissingDependency(problem) from error
         self.address = address
         try:
-            with ThreadPoolExecutor(1) as pool:  # this thread may have an event loop of its own, as notebooks do
+            with ThreadPoolExecutor(1) as pool:  # the calling thread may already run an event loop, as in notebooks
                 pool.submit(asyncio.run, _connect(address)).result()
         except (OSError, ValueError) as error:
             raise self._no_answer(error) from error
 
     def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
-        """See `kraft.evaluation.job.Executor`; how many deaths are too many is the scheduler's setting."""
+        """See `kraft.evaluation.job.Executor`; the scheduler's settings state how often a worker may die."""
         client = self._client()
         try:
             yield from self._rows(client, jobs, stop_requested, log)
@@ -70,7 +70,7 @@ class Cluster:
         return InputError.of_argument("cluster", problem, expected, Code.NOT_FOUND)
 
     def _rows(self, client: Client, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
-        """Keep a few trials per thread of the cluster going, so that there is little to wait for when it stops."""
+        """Yield rows; only a few trials per thread are submitted at once, so that stopping does not wait for many."""
         here, todo = versions(SIMULATION), list(reversed(jobs))
         running: dict[Future, Job] = {}
         warned = False
@@ -81,8 +81,8 @@ class Cluster:
             if threads == 0 and not warned:
                 log(f"the cluster at {self.address} has no workers; waiting for one")
                 warned = True
-            room = 0 if stop_requested() else threads * (1 + PREFETCHED) - len(running)
-            for job in [todo.pop() for _ in range(min(room, len(todo)))]:
+            free = 0 if stop_requested() else threads * (1 + PREFETCHED) - len(running)
+            for job in [todo.pop() for _ in range(min(free, len(todo)))]:
                 running[client.submit(perform_checked, job, here, pure=False)] = job
             ended = [future for future in running if future.done()]
             for future in ended:
@@ -91,7 +91,8 @@ class Cluster:
                 time.sleep(POLL)
 
     def _connection_lost(self) -> InputError:
-        problem, expected = f"the scheduler at {self.address} went away", "expected it to answer until the last trial"
+        problem = f"the scheduler at {self.address} closed the connection"
+        expected = "expected it to answer until the last trial"
         return InputError.of_argument("cluster", problem, expected, Code.NOT_FOUND)
 
     def _row(self, future: Future, job: Job) -> TrialRow:
@@ -105,7 +106,7 @@ class Cluster:
 
 
 async def _connect(address: str) -> None:
-    """Open a connection and close it: a `Client` that finds nobody goes on trying after it was given up."""
+    """Open a connection and close it; a `Client` without a scheduler keeps reconnecting even after it is closed."""
     from distributed.core import connect
     from distributed.security import Security
 
@@ -113,12 +114,12 @@ async def _connect(address: str) -> None:
     connection.abort()
 
 
-def perform_checked(job: Job, versions_there: Mapping[str, str]) -> TrialRow:
-    """Run a trial on a worker, alone in its process, if that would do what the others do."""
+def perform_checked(job: Job, caller_versions: Mapping[str, str]) -> TrialRow:
+    """Run a trial on a worker, one at a time in its process, if the versions there are those of the caller."""
     here = versions(SIMULATION)
-    if here != versions_there:
-        names = sorted(name for name in {**here, **versions_there} if here.get(name) != versions_there.get(name))
-        differences = ", ".join(f"{name} {here.get(name)} instead of {versions_there.get(name)}" for name in names)
+    if here != caller_versions:
+        names = sorted(name for name in {**here, **caller_versions} if here.get(name) != caller_versions.get(name))
+        differences = ", ".join(f"{name} {here.get(name)} instead of {caller_versions.get(name)}" for name in names)
         expected = "expected the same versions everywhere"
         raise InputError.of_argument("cluster", f"a worker has {differences}", expected, Code.MISMATCH)
     with _one_trial_at_a_time:

@@ -1,4 +1,4 @@
-"""Drive one manoeuvre in the simulated world, and keep what was sent, what was seen and what is true, apart."""
+"""Record runs: drive manoeuvres in the simulated world and log commands, measured poses and true poses."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
 
 COMMAND_RATE: Final = 20.0
-"""Commands are sent at this rate, 1/s: not that of the camera, so that the two are asynchronous, as on a real car."""
+"""Rate of the commands, 1/s: not the camera's, so that the two are asynchronous, as on a real car."""
 STOP: Final = 0.1
-"""A run ends where the true car is nearer than this to anything, m."""
+"""Clearance of the true car at which a run ends, m."""
 SHORTEST: Final = 2.0
-"""A scenario in which a manoeuvre has less room than this is refused, s."""
+"""A scenario is refused if a manoeuvre has free space for less than this time, s."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One run.
+    """Recorded run.
 
     Attributes:
-        number: from 1.
-        manoeuvre: what was commanded.
-        place: where it began.
-        commands: time sent (s), throttle, steering (rad), (m, 3).
-        poses: time taken (s), x, y (m), yaw (rad) as the camera measured them, (n, 4).
-        truth: time (s), x, y (m), yaw (rad), speed (m/s) at every frame of the camera, (k, 5).
-        end: when it ended, s.
+        number: number of the run, from 1.
+        manoeuvre: commanded manoeuvre.
+        place: start of the run.
+        commands: time of sending (s), throttle and steering (rad), (m, 3).
+        poses: time of the frame (s) and measured x, y (m) and yaw (rad), (n, 4).
+        truth: time (s) and true x, y (m), yaw (rad) and speed (m/s) at every frame of the camera, (k, 5).
+        end: time of its end, s.
         note: why it ended early; empty if it did not.
     """
 
@@ -51,15 +51,15 @@ class Recording:
 
 
 class Recorder:
-    """Records runs in a scenario. A run depends on the scenario, the seed and its number, and on nothing else."""
+    """Records runs in a scenario.  A run depends on the scenario, the seed and its number alone."""
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, seed: int) -> None:
-        """Make the world.
+        """Build the world.
 
         Args:
-            scenario: where to drive; its start and goal do not matter.
-            vehicle: the car as it is believed to be: bounds of its commands, its footprint, and where it will get to.
-            seed: of manoeuvres, places and the camera's errors.
+            scenario: where to drive; its start and goal are not used.
+            vehicle: model of the car: bounds of its commands, footprint and predicted paths.
+            seed: seed of manoeuvres, starts and the camera's errors.
 
         Raises:
             InputError: if the vehicle is not a car with throttle and steering.
@@ -73,7 +73,7 @@ class Recorder:
         """Drive run `number`, from 1.
 
         Raises:
-            InputError: if the scenario has no room for its manoeuvre.
+            InputError: if the scenario has no free space for the manoeuvre.
         """
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
         high = self._model.high
@@ -84,7 +84,7 @@ class Recorder:
         place = self._free_space.place(predicted(self._model, commanded), generator)
         if place.time < SHORTEST:
             name = self._scenario.name
-            problem = f"has no room for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"
+            problem = f"has no free space for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"
             expected = "expected more free floor, as in the scenario training"
             raise InputError.of(name, problem, expected, Code.GEOMETRY)
         self._world.reset(place.start)
@@ -93,7 +93,7 @@ class Recorder:
 
 
 class _Run:
-    """One run while it is driven."""
+    """Run in progress."""
 
     def __init__(self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place) -> None:
         self._plant, self._world, self._free_space = plant, plant.world, free_space
@@ -103,7 +103,7 @@ class _Run:
         self._truth: list[tuple[float, ...]] = []
 
     def drive(self, number: int) -> Recording:
-        """Drive it to its end, or to where it would touch something."""
+        """Drive to the end of the manoeuvre, or until the clearance is too small."""
         world, end = self._world, round(self._manoeuvre.end / self._world.dt)
         note = ""
         while not note:
@@ -137,11 +137,11 @@ class _Run:
         self._plant.send(throttle, steering)
 
     def _stop_reason(self) -> str:
-        """Why the run has to end here, or nothing."""
+        """Why the run has to end now; empty if it goes on."""
         world = self._world
         if world.collision is not None:
             return f"touched {world.collision.obstacle} after {world.time:.2f} s"
         clearance = self._free_space.clearance(*map(float, world.pose))
         if clearance < STOP:
-            return f"stopped after {world.time:.2f} s, {clearance:.2f} m from what it would have touched"
+            return f"stopped after {world.time:.2f} s, {clearance:.2f} m from the nearest obstacle or bound"
         return ""

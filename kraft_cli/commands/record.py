@@ -1,4 +1,4 @@
-"""`kraft record`: drive open-loop manoeuvres in simulation and write logs of them."""
+"""`kraft record`: drive open-loop manoeuvres in simulation and write their logs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def record(
     seed: Seed = 0,
     json: Json = False,
 ) -> ExitStatus:
-    """Drive manoeuvres without feedback in simulation and write what was commanded and seen, for kraft sysid."""
+    """Drive manoeuvres without feedback in simulation and log commands and measured poses, for kraft sysid."""
     from kraft.text import counted
     from kraft_cli.work.record import RecordRequest, record_logs
 

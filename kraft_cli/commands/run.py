@@ -1,4 +1,4 @@
-"""`kraft run`: drive one trial, cycle by cycle."""
+"""`kraft run`: drive one trial."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ VehicleName = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write everything about the trial into a new folder.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4.")]
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the run: FILE.png, .svg or .pdf.")]
@@ -34,7 +34,7 @@ def run(
     plot: Plot = None,
     json: Json = False,
 ) -> ExitStatus:
-    """Drive a scenario once in simulation; it ends with 1 if the goal is not reached."""
+    """Drive a scenario once in simulation; the exit code is 1 if the goal is not reached."""
     from kraft.trial.result import Outcome
     from kraft_cli.tables import show_rows
     from kraft_cli.work.run import RunRequest, cycle_line, run_json, run_scenario, run_table

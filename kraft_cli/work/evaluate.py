@@ -1,4 +1,4 @@
-"""An evaluation as it was asked for on a command line: what was left out, what to record, how to ask for it again."""
+"""`kraft eval` without a terminal: from its options to an evaluation, and the command that resumes it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kraft_cli.work.run import run_command
 
 @dataclass(frozen=True)
 class EvalRequest:
-    """Options of `kraft eval` as they were written; None and empty for what was left out."""
+    """Options of `kraft eval` as written; None or empty where an option was left out."""
 
     scenarios: tuple[str, ...] = ()
     trials: int | None = None
@@ -41,27 +41,29 @@ OPTION_FROM_MANIFEST: Final[dict[str, Callable[[Any], Any]]] = {
     "seed": int,
     "realtime": bool,
 }
-"""How each of a manifest's arguments becomes the option again."""
+"""Conversion of each argument in a manifest to the option."""
 OPTIONAL: Final = ("vehicle", "realtime")
-"""Options whose absence says something too."""
+"""Options that a manifest need not have."""
 
 
 def complete_request(request: EvalRequest) -> EvalRequest:
-    """Fill in where to write, and when going on, whatever was not said about what to run, from the folder.
+    """Add the results folder, and when resuming, the options that were left out from the folder's manifest.
 
     Raises:
-        InputError: if there is no folder to go on with, or its manifest does not say it.
+        InputError: if the folder to resume does not exist, or its manifest lacks an option.
     """
     if request.resume:
         if request.out is None:
-            raise InputError.of("--resume", "is given without --out", "expected the folder to go on with", Code.MISSING)
+            raise InputError.of(
+                "--resume", "is given without --out", "expected the folder of the evaluation to resume", Code.MISSING
+            )
         check_exists(request.out)
         return _with_recorded_arguments(request, request.out / manifest.NAME)
     return replace(request, out=request.out or default_path(request.seed or 0))
 
 
 def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
-    """Run what is asked for; see `evaluate` for what is raised."""
+    """Run the evaluation of a request; see `evaluate` for its exceptions."""
     arguments = arguments_of(request)
     try:
         return evaluate(
@@ -84,14 +86,14 @@ def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
 
 
 def _with_resume(diagnostic: Diagnostic, request: EvalRequest) -> Diagnostic:
-    """The same problem; where it is that the folder exists, with the options that go on with it."""
+    """Diagnostic with the options that resume the folder, if the problem is that the folder exists."""
     if diagnostic.code is not Code.EXISTS or diagnostic.file != str(request.out):
         return diagnostic
-    return replace(diagnostic, expected=f"expected a new folder, or --out {request.out} --resume to go on with it")
+    return replace(diagnostic, expected=f"expected a new folder, or --out {request.out} --resume to continue this one")
 
 
 def arguments_of(request: EvalRequest) -> dict[str, Any]:
-    """What the manifest records: everything that defines the evaluation, defaults filled in."""
+    """Arguments that the manifest records: everything that defines the evaluation, with defaults."""
     methods = METHODS if request.methods is None else [name.strip() for name in request.methods.split(",")]
     return {
         "scenarios": list(request.scenarios or SCENARIOS),
@@ -104,7 +106,7 @@ def arguments_of(request: EvalRequest) -> dict[str, Any]:
 
 
 def resume_command(request: EvalRequest) -> str:
-    """The command that goes on with the evaluation."""
+    """Command that resumes the evaluation."""
     words = ["kraft", "eval", *request.scenarios]
     options = {
         "--trials": request.trials,
@@ -121,22 +123,22 @@ def resume_command(request: EvalRequest) -> str:
 
 
 def _with_recorded_arguments(request: EvalRequest, path: Path) -> EvalRequest:
-    """The request with what its folder was made with, wherever nothing was said; what was said is compared later."""
+    """Request with options that were left out taken from the manifest; the others are compared later."""
     if not path.exists():
         return request
     arguments = manifest.read_manifest(path).get("arguments")
-    was = arguments if isinstance(arguments, dict) else {}
+    recorded = arguments if isinstance(arguments, dict) else {}
     found: dict[str, Any] = {}
     missing = []
     for name, read in OPTION_FROM_MANIFEST.items():
         if getattr(request, name) != getattr(DEFAULTS, name):
             continue
         try:
-            found[name] = read(was[name])
+            found[name] = read(recorded[name])
         except (KeyError, TypeError, ValueError):
             missing.append(name)
     unknown = [name for name in missing if name not in OPTIONAL]
     if unknown:
-        expected = "expected what kraft eval writes there; else say it again"
-        raise InputError.of(f"{path}: arguments", f"does not state {', '.join(unknown)}", expected, Code.MISSING)
+        expected = "expected the arguments that kraft eval writes; otherwise give these options again"
+        raise InputError.of(f"{path}: arguments", f"lacks {', '.join(unknown)}", expected, Code.MISSING)
     return replace(request, **found)

@@ -1,4 +1,4 @@
-"""`kraft record` without a terminal: from what was asked to a folder of logs."""
+"""`kraft record` without a terminal: from its options to a folder of logs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RUNS: Final = 10
 
 @dataclass(frozen=True)
 class RecordRequest:
-    """What was asked for, as it was written; `out` is a new folder."""
+    """Options of `kraft record` as written; `out` is a new folder."""
 
     scenario: str = "training"
     out: Path = Path("logs")
@@ -27,7 +27,7 @@ class RecordRequest:
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """What one run left: its folder, what was driven and for how long (s), how much was logged, and what was noted."""
+    """Recorded run: folder, manoeuvre, duration (s), numbers of logged commands and poses, and why it ended early."""
 
     folder: Path
     manoeuvre: str
@@ -40,11 +40,11 @@ class RecordedRun:
 def record_logs(
     request: RecordRequest, say: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
 ) -> tuple[RecordedRun, ...]:
-    """Record every run; each is written as soon as it is over, so that an interruption keeps the finished ones.
+    """Record all runs; each is written when it ends, so that an interrupt keeps the finished ones.
 
     Raises:
-        InputError: with what is wrong with the request or the files it names, before anything is driven; if the
-            scenario has no room.
+        InputError: with the problems of the request and of the files it names, before the first run; if the scenario
+            has no free space for a run.
     """
     problems = []
     if request.runs < 1:

@@ -1,4 +1,4 @@
-"""`kraft run` without a terminal: from what was asked, by names and paths, to a trial that is driven and written."""
+"""`kraft run` without a terminal: from its options to a trial that is driven and written."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What was asked for, as it was written; `out` is a new folder, None writes nothing."""
+    """Options of `kraft run` as written; `out` is a new folder, None writes nothing."""
 
     scenario: str
     method: str = "kraft"
@@ -37,7 +37,7 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class Run:
-    """A request, what it was understood as, and what came of it."""
+    """Request with its resolved trial and the result."""
 
     request: RunRequest
     spec: TrialSpec
@@ -50,15 +50,15 @@ def run_scenario(
     on_cycle: Callable[[Cycle], None] | None = None,
     detail: Callable[[str], None] = discard_message,
 ) -> Run:
-    """Load, check, drive, write.
+    """Load, check, drive and write a trial.
 
-    `say` is told what takes long, `detail` what -v asks for, and `on_cycle` is shown each cycle as it is committed.
+    `say` receives messages about what takes long, `detail` those of ``-v``, and `on_cycle` each committed cycle.
 
     Raises:
-        InputError: with what is wrong with the request or the files it names, before anything is driven.
-        Unreachable: if no path leads to the goal, before anything is driven.
-        MissingDependency: if a video or a window is asked for and nothing can be drawn here.
-        Defect: if a plan does not stand up to exact verification.
+        InputError: with the problems of the request and of the files it names, before the drive.
+        Unreachable: if no path leads to the goal, before the drive.
+        MissingDependency: if a video or a window is requested and no image can be rendered.
+        Defect: if a plan fails its exact verification.
     """
     timer = StageTimer(detail)
     experiment = _experiment(request)
@@ -95,14 +95,14 @@ def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
 
 
 def _experiment(request: RunRequest) -> Experiment:
-    """The trial as an evaluation of one, with its checks."""
+    """Evaluation of this one trial, with its checks."""
     if not request.method:
         raise InputError.of_argument("method", "is empty", "expected the name of a method")
     return experiment_of([request.scenario], [request.method], vehicle=request.vehicle, trials=1, seed=request.seed)
 
 
 def run_json(run: Run) -> dict[str, Any]:
-    """Content of the ``kraft.run/1`` object; `t_ex_s` is when the trial ended, however it did."""
+    """Content of the ``kraft.run/1`` object; `t_ex_s` is the time of the end, whatever the outcome."""
     spec, result = run.spec, run.result
     planning = _planning(result)
     return {
@@ -124,7 +124,7 @@ def run_json(run: Run) -> dict[str, Any]:
 
 
 def run_table(run: Run) -> list[tuple[str, str]]:
-    """Label and value of each line of the table that a person reads."""
+    """Labels and values of the result table."""
     result, planning = run.result, _planning(run.result)
     rows = [
         ("scenario", result.scenario),
@@ -135,7 +135,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
     ]
     if planning:
-        slow = f", {result.missed} took too long" if result.missed else ""
+        slow = f", {result.missed} exceeded the planning time" if result.missed else ""
         rows.append(("planning", f"{percentile(planning, 0.5):.1f} ms median, {max(planning):.1f} ms worst{slow}"))
     outputs = run.request.outputs
     made = (("film", outputs.video), ("picture", outputs.plot), ("written to", run.request.out))
@@ -143,7 +143,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
 
 
 def run_command(scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
-    """The command that drives a trial again, and films it into the file `video`."""
+    """Command that repeats a trial, and films it into `video`."""
     words = ["kraft", "run", scenario, "--method", method]
     words += [] if vehicle is None else ["--vehicle", vehicle]
     words += ["--seed", str(seed)]
@@ -152,7 +152,7 @@ def run_command(scenario: str, method: str, vehicle: str | None, seed: int, vide
 
 
 def cycle_line(cycle: Cycle) -> str:
-    """Time, speed, cost to goal, clearance, and what was committed and why."""
+    """Progress line of a cycle: time, speed, cost to goal, clearance, what was committed and why."""
     to_goal = f"{cycle.cost_to_goal:5.2f} s" if math.isfinite(cycle.cost_to_goal) else "  -    "
     reason = f": {cycle.reason}" if cycle.reason else ""
     return (

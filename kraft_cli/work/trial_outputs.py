@@ -1,4 +1,4 @@
-"""Who watches a trial: a video, a window, a picture of the whole run."""
+"""Outputs of a trial beside its result: a video, a window, a picture of the whole run."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What to make of a trial: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf)."""
+    """Requested outputs: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf)."""
 
     video: Path | None = None
     view: bool = False
     plot: Path | None = None
 
     def check(self) -> None:
-        """Find out before the drive whether it can be made.
+        """Check before the drive that the outputs can be made.
 
         Raises:
-            InputError: if a name or a place is wrong.
-            MissingDependency: if nothing can be drawn here.
+            InputError: if a file name is wrong or cannot be written.
+            MissingDependency: if no image can be rendered.
         """
         checks: list[Callable[[], object]] = []
         if self.plot is not None:
@@ -55,7 +55,7 @@ NO_OUTPUT: Final = OutputOptions()
 
 
 class TrialOutputs:
-    """Passes on what `run_trial` tells; a context manager, at whose end windows close and unfinished files go."""
+    """Callbacks of `run_trial` that make the outputs; at its exit windows close and unfinished files are removed."""
 
     def __init__(
         self, options: OutputOptions, spec: TrialSpec, on_cycle: Callable[[Cycle], None] | None = None
@@ -66,7 +66,7 @@ class TrialOutputs:
         self._world: World | None = None
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:  # if the second cannot be had, the first is put away
+        with ExitStack() as stack:  # if the second cannot be opened, the first is closed
             if self._options.video is not None:
                 from kraft.video.recorder import VideoRecorder
 
@@ -83,24 +83,24 @@ class TrialOutputs:
 
     @property
     def keep_trees(self) -> bool:
-        """Whether somebody draws the planner's tree."""
+        """Whether an output draws the planner's tree."""
         return bool(self._recorders)
 
     def on_cycle(self, cycle: Cycle) -> None:
-        """For `run_trial`."""
+        """Callback of `run_trial`."""
         if self._on_cycle is not None:
             self._on_cycle(cycle)
         for recorder in self._recorders:
             recorder.on_cycle(cycle)
 
     def on_step(self, world: World, step: Step) -> None:
-        """For `run_trial`."""
+        """Callback of `run_trial`."""
         self._world = world
         for recorder in self._recorders:
             recorder.on_step(world, step)
 
     def finish(self, result: TrialResult) -> None:
-        """Finish the video, show the end, draw the picture.
+        """Finish the video, show the end in the window, draw the picture.
 
         Raises:
             InputError: if a file cannot be written.
