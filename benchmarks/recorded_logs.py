@@ -13,7 +13,7 @@ from kraft.logs.reader import read_logs
 from kraft.sysid import Settings, identify, prediction_errors
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.mushr import MUSHR, MUSHR_LAG
-from kraft_cli.work.record import Request, carry_out
+from kraft_cli.work.record import RecordRequest, record_logs
 
 NOMINAL = {"mushr": dict(MUSHR.parameters), "mushr-lag": dict(MUSHR_LAG.parameters)}
 AFTER = 2.0  # s
@@ -32,7 +32,7 @@ def recorded_rows(effort: Effort) -> list[Row]:
     """Fit on every second recorded run, predict the others."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "logs"
-        carry_out(Request(out=out, runs=min(40, 4 * effort.repeats)), lambda text: None)
+        record_logs(RecordRequest(out=out, runs=min(40, 4 * effort.repeats)), lambda text: None)
         logs = list(read_logs(out).logs)
     paper, lag = errors("mushr", logs), errors("mushr-lag", logs)
     rows = []

@@ -23,8 +23,7 @@ from kraft.config import bundled
 from kraft.files import write_whole
 from kraft.sysid.vehicle_file import identification_record, vehicle_text
 from kraft.vehicles.config import load_vehicle_config
-from kraft_cli.work.record import Request as RecordRequest
-from kraft_cli.work.record import carry_out as record
+from kraft_cli.work.record import RecordRequest, record_logs
 from kraft_cli.work.sysid import SysidRequest, SysidResult, run_sysid
 from kraft_cli.work.sysid_report import parameter_table, prediction_table
 
@@ -82,7 +81,7 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="write the bundled vehicle files anew")
     asked = parser.parse_args()
     logs = asked.out / "logs"
-    record(RecordRequest("training", logs, asked.runs, asked.seed), say)
+    record_logs(RecordRequest("training", logs, asked.runs, asked.seed), say)
     results = [identified(model, logs, asked.out) for model in MODELS]
     for result in results:
         show(result)

@@ -53,8 +53,8 @@ def decimals(value: float | None, digits: int, none: str = "-") -> str:
     return none if finite(value) is None else f"{value:.{digits}f}"
 
 
-def metres(value: float | None, none: str = "-") -> str:
-    """``0.123 m``; `none` where there is no finite length."""
+def metres(value: float | None, none: str = "no obstacle") -> str:
+    """Clearance as ``0.123 m``; `none` where it is None, infinite or not a number."""
     return none if finite(value) is None else f"{value:.3f} m"
 
 

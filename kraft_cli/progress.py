@@ -1,4 +1,4 @@
-"""How `kraft eval` says how it goes, and what an interrupt means while it does."""
+"""Progress and interrupts of `kraft eval`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
-from kraft.evaluation import Experiment, TrialRow, Watch
+from kraft.evaluation import Experiment, Observer, TrialRow
 from kraft.evaluation.row import Key
 from kraft.text import counted
 from kraft.trial.result import outcome_text
@@ -21,38 +21,38 @@ if TYPE_CHECKING:
 
 
 class Interrupts:
-    """The first interrupt is a wish to stop, the second one stops at once."""
+    """Handler of SIGINT: the first interrupt requests a stop, the second one raises KeyboardInterrupt."""
 
     def __init__(self, terminal: Terminal) -> None:
-        self.wished = False
+        self.stop_requested = False
         self._terminal = terminal
         self._before: Any = None
 
     def __enter__(self) -> Interrupts:
-        """From now on."""
+        """Install the handler."""
         try:
             self._before = signal.signal(signal.SIGINT, self._interrupted)
-        except ValueError:  # not in the main thread: then interrupts are somebody else's
+        except ValueError:  # not in the main thread, which alone handles signals
             self._before = None
         return self
 
     def __exit__(self, *_: object) -> None:
-        """As before."""
+        """Restore the earlier handler."""
         if self._before is not None:
             signal.signal(signal.SIGINT, self._before)
 
     def _interrupted(self, _: int, __: FrameType | None) -> None:
-        if self.wished:
+        if self.stop_requested:
             raise KeyboardInterrupt
-        self.wished = True
-        self._terminal.problem("waiting for the trials that run; interrupt again to drop them")
+        self.stop_requested = True
+        self._terminal.problem("waiting for the running trials; interrupt again to abort them")
 
 
-class Progress(Watch):
-    """Bars for the rows that run, a line for each that is done; without a terminal a line for each trial."""
+class Progress(Observer):
+    """Bars for the rows in progress, a line for each finished row; without a terminal a line for each trial."""
 
     def __init__(self, terminal: Terminal, interrupts: Interrupts) -> None:
-        self.begun = False
+        self.has_started = False
         self._terminal, self._interrupts = terminal, interrupts
         self._counts: dict[tuple[str, str], Counter[str]] = {}
         self._trials = self._total = self._done = 0
@@ -60,55 +60,57 @@ class Progress(Watch):
         self._tasks: dict[tuple[str, str], TaskID] = {}
 
     def __enter__(self) -> Progress:
-        """Nothing is shown before `begin`."""
+        """Print nothing before `started`."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None) -> None:
-        """Leave the screen as it is."""
+        """Remove the bars."""
         self.close()
 
     def close(self) -> None:
-        """Take the bars away."""
+        """Remove the bars."""
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
 
-    def stop(self) -> bool:
-        """Whether somebody wished it."""
-        return self._interrupts.wished
+    def stop_requested(self) -> bool:
+        """Whether an interrupt has requested a stop."""
+        return self._interrupts.stop_requested
 
-    def say(self, text: str) -> None:
-        """Print a remark above the bars."""
+    def log(self, text: str) -> None:
+        """Print a message above the bars."""
         if self._bars is not None:
             self._bars.console.print(text)
         else:
             self._terminal.say(text)
 
-    def begin(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
-        """Count what is there, and show the bars."""
-        self.begun = True
+    def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
+        """Count the finished trials, and start the bars."""
+        self.has_started = True
         self._counts = {cell.key: Counter() for cell in experiment.cells}
         self._trials, self._total = experiment.trials, experiment.trials * len(experiment.cells)
         for row in rows.values():
             self._counts[row.key[:2]][row.outcome] += 1
         self._done = len(rows)
-        there = f", {self._done} of them there already" if rows else ""
+        there = f", {self._done} of them finished already" if rows else ""
         self._terminal.say(f"{counted(self._total, 'trial')}{there}; results in {folder}")
         if self._terminal.interactive and not self._terminal.quiet:
-            self._bars = self._started()
+            self._bars = self._new_bars()
 
-    def ended(self, row: TrialRow) -> None:
-        """Show it."""
+    def trial_ended(self, row: TrialRow) -> None:
+        """Update the counts, and print a line or move the bars."""
         self._done += 1
         key = row.key[:2]
         counts = self._counts[key]
         counts[row.outcome] += 1
         if self._bars is None:
-            self._terminal.say(f"{self._done}/{self._total}  {row.scenario} {row.method} seed {row.seed}: {_how(row)}")
+            self._terminal.say(
+                f"{self._done}/{self._total}  {row.scenario} {row.method} seed {row.seed}: {_result(row)}"
+            )
         else:
             self._advance(self._bars, key, counts)
 
-    def _started(self) -> Bars:
+    def _new_bars(self) -> Bars:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
@@ -135,7 +137,7 @@ class Progress(Watch):
         bars.update(self._tasks[key], description=text, completed=counts.total())
 
 
-def _how(row: TrialRow) -> str:
+def _result(row: TrialRow) -> str:
     if row.outcome == "failed":
         return f"failed: {row.error}"
     return outcome_text(row.outcome, row.obstacle, row.t_s)

@@ -1,4 +1,4 @@
-"""Tables on a terminal or in a pipe."""
+"""Tables for a terminal and plain lines for a pipe."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ REMARK = "95 % CI: Wilson, of the success rate. p: exact McNemar against kraft o
 
 
 def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool) -> None:
-    """Print labels and values; the one labelled `result` shows whether that is `good`.  Plain lines in a pipe."""
+    """Print labels and values; on a terminal the colour of `result` depends on `good`."""
     from rich import box
     from rich.console import Console
     from rich.table import Table as Grid
@@ -34,7 +34,7 @@ def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool
 
 
 def show_tables(terminal: Terminal, summary: Summary) -> None:
-    """Print a table for each scenario; on a terminal with as many columns as there is room for."""
+    """Print a table for each scenario; on a terminal with as many columns as fit."""
     from kraft.evaluation import tables
 
     for table in tables(summary):

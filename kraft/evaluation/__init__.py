@@ -1,6 +1,6 @@
-"""Many trials, reduced to a table: the library under `kraft eval`."""
+"""Evaluations: many trials, their statistics, and a report; the library under `kraft eval`."""
 
-from kraft.evaluation.evaluator import Evaluation, Watch, evaluate, usable_cores
+from kraft.evaluation.evaluator import Evaluation, Observer, evaluate, usable_cores
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import Result, Summary
@@ -12,10 +12,10 @@ __all__ = [
     "TRIALS",
     "Evaluation",
     "Experiment",
+    "Observer",
     "Result",
     "Summary",
     "TrialRow",
-    "Watch",
     "evaluate",
     "markdown",
     "tables",

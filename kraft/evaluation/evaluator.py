@@ -1,4 +1,4 @@
-"""Run trials of methods in scenarios and make a table of them: `kraft eval` without a terminal."""
+"""`evaluate`: run trials of methods in scenarios and summarise them."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from kraft.planning.compilation import ensure_maps_compiled
 from kraft.planning.feasibility import check_reachable
 
 
-class Watch:
-    """Is told how an evaluation goes; this one is not interested.  `stop` is asked often."""
+class Observer:
+    """Receives the progress of an evaluation and may stop it; this base class ignores everything."""
 
-    def say(self, text: str) -> None:
-        """Something worth knowing happened."""
+    def log(self, text: str) -> None:
+        """Receive a message for the user."""
 
-    def begin(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
-        """Trials are about to run; `rows` were there before."""
+    def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
+        """Receive what is about to run; `rows` are finished trials of the resumed folder."""
 
-    def ended(self, row: TrialRow) -> None:
-        """A trial ended, and is on the disk."""
+    def trial_ended(self, row: TrialRow) -> None:
+        """Receive a finished trial, which is already in the journal."""
 
-    def stop(self) -> bool:
-        """Whether to begin no more trials."""
+    def stop_requested(self) -> bool:
+        """Whether to start no more trials; called several times a second."""
         return False
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What came of it: the rows in their order, and the table unless it was stopped before the end."""
+    """Rows of an evaluation in the order of its trials, and their summary; not `complete` if it was stopped."""
 
     experiment: Experiment
     folder: Path | None
@@ -63,53 +63,53 @@ def evaluate(
     resume: bool = False,
     realtime: bool = False,
     cluster: str | None = None,
-    watch: Watch | None = None,
+    observer: Observer | None = None,
     arguments: Mapping[str, Any] | None = None,
     command_line: CommandLine | None = None,
 ) -> Evaluation:
     """Run every method in every scenario with the seeds `seed`, ... `seed + trials - 1`, the same for all.
 
-    The result does not depend on `jobs`, `cluster`, or the order in which trials end, except for what the clock says.
+    Apart from measured times the result does not depend on `jobs`, on `cluster` or on the order in which trials end.
     A script that calls this needs ``if __name__ == "__main__":``, because worker processes import it.
 
     Args:
-        scenarios: names, paths, or loaded ones.
-        methods: likewise.
-        trials: of each method in each scenario.
-        seed: of the first trial.
-        jobs: worker processes, by default one for each usable core.
-        out: results folder; None keeps everything in memory.
-        vehicle: model to plan with, instead of the methods' and the scenarios'.
-        resume: go on with the folder `out`.
-        realtime: give planning its wall-clock time instead of a number of iterations; nothing repeats then.
-        cluster: address of a Dask scheduler to use instead of processes of this machine.
-        watch: is told how it goes and may stop it.
-        arguments: what to record as having been asked for.
-        command_line: makes the commands on the report page that repeat a trial; without it there are none.
+        scenarios: names, paths or loaded scenarios.
+        methods: names, paths or loaded methods.
+        trials: number of trials of each method in each scenario.
+        seed: seed of the first trial.
+        jobs: number of worker processes, by default one for each usable core.
+        out: results folder; None writes nothing.
+        vehicle: planning model that replaces those of the methods and scenarios.
+        resume: continue the evaluation in the folder `out`.
+        realtime: limit planning by wall-clock time instead of iterations; the trials are then not repeatable.
+        cluster: address of a Dask scheduler that replaces the worker processes.
+        observer: receives the progress and may stop the evaluation.
+        arguments: the user's arguments, recorded in the manifest.
+        command_line: makes the commands on the report page that repeat a trial; without it the page has none.
 
     Raises:
-        InputError: with everything that is wrong with what was given; if the folder cannot be written, or if one to go
-            on with differs.  Finished trials stay in the folder.
-        Unreachable: with every goal that no path leads to, before the folder is made.
-        MissingError: if something this installation should have is not there.
+        InputError: with every problem of the arguments; if the folder cannot be written, or if the resumed folder
+            belongs to another evaluation.  Finished trials stay in the folder.
+        Unreachable: with every unreachable goal, before the folder is made.
+        MissingError: if a part of the installation is missing.
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
-    watch = watch or Watch()
-    problems = _problems(jobs, resume, out)
+    observer = observer or Observer()
+    problems = _argument_problems(jobs, resume, out)
     try:
         experiment = experiment_of(scenarios, methods, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime)
     except InputError as error:
         raise InputError([*problems, *error.diagnostics]) from error
     if problems:
         raise InputError(problems)
-    ensure_maps_compiled(watch.say)
+    ensure_maps_compiled(observer.log)
     _check_reachable(experiment)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
-        return _carried_out(experiment, executor, None, watch, command_line)
+        return _run_experiment(experiment, executor, None, observer, command_line)
     folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
     with closing(folder.journal):
-        return _carried_out(experiment, executor, folder, watch, command_line)
+        return _run_experiment(experiment, executor, folder, observer, command_line)
 
 
 def usable_cores() -> int:
@@ -128,31 +128,35 @@ def _check_reachable(experiment: Experiment) -> None:
         raise Unreachable(found)
 
 
-def _problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
+def _argument_problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
     problems = []
     if jobs is not None and jobs < 1:
         problems.append(Diagnostic("jobs", f"is {jobs}", "expected a number of at least 1", argument=True))
     if resume and out is None:
-        expected = "expected the folder to go on with"
+        expected = "expected the folder of the evaluation to resume"
         problems.append(Diagnostic("resume", "is given without a folder", expected, code=Code.MISSING, argument=True))
     return problems
 
 
-def _carried_out(
-    experiment: Experiment, executor: Executor, folder: Folder | None, watch: Watch, command_line: CommandLine | None
+def _run_experiment(
+    experiment: Experiment,
+    executor: Executor,
+    folder: Folder | None,
+    observer: Observer,
+    command_line: CommandLine | None,
 ) -> Evaluation:
     began = time.perf_counter()
     rows = dict(folder.rows) if folder else {}
-    if folder and folder.torn:
-        watch.say(f"{folder.journal.path}: the last line is torn; its trial is repeated")
-    watch.begin(experiment, folder.path if folder else None, rows)
+    if folder and folder.incomplete_line:
+        observer.log(f"{folder.journal.path}: the last line is incomplete; its trial is repeated")
+    observer.started(experiment, folder.path if folder else None, rows)
     todo = [each for each in experiment.jobs() if each.key not in rows]
-    with closing(executor.run(todo, watch.stop, watch.say)) as ended:  # type: ignore[type-var]
+    with closing(executor.run(todo, observer.stop_requested, observer.log)) as ended:  # type: ignore[type-var]
         for row in ended:
             if folder:
                 folder.journal.append(row)
             rows[row.key] = row
-            watch.ended(row)
+            observer.trial_ended(row)
     ordered = tuple(rows[each.key] for each in experiment.jobs() if each.key in rows)
     summary = summarise(experiment, rows, time.perf_counter() - began)
     complete = len(ordered) == sum(1 for _ in experiment.jobs())

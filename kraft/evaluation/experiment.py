@@ -1,4 +1,4 @@
-"""What is to be run: scenarios, methods, vehicles, seeds; resolved from names, with every mistake said at once."""
+"""Scenarios, methods, vehicles and seeds of an evaluation, resolved from names; all problems are reported at once."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Given = TypeVar("Given")
 
 @dataclass(frozen=True)
 class Cell:
-    """One row of a table: a method in a scenario, with the model that it plans with."""
+    """Row of a results table: a method in a scenario, with its planning model."""
 
     scenario: Scenario
     method: Method
@@ -53,7 +53,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Every cell is run with the seeds `seed`, `seed + 1`, ... `seed + trials - 1`, the same for all of them."""
+    """Cells of an evaluation; each is run with the seeds `seed`, `seed + 1`, ... `seed + trials - 1`."""
 
     cells: tuple[Cell, ...]
     trials: int
@@ -66,7 +66,7 @@ class Experiment:
         return range(self.seed, self.seed + self.trials)
 
     def jobs(self) -> Iterator[Job]:
-        """All trials, row by row."""
+        """Trials of all cells, cell by cell."""
         for cell in self.cells:
             for seed in self.seeds:
                 yield Job(cell.scenario, cell.method, cell.reference, seed, self.realtime)
@@ -81,12 +81,12 @@ def experiment_of(
     seed: int = 0,
     realtime: bool = False,
 ) -> Experiment:
-    """Load everything that is named and check that it can be driven.
+    """Load scenarios, methods and vehicles and check starts and goals.
 
-    The model to plan with is `vehicle`, else the method's own, else the scenario's.
+    The planning model is `vehicle`, else the method's own, else the scenario's.
 
     Raises:
-        InputError: with every problem of the names, the files, the numbers, and of starts and goals.
+        InputError: with every problem of names, files, numbers, starts and goals.
     """
     problems = _numbers(trials, seed)
     found_scenarios = _loaded("scenario", scenarios, _scenario, problems)
@@ -96,7 +96,7 @@ def experiment_of(
             vehicle = resolve_vehicle(vehicle, Path.cwd())
             load_vehicle(vehicle)
         except VehicleProblem as error:
-            problems.append(Diagnostic(vehicle, error.problem, error.expected))
+            problems.append(Diagnostic(vehicle, error.problem, error.expected, code=error.code))
         except InputError as error:
             problems += error.diagnostics
     if problems:
@@ -113,8 +113,8 @@ def _too_little_time(method: Method) -> Iterator[Diagnostic]:
     planner = method.planner
     if planner.clock_budget <= 0.0:
         most = planner.clock_budget + planner.lead
-        problem = f"leaves no time to plan in by the clock: {most:g} s - {planner.lead:g} s"
-        yield method.source.diagnostic("planner.lead", problem, f"expected less than {most:g}")
+        problem = f"leaves no wall-clock time for planning: {most:g} s - {planner.lead:g} s"
+        yield method.source.diagnostic("planner.lead", problem, f"expected less than {most:g}", code=Code.CONFLICT)
 
 
 def _numbers(trials: int, seed: int) -> list[Diagnostic]:
@@ -137,7 +137,7 @@ def _method(given: MethodLike) -> Method:
 def _loaded(
     kind: str, given: Sequence[Given], load: Callable[[Given], Loaded], problems: list[Diagnostic]
 ) -> list[Loaded]:
-    """Load each; what is wrong is added to `problems`."""
+    """Load each; problems are added to `problems`."""
     found: list[Loaded] = []
     if not given:
         expected = f"expected at least one {kind}"
@@ -169,7 +169,7 @@ def _cells(
         checked: set[str] = set()
         for method in methods:
             try:
-                reference = vehicle or _own(method) or scenario.vehicle
+                reference = vehicle or _vehicle_of_method(method) or scenario.vehicle
                 if reference not in loaded:
                     given = reference == scenario.vehicle
                     loaded[reference] = vehicle_of_task(scenario) if given else load_vehicle(reference)
@@ -182,11 +182,12 @@ def _cells(
                 problems += error.diagnostics
 
 
-def _own(method: Method) -> str | None:
-    """The vehicle that a method itself plans with; its path is relative to the method's file."""
+def _vehicle_of_method(method: Method) -> str | None:
+    """Planning model that the method names, by a path relative to the method's file; None without one."""
     if method.planner.vehicle is None:
         return None
     try:
         return resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
     except VehicleProblem as error:
-        raise InputError([method.source.diagnostic("planner.vehicle", error.problem, error.expected)]) from None
+        problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
+        raise InputError([problem]) from None

@@ -1,4 +1,4 @@
-"""The results folder: made once, gone on with on request, never overwritten."""
+"""Results folder of an evaluation: created, resumed on request, never overwritten."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kraft.evaluation.ompl_log import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import SCHEMA, Summary, json_content
+from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json
 from kraft.files import check_writable, write_json, write_whole
 
 ROOT: Final = Path("results")
@@ -24,66 +24,69 @@ ROOT: Final = Path("results")
 
 @dataclass
 class Folder:
-    """An open results folder.
+    """Open results folder.
 
-    `rows` are the trials it holds that need not be run, `torn` says that the last line was half written.
+    `rows` are its finished trials; `incomplete_line` is whether the last line of the journal was cut off.
     """
 
     path: Path
     manifest: dict[str, Any]
     journal: Journal
     rows: dict[Key, TrialRow]
-    torn: bool = False
+    incomplete_line: bool = False
 
 
 def default_path(seed: int, root: Path = ROOT) -> Path:
-    """A folder that does not exist yet."""
+    """Default path of a results folder; no folder of this name exists yet."""
     name = f"eval-{datetime.now():%Y%m%d-%H%M%S}-seed{seed}"
     candidates = (root / (name if n == 1 else f"{name}-{n}") for n in range(1, 10_000))
     return next(path for path in candidates if not path.exists())
 
 
 def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
-    """Make the folder of a new evaluation.
+    """Create the folder of a new evaluation.
 
     Raises:
-        InputError: if there is something already, or it cannot be written.
+        InputError: if the folder exists or cannot be written.
     """
     if path.is_dir():
-        raise InputError.of(str(path), "is there already", "expected a new folder, or to go on with it", Code.EXISTS)
+        raise InputError.of(str(path), "is there already", "expected a new folder, or to resume this one", Code.EXISTS)
     check_writable(path)
     try:
         path.mkdir(parents=True)
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be made: {error.strerror}", "expected a new folder") from None
-    return _begun(path, experiment, arguments)
+        raise InputError.of(
+            str(path), f"cannot be created: {error.strerror}", "expected a new folder", Code.UNWRITABLE
+        ) from None
+    return _new_folder(path, experiment, arguments)
 
 
 def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
-    """Open the folder of an evaluation that did not end; failed trials in it are to be run again.
+    """Open the folder of an unfinished evaluation; its failed trials are not among the finished ones.
 
     Raises:
-        InputError: if there is none, if it is of something else, with every field that differs, or if it is damaged.
+        InputError: if the folder does not exist or is damaged; with every difference if it is of another evaluation.
     """
     check_exists(path)
     if not (path / manifest.NAME).exists() and not (path / journal.NAME).exists():
-        return _begun(path, experiment, arguments)  # it was stopped before there was anything
+        return _new_folder(path, experiment, arguments)  # it was stopped before the manifest was written
     was = manifest.read_manifest(path / manifest.NAME)
     manifest.check_same(path / manifest.NAME, was, manifest.manifest_of(experiment, arguments))
     file = path / journal.NAME
     found = read_journal(file, {job.key for job in experiment.jobs()})
-    opened = Journal(file, found.whole)
-    return Folder(path, was, opened, _done(found.rows), found.torn > 0)
+    opened = Journal(file, found.complete_bytes)
+    return Folder(path, was, opened, _finished(found.rows), found.incomplete_bytes > 0)
 
 
 def check_exists(path: Path) -> None:
-    """Check that there is a folder to go on with.
+    """Check that the folder to resume exists.
 
     Raises:
-        InputError: if not.
+        InputError: if it does not exist.
     """
     if not path.is_dir():
-        raise InputError.of(str(path), "there is no such folder", "expected that of an earlier kraft eval")
+        expected = "expected the folder of an earlier kraft eval"
+        raise InputError.of(str(path), "there is no such folder", expected, Code.NOT_FOUND)
 
 
 def write_results(
@@ -93,26 +96,26 @@ def write_results(
     summary: Summary,
     command_line: CommandLine | None = None,
 ) -> None:
-    """Write what is made of the trials: the summary, the benchmark log, the database and the report.
+    """Write the summary, the benchmark logs, their database and the report.
 
     Raises:
-        InputError: if there is no room.
+        InputError: if a file cannot be written.
     """
-    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **json_content(summary)})
+    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **evaluation_json(summary)})
     write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
     results = Results.of(experiment, folder.manifest, rows, summary, command_line)
     write_whole(folder.path / report.NAME, report.page(results).encode())
 
 
-def _begun(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
+def _new_folder(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
     content = manifest.manifest_of(experiment, arguments)
     try:
         write_json(path / manifest.NAME, content)
     except InputError:
-        path.rmdir()  # nothing is in it, and it must not stand in the way
+        path.rmdir()  # it is empty, and would block the next attempt
         raise
     return Folder(path, content, Journal(path / journal.NAME), {})
 
 
-def _done(rows: Mapping[Key, TrialRow]) -> dict[Key, TrialRow]:
+def _finished(rows: Mapping[Key, TrialRow]) -> dict[Key, TrialRow]:
     return {key: row for key, row in rows.items() if row.outcome != "failed"}

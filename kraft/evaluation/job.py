@@ -1,4 +1,4 @@
-"""One trial as work for another process: everything it needs, small enough to send."""
+"""Trial as a job for another process, and what executors of jobs have in common."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeAlias
 
 from kraft.driving.method import Method
 from kraft.errors import InputError, MissingDependency, MissingError
-from kraft.evaluation.row import Key, TrialRow, reduced
+from kraft.evaluation.row import Key, TrialRow, trial_row
 from kraft.scenario import Scenario
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle
@@ -20,10 +20,7 @@ from ompl_ext.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Job:
-    """A trial to run.
-
-    `vehicle` is a resolved reference: its functions are compiled where they run.
-    """
+    """Trial to run; `vehicle` is a resolved reference, because a vehicle is compiled in the process that uses it."""
 
     scenario: Scenario
     method: Method
@@ -33,30 +30,30 @@ class Job:
 
     @property
     def key(self) -> Key:
-        """Which trial it is."""
+        """Scenario, method and seed."""
         return self.scenario.name, self.method.name, self.seed
 
 
 def perform(job: Job) -> TrialRow:
-    """Run a trial and keep what the tables need; whatever goes wrong inside it is recorded as its failure.
+    """Run a trial and reduce it to its row; any other exception than those below is recorded as a failed trial.
 
     Raises:
-        InputError: if what was given cannot be driven; then neither can the other trials.
-        MissingError: if something this installation should have is not there.
+        InputError: if the scenario, method or vehicle is refused, which concerns the other trials too.
+        MissingError: if a part of the installation is missing.
     """
     began = time.perf_counter()
     try:
         result = run_trial(TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime))
-        return reduced(job.key, result, time.perf_counter() - began)
+        return trial_row(job.key, result, time.perf_counter() - began)
     except (InputError, MissingError):
         raise
-    except Exception as error:  # a defect: said, recorded, and the others go on
+    except Exception as error:  # a defect: recorded, and the other trials go on
         place = traceback.extract_tb(error.__traceback__)[-1]
-        return failed(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
+        return failed_row(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
 
 
-def failed(job: Job, error: str) -> TrialRow:
-    """The row of a trial that did not come to an end."""
+def failed_row(job: Job, error: str) -> TrialRow:
+    """Row of a failed trial."""
     return TrialRow(scenario=job.scenario.name, method=job.method.name, seed=job.seed, outcome="failed", error=error)
 
 
@@ -78,24 +75,24 @@ def _vehicle(reference: str) -> Vehicle:
     return load_vehicle(reference)
 
 
-Stop: TypeAlias = Callable[[], bool]
-Say: TypeAlias = Callable[[str], None]
+StopRequested: TypeAlias = Callable[[], bool]
+Log: TypeAlias = Callable[[str], None]
 
 DEATHS: Final = 2
-"""A trial whose worker died this often has failed."""
+"""A trial has failed when this many workers died in it."""
 
 
 class Executor(Protocol):
-    """Runs trials."""
+    """Runs jobs in other processes."""
 
-    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
-        """Yield the row of every job once, in whatever order they end.
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
+        """Yield the row of every job once, in the order in which trials end.
 
-        As soon as `stop()` is true no further trial is begun, and those that run are waited for.  Closing the
-        iterator drops them.  A trial whose worker dies is begun again on another one, until it has died
-        too often; then its row says so.
+        As soon as `stop_requested()` is true no further trial starts and the running ones are finished; closing the
+        iterator aborts them.  A trial whose worker dies is repeated on another worker, and fails if workers die
+        in it too often.
 
         Raises:
-            InputError, MissingError: from a trial, see `kraft.evaluation.job.perform`, or if there is nowhere to run.
+            InputError, MissingError: from a trial, see `kraft.evaluation.job.perform`, or if no worker can be used.
         """
         ...

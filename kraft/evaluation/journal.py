@@ -1,4 +1,4 @@
-"""`trials.jsonl`: one line for each trial, on disk before the next one is looked at."""
+"""`trials.jsonl`: one line for each finished trial, on the disk before the next result is handled."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.row import Key, TrialRow
 from kraft.files import EXPECTED
 
@@ -20,59 +20,63 @@ NAME: Final = "trials.jsonl"
 
 
 @dataclass(frozen=True)
-class Read:
-    """What a journal holds: the rows, how many bytes of it are whole lines, and how many the torn end has."""
+class JournalContent:
+    """Rows of a journal, the number of bytes of its complete lines and of an incomplete last line."""
 
     rows: dict[Key, TrialRow]
-    whole: int
-    torn: int
+    complete_bytes: int
+    incomplete_bytes: int
 
 
-def read_journal(path: Path, expected: Collection[Key] | None = None) -> Read:
-    """Read a journal.  The last line may be torn by a crash; it does not count.
+def read_journal(path: Path, expected: Collection[Key] | None = None) -> JournalContent:
+    """Read a journal.  A last line that a crash cut off is ignored.
 
-    A failed trial may come again, after it was repeated; the last line of a trial holds.
+    A failed trial may occur again, after it was repeated; its last line is valid.
 
     Args:
-        path: the file; one that does not exist is an empty journal.
-        expected: the trials that may be in it; None allows all.
+        path: the file; a missing file is an empty journal.
+        expected: the trials that may occur; None allows all.
 
     Raises:
-        InputError: with every line that is not a trial, not an expected one, or there twice.
+        InputError: with every line that is not a trial, not an expected trial, or a duplicate.
     """
     try:
         content = path.read_bytes() if path.exists() else b""
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be read: {error.strerror}", "expected the lines of trials") from None
-    whole = content.rfind(b"\n") + 1
+        problem = f"cannot be read: {error.strerror}"
+        raise InputError.of(str(path), problem, "expected the lines of trials", Code.UNREADABLE) from None
+    complete = content.rfind(b"\n") + 1
     rows: dict[Key, TrialRow] = {}
     problems = []
-    for number, line in enumerate(content[:whole].splitlines(), start=1):
+    for number, line in enumerate(content[:complete].splitlines(), start=1):
         try:
             row = TrialRow.model_validate_json(line)
         except ValidationError:
-            problems.append(Diagnostic(str(path), "is not a trial", "expected it repaired or removed", number, 1))
+            problems.append(_line_problem(path, number, "is not a trial", Code.SYNTAX))
             continue
         name = f"{row.scenario}, {row.method}, seed {row.seed}"
         if expected is not None and row.key not in expected:
-            problem = f"{name} is not a trial of this evaluation"
-            problems.append(Diagnostic(str(path), problem, "expected it removed", number, 1))
+            problems.append(_line_problem(path, number, f"{name} is not a trial of this evaluation", Code.MISMATCH))
         if row.key in rows and rows[row.key].outcome != "failed":
-            problems.append(Diagnostic(str(path), f"{name} is there twice", "expected it once", number, 1))
+            problems.append(_line_problem(path, number, f"{name} is a duplicate", Code.DUPLICATE))
         rows[row.key] = row
     if problems:
         raise InputError(problems)
-    return Read(rows, whole, len(content) - whole)
+    return JournalContent(rows, complete, len(content) - complete)
+
+
+def _line_problem(path: Path, line: int, problem: str, code: Code) -> Diagnostic:
+    return Diagnostic(str(path), problem, "expected the line repaired or removed", line, 1, code=code)
 
 
 class Journal:
-    """Appends to a journal that nobody else appends to; to be closed."""
+    """Open journal that one process appends to."""
 
     def __init__(self, path: Path, keep: int = 0) -> None:
-        """Open `path` and cut it to its first `keep` bytes.
+        """Open and lock `path` and truncate it to its first `keep` bytes.
 
         Raises:
-            InputError: if it cannot be written, or another process writes it.
+            InputError: if the file cannot be written, or another process has it open.
         """
         self.path, self._end = path, keep
         try:
@@ -85,7 +89,8 @@ class Journal:
             os.lseek(self._file, keep, os.SEEK_SET)
         except BlockingIOError:
             os.close(self._file)
-            raise InputError.of(str(path), "another kraft eval writes it", "expected that one to end first") from None
+            expected = "expected the other one to end first"
+            raise InputError.of(str(path), "is in use by another kraft eval", expected, Code.CONFLICT) from None
         except OSError as error:
             os.close(self._file)
             raise self._problem(error) from error
@@ -94,7 +99,7 @@ class Journal:
         """Write a line and wait until it is on the disk.
 
         Raises:
-            InputError: if there is no room; what was written before stays.
+            InputError: if the line cannot be written; the earlier lines stay.
         """
         line = row.model_dump_json().encode() + b"\n"
         try:
@@ -103,17 +108,17 @@ class Journal:
                 left = left[os.write(self._file, left) :]
             os.fsync(self._file)
         except OSError as error:
-            self._cut()
+            self._truncate()
             raise self._problem(error) from error
         self._end += len(line)
 
     def close(self) -> None:
-        """Close the file, and let others write it."""
+        """Close and unlock the file."""
         os.close(self._file)
 
-    def _cut(self) -> None:
-        with suppress(OSError):  # then the line stays torn, which reading allows for
+    def _truncate(self) -> None:
+        with suppress(OSError):  # the line stays incomplete, which reading allows
             os.ftruncate(self._file, self._end)
 
     def _problem(self, error: OSError) -> InputError:
-        return InputError.of(str(self.path), f"cannot be written: {error.strerror}", EXPECTED)
+        return InputError.of(str(self.path), f"cannot be written: {error.strerror}", EXPECTED, Code.UNWRITABLE)

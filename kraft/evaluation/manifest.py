@@ -1,4 +1,4 @@
-"""`manifest.json`: what running the evaluation again would need, and what must be the same to go on with it."""
+"""`manifest.json`: arguments, resolved configuration and versions of an evaluation, compared when it is resumed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.driving.method import Method
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
 from kraft.planning.plan_file import vehicle_content
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
@@ -20,22 +20,22 @@ from kraft.scenario import Scenario
 NAME: Final = "manifest.json"
 SCHEMA: Final = "kraft.eval-manifest/1"
 DESCRIPTIVE: Final = ("arguments", "began", "host")
-"""keys that may differ when an evaluation is gone on with"""
-WORDS: Final = ("title", "description")
-"""keys of scenarios and methods that nothing depends on"""
-PARTS: Final = ("scenarios", "methods", "vehicles")
-"""sections with an entry for each"""
+"""Keys that may differ when an evaluation is resumed."""
+TEXTS: Final = ("title", "description")
+"""Keys of scenarios and methods that no result depends on."""
+SECTIONS: Final = ("scenarios", "methods", "vehicles")
+"""Sections with one entry for each name."""
 MISSING: Final = object()
 
 
 def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of the manifest; `arguments` is what was asked for, as it was written."""
+    """Content of the manifest; `arguments` are those of the user, as written."""
     cells = experiment.cells
     vehicles = {cell.reference: vehicle_content(cell.vehicle, cell.reference) for cell in cells}
     labels = _labels({cell.reference: cell.vehicle.name for cell in cells})
     for reference, content in vehicles.items():
         content["code"] = next(cell.vehicle.hash for cell in cells if cell.reference == reference)
-        del content["reference"]  # where a file is does not matter, what it says does
+        del content["reference"]  # the content of a file matters, not its path
     return {
         "schema": SCHEMA,
         "arguments": dict(arguments),
@@ -61,8 +61,8 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
 
 
 def scenario_entry(scenario: Scenario) -> dict[str, Any]:
-    """A scenario without its vehicle, which has a section of its own: `content`, and its hash `sha256`."""
-    names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *WORDS))
+    """Content and SHA-256 of a scenario without its vehicle, which has a section of its own."""
+    names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *TEXTS))
     return _hashed({name: plain(getattr(scenario, name)) for name in names})
 
 
@@ -70,28 +70,28 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Read a manifest.
 
     Raises:
-        InputError: if it is not one.
+        InputError: if the file cannot be read or is not a JSON object with a schema.
     """
     expected = "expected a manifest as kraft eval writes it"
     try:
         content = json.loads(path.read_bytes().decode("utf-8"))
     except OSError as error:
-        raise InputError.of(str(path), f"cannot be read: {error.strerror}", expected) from None
+        raise InputError.of(str(path), f"cannot be read: {error.strerror}", expected, Code.UNREADABLE) from None
     except (ValueError, RecursionError) as error:
-        raise InputError.of(str(path), f"is not JSON: {error}", expected) from None
+        raise InputError.of(str(path), f"is not JSON: {error}", expected, Code.SYNTAX) from None
     if not isinstance(content, dict) or not isinstance(content.get("schema"), str):
-        raise InputError.of(str(path), "has no schema", expected)
+        raise InputError.of(str(path), "has no schema", expected, Code.MISSING)
     return content
 
 
 def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Check that an evaluation can be gone on with.
+    """Check that a manifest is of the same evaluation.
 
     Raises:
-        InputError: with every field that differs.
+        InputError: with every difference.
     """
     before, after = _compared(was), _compared(now)
-    for rows in (before["rows"], after["rows"]):  # what only one of them has is said by its scenario or method
+    for rows in (before["rows"], after["rows"]):  # rows of one side alone are reported by their scenario or method
         for row in rows.keys() - (before["rows"].keys() & after["rows"].keys()):
             del rows[row]
     differing = list(_differences(before, after))
@@ -100,15 +100,16 @@ def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> No
             Diagnostic(
                 str(path),
                 _difference(key, before, after),
-                "expected the same, or another folder",
+                "expected no change, or another folder",
                 path=key,
+                code=Code.MISMATCH,
             )
             for key, before, after in differing
         )
 
 
 def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
-    """What must be the same, as it reads back from JSON; the order of the rows need not be."""
+    """Fields that must be equal, as read back from JSON; rows by name, because their order does not matter."""
     kept = {key: value for key, value in content.items() if key not in DESCRIPTIVE}
     rows = {f"{row['scenario']}, {row['method']}": row["vehicle"] for row in kept["rows"]}
     result: dict[str, Any] = json.loads(json.dumps({**kept, "rows": rows}))
@@ -116,43 +117,43 @@ def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _differences(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Path and both values of everything that differs; hashes only where nothing else tells."""
+    """Key and both values of every difference; a hash only where no value differs."""
     if isinstance(was, dict) and isinstance(now, dict):
         found = [
             difference
             for key in {**was, **now}
             for difference in _differences(was.get(key, MISSING), now.get(key, MISSING), f"{path}.{key}".lstrip("."))
         ]
-        telling = [difference for difference in found if not difference[0].endswith(".sha256")]
-        yield from telling or found
+        of_values = [difference for difference in found if not difference[0].endswith(".sha256")]
+        yield from of_values or found
     elif was != now:
         yield path, was, now
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
-    """What is different at a key, in words."""
+    """Message about a difference."""
     section, _, name = key.partition(".")
     part = f"{section.removesuffix('s')} {name}"
-    known = section in PARTS and "." not in name
+    known = section in SECTIONS and "." not in name
     if before is MISSING:
-        return f"{part} is not part of it" if known else f"was made without it, now it is {_told(after)}"
+        return f"{part} is not in the folder's evaluation" if known else f"was absent, is {_json(after)} now"
     if after is MISSING:
-        return f"{part} is part of it, but left out now" if known else f"was made with {_told(before)}, now without"
-    return f"was made with {_told(before)}, now it is {_told(after)}"
+        return f"{part} is missing now" if known else f"was {_json(before)}, is absent now"
+    return f"was {_json(before)}, is {_json(after)} now"
 
 
-def _told(value: Any) -> str:
+def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
 def _labels(names: Mapping[str, str]) -> dict[str, str]:
-    """A label for each reference: the vehicle's name, or the reference where two have the same name."""
+    """Label of each reference: the vehicle's name, or the reference where two vehicles have the same name."""
     counts = list(names.values())
     return {reference: name if counts.count(name) == 1 else reference for reference, name in names.items()}
 
 
 def _method(method: Method) -> dict[str, Any]:
-    return method.model_dump(mode="json", exclude=set(WORDS))
+    return method.model_dump(mode="json", exclude=set(TEXTS))
 
 
 def _hashed(content: Any) -> dict[str, Any]:

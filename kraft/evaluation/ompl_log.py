@@ -39,11 +39,11 @@ def write_benchmark(
 ) -> None:
     """Write the logs and the Planner Arena database.
 
-    OMPL's format has room for one scene in a file, so with one scenario the log is `benchmark.log` and with several
-    each has its `benchmark-SCENARIO.log`.
+    A file of OMPL's format holds one scene, so the log of one scenario is `benchmark.log`, and of several scenarios
+    each has its own `benchmark-SCENARIO.log`.
 
     Raises:
-        InputError: if they cannot be written.
+        InputError: if a file cannot be written.
     """
     names = list(dict.fromkeys(cell.scenario.name for cell in experiment.cells))
     logs = [folder / ("benchmark.log" if len(names) == 1 else f"benchmark-{name}.log") for name in names]
@@ -95,7 +95,7 @@ def _planner(cell: Cell, rows: Sequence[TrialRow], manifest: Mapping[str, Any]) 
 
 
 def _run(row: TrialRow) -> list[str]:
-    """Values of the properties; `time` is that of all planning, as it is for any OMPL planner."""
+    """Values of the properties; `time` is the planning time of all cycles, as for any OMPL planner."""
     planning = list(row.measured.planning_ms)
     solved = row.outcome == "success"
     return [
@@ -132,12 +132,12 @@ def _text(value: float | None, scale: float = 1.0) -> str:
 
 
 def make_database(database: Path, logs: Sequence[Path]) -> None:
-    """Make a database of benchmark logs, in place of an earlier one.
+    """Make the database of benchmark logs with OMPL's tool, replacing an earlier one.
 
-    The tool runs in a process of its own: it prints, and leaves its connections to the database open.
+    The tool runs in its own process because it prints and leaves its connections to the database open.
 
     Raises:
-        InputError: if it cannot be written; what was there before is still there then.
+        InputError: if the database cannot be written; an earlier one stays.
     """
     with Replacement(database) as new:
         command = [sys.executable, "-P", "-m", "ompl.ompl_benchmark_statistics", "--database", str(new.temporary)]

@@ -8,7 +8,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class PaperRow:
-    """Numbers of trials that ended in each way, and the mean duration of the successful ones (s; None without any)."""
+    """Number of trials by outcome, and mean duration of the successful ones (s; None without any)."""
 
     success: int
     collision: int
@@ -84,5 +84,5 @@ _TABLES: Final = {
 
 
 def paper_row(scenario: str, method: str) -> PaperRow | None:
-    """The paper's result of a method in a scenario, by their bundled names; None where it has none."""
+    """Result of a method in a scenario in the paper, by their bundled names; None if the paper has none."""
     return _TABLES.get(scenario, {}).get(method)

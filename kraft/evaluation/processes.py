@@ -1,4 +1,7 @@
-"""Trials in processes of this machine."""
+"""Executor that runs trials in worker processes of this machine.
+
+The ProcessPool of pebble 5.2 is not used: an idle worker that dies breaks it, and busy workers take 3 s each to stop.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,18 @@ from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
 
 from kraft.errors import Defect, KraftError
-from kraft.evaluation.job import DEATHS, Job, Say, Stop, failed, perform
+from kraft.evaluation.job import DEATHS, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.row import Key, TrialRow
 from kraft.planning.compilation import ensure_compiled
 from kraft.vehicles.load import load_vehicle
 
-POLL: Final = 0.1  # s, how late a request to stop is seen
-FALSE_STARTS: Final = 3  # workers in a row that die before they are ready
+POLL: Final = 0.1  # s, delay until a request to stop takes effect
+FAILED_STARTS: Final = 3  # workers in a row that die before they are ready
 
 
 @dataclass(eq=False)
 class _Worker:
-    """A process, its pipe, and the job it is at; `ready` once it has said so."""
+    """Worker process, its pipe, and its current job; `ready` after its first message."""
 
     process: SpawnProcess
     pipe: Connection
@@ -33,8 +36,8 @@ class _Worker:
     ready: bool = False
 
     @property
-    def how_it_died(self) -> str:
-        """For a sentence."""
+    def exit_text(self) -> str:
+        """How the process ended, for a message."""
         self.process.join(5.0)
         code = self.process.exitcode
         if code is not None and code < 0:
@@ -42,7 +45,7 @@ class _Worker:
         return f"exit code {code}"
 
     def close(self) -> None:
-        """End it."""
+        """Kill the process."""
         self.pipe.close()
         self.process.kill()
         self.process.join()
@@ -51,42 +54,42 @@ class _Worker:
 
 @dataclass
 class _State:
-    """A run: what is still to do and who does it."""
+    """Remaining jobs and workers of a run."""
 
     todo: deque[Job]
     workers: list[_Worker] = field(default_factory=list)
     deaths: Counter[Key] = field(default_factory=Counter)
-    false_starts: int = 0
+    failed_starts: int = 0
 
 
 class Processes:
-    """Runs trials in `count` processes, one trial each at a time."""
+    """Runs jobs in `count` processes, one job at a time in each."""
 
     def __init__(self, count: int) -> None:
         self.count = count
 
-    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
         """See `kraft.evaluation.job.Executor`.
 
         Raises:
             Defect: if workers do not start.
         """
-        for reference in dict.fromkeys(job.vehicle for job in jobs):  # once, and not by each worker in a trial
-            ensure_compiled(load_vehicle(reference), say)
+        for reference in dict.fromkeys(job.vehicle for job in jobs):  # once here, not by every worker during a trial
+            ensure_compiled(load_vehicle(reference), log)
         state = _State(deque(jobs))
         try:
             while True:
-                if stop():
+                if stop_requested():
                     state.todo.clear()
                 busy = sum(worker.job is not None for worker in state.workers)
                 if not state.todo and not busy:
                     return
                 self._assign(state, busy)
-                for worker in _heard(state.workers):
+                for worker in _readable(state.workers):
                     try:
-                        row = _taken(state, worker, worker.pipe.recv())
-                    except (EOFError, OSError):  # it died: nobody else has the other end
-                        row = _buried(state, worker, say)
+                        row = _receive(state, worker, worker.pipe.recv())
+                    except (EOFError, OSError):  # it died: no other process has the other end
+                        row = _handle_death(state, worker, log)
                     if row is not None:
                         yield row
         finally:
@@ -94,58 +97,58 @@ class Processes:
                 worker.close()
 
     def _assign(self, state: _State, busy: int) -> None:
-        """Give every idle worker a job, and start workers while there are fewer than there is work for."""
+        """Give idle workers a job and start workers while there are fewer than jobs."""
         for worker in state.workers:
             if worker.ready and worker.job is None and state.todo:
                 worker.job = state.todo.popleft()
-                with suppress(OSError):  # if it died meanwhile, `_heard` will see
+                with suppress(OSError):  # if it died meanwhile, `_readable` returns it
                     worker.pipe.send(worker.job)
                 busy += 1
         while len(state.workers) < min(self.count, busy + len(state.todo)):
-            state.workers.append(_started())
+            state.workers.append(_start_worker())
 
 
-def _heard(workers: Sequence[_Worker]) -> list[_Worker]:
-    """The workers that sent something or died."""
+def _readable(workers: Sequence[_Worker]) -> list[_Worker]:
+    """Workers with a message to read; a closed pipe, after a death, is one too."""
     found = connection.wait([worker.pipe for worker in workers], POLL)
     return [worker for worker in workers if worker.pipe in found]
 
 
-def _taken(state: _State, worker: _Worker, answer: Answer) -> TrialRow | None:
-    """Take what a worker sent; the row, if it is one."""
+def _receive(state: _State, worker: _Worker, answer: Answer) -> TrialRow | None:
+    """Handle the message of a worker; its row, if it is one."""
     if isinstance(answer, KraftError):
         raise answer
     if answer is None:
-        worker.ready, state.false_starts = True, 0
+        worker.ready, state.failed_starts = True, 0
     else:
         worker.job = None
     return answer
 
 
-def _buried(state: _State, worker: _Worker, say: Say) -> TrialRow | None:
-    """Put away a dead worker; the row of its job if that is given up now.
+def _handle_death(state: _State, worker: _Worker, log: Log) -> TrialRow | None:
+    """Remove a dead worker and repeat its job; the row of the job if it fails instead.
 
     Raises:
-        Defect: if one worker after the other dies before it is ready.
+        Defect: if several workers in a row die before they are ready.
     """
-    how, job = worker.how_it_died, worker.job
+    how, job = worker.exit_text, worker.job
     state.workers.remove(worker)
     worker.close()
     if job is None:
-        state.false_starts += not worker.ready
-        if state.false_starts >= FALSE_STARTS:
+        state.failed_starts += not worker.ready
+        if state.failed_starts >= FAILED_STARTS:
             raise Defect(f"worker processes do not start ({how})")
         return None
     state.deaths[job.key] += 1
     if state.deaths[job.key] >= DEATHS:
-        return failed(job, f"its worker process died {state.deaths[job.key]} times ({how})")
+        return failed_row(job, f"its worker process died {state.deaths[job.key]} times ({how})")
     name = f"{job.scenario.name}, {job.method.name}, seed {job.seed}"
-    say(f"the worker of {name} died ({how}); the trial is repeated on a fresh one")
+    log(f"the worker of {name} died ({how}); its trial is repeated on a new worker")
     state.todo.appendleft(job)
     return None
 
 
-def _started() -> _Worker:
+def _start_worker() -> _Worker:
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=serve, args=(theirs,), daemon=True)
@@ -157,7 +160,7 @@ def _started() -> _Worker:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes that start in here have an environment of one numeric thread."""
+    """Restrict numeric libraries to one thread in processes that start within the block."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     try:
@@ -172,7 +175,7 @@ def _one_thread_each() -> Iterator[None]:
 
 @contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Hold back interrupts, which processes that start in here inherit until they say what they do about them."""
+    """Block SIGINT within the block, also in processes that start in it, until they unblock it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -181,7 +184,7 @@ def _no_interrupt() -> Iterator[None]:
 
 
 Answer: TypeAlias = TrialRow | KraftError | None
-"""a row, an error that concerns every trial, or None: ready"""
+"""Message of a worker: a row, an error that concerns every trial, or None when it is ready."""
 
 ONE_THREAD: Final = dict.fromkeys(
     (
@@ -195,13 +198,13 @@ ONE_THREAD: Final = dict.fromkeys(
     ),
     "1",
 )
-"""environment in which numeric libraries keep to one thread; they read it when they are loaded"""
+"""Environment variables that restrict numeric libraries to one thread; they are read when a library is loaded."""
 
 
 def serve(pipe: Connection) -> None:
-    """Run jobs until the other end closes, which it also does by dying."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that gave the jobs decides what an interrupt means
-    os.dup2(2, 1)  # what a trial prints must not get between the results on stdout
+    """Run the jobs of the parent process until it closes the pipe or dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles interrupts
+    os.dup2(2, 1)  # what a trial prints must not mix with the results on stdout
     try:
         pipe.send(None)
         while True:

@@ -1,4 +1,4 @@
-"""What is kept of a trial in an evaluation: one line of `trials.jsonl`."""
+"""Row of a trial: its data in a line of `trials.jsonl`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kraft.text import finite
 from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
-"""scenario, method, seed"""
+"""Scenario, method and seed."""
 
 
 class _Record(BaseModel):
@@ -20,10 +20,10 @@ class _Record(BaseModel):
 
 
 class Measured(_Record):
-    """What the clock said; nothing in here repeats, and everything else does.
+    """Measured times, the only part of a row that differs between repetitions.
 
-    `planning_ms` has one value per cycle, `missed` counts cycles that took longer than there was time, `wall_s` is
-    what the whole trial took.
+    `planning_ms` has one value per cycle, `missed` is the number of cycles that exceeded their planning time, `wall_s`
+    is the duration of the whole trial.
     """
 
     planning_ms: tuple[float, ...] = ()
@@ -32,15 +32,15 @@ class Measured(_Record):
 
 
 class TrialRow(_Record):
-    """A trial, reduced.
+    """Data of a trial that the tables need.
 
     Attributes:
-        t_s: when it ended, s; None if it failed.
-        obstacle: what was hit.
-        min_clearance_m: smallest true distance to an obstacle; None if there is no obstacle.
+        t_s: time of its end, s; None if it failed.
+        obstacle: obstacle of the collision.
+        min_clearance_m: smallest true distance to an obstacle; None without obstacles.
         iterations: planning iterations of all cycles.
-        digest: hash over every tick: equal for equal drives.
-        error: why it failed.  A failed trial is one that kraft did not bring to an end; that is a defect.
+        digest: hash over all ticks, equal for equal drives.
+        error: why the trial failed, which means that it ended with a defect instead of an outcome.
     """
 
     scenario: str
@@ -59,12 +59,12 @@ class TrialRow(_Record):
 
     @property
     def key(self) -> Key:
-        """Which trial it is."""
+        """Scenario, method and seed."""
         return self.scenario, self.method, self.seed
 
 
-def reduced(key: Key, result: TrialResult, wall: float) -> TrialRow:
-    """Keep of a trial what the tables need; `wall` is how long it took (s)."""
+def trial_row(key: Key, result: TrialResult, wall: float) -> TrialRow:
+    """Row of a trial; `wall` is the duration of its computation (s)."""
     scenario, method, seed = key
     planning = tuple(round(cycle.planning_ms, 3) for cycle in result.cycles)
     return TrialRow(
@@ -84,7 +84,7 @@ def reduced(key: Key, result: TrialResult, wall: float) -> TrialRow:
 
 
 def digest(result: TrialResult) -> str:
-    """Hash over truth, belief and command at every tick."""
+    """Hash over true state, estimated state and command at every tick."""
     found = hashlib.sha256()
     for step in result.steps:
         numbers = [step.time, *step.pose, step.speed, *step.estimate, *step.command, step.cycle]

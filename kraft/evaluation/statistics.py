@@ -27,9 +27,9 @@ class McNemar:
     """Exact McNemar test of two methods on the same seeds.
 
     Attributes:
-        gained: seeds on which the method succeeded and the reference did not.
-        lost: seeds on which the reference succeeded and the method did not.
-        p: two-sided probability of a split at least as uneven if both methods were equally good.
+        gained: number of seeds on which only the method succeeded.
+        lost: number of seeds on which only the reference succeeded.
+        p: two-sided p-value under the hypothesis of equal success rates.
     """
 
     gained: int
@@ -38,7 +38,7 @@ class McNemar:
 
 
 def mcnemar(successes: Mapping[int, bool], reference: Mapping[int, bool]) -> McNemar:
-    """Compare successes by seed; seeds that only one of the two ran do not count."""
+    """Compare successes by seed, over the seeds that both have."""
     from scipy.stats import binomtest
 
     common = successes.keys() & reference.keys()

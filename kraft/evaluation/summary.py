@@ -1,4 +1,4 @@
-"""From trials to a table: the paper's columns and how sure they are."""
+"""Summary of an evaluation: the columns of the paper's tables with confidence intervals and tests."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from kraft.evaluation.statistics import McNemar, mcnemar, percentile, wilson
 SCHEMA: Final = "kraft.eval/1"
 FILE: Final = "summary.json"
 Name: TypeAlias = tuple[str, str, str]
-"""of a row: scenario, method, and the method's title"""
+"""Scenario, method and title of the method of a row."""
 REFERENCE: Final = "kraft"
-"""the method that the others are compared with"""
+"""The method that the others are compared with."""
 WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_deadlines")
-"""keys of the JSON object that the clock fills; everything else repeats"""
+"""Keys of the JSON object with measured times; all others repeat."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One row of a table.
+    """Row of a results table.
 
     Attributes:
-        trials: how many there were, failed ones included.
+        trials: number of trials, including failed ones.
         interval: Wilson's 95 % interval of the success rate.
         t_ex: mean duration of the successful trials, s.
-        contingencies: in all trials together.
-        min_clearance: smallest of all trials, m.
-        planning_p50, planning_p99: of all cycles of all trials, ms.
-        missed: cycles that took longer than there was time.
-        against: compared with the method `kraft` on the same seeds; None for itself and where it was not run.
-        paper: what the paper has.
+        contingencies: number of contingencies in all trials.
+        min_clearance: smallest true distance to an obstacle in all trials, m.
+        planning_p50, planning_p99: percentiles of the planning time over all cycles of all trials, ms.
+        missed: number of cycles that exceeded their planning time.
+        against: comparison with the method `kraft` on the same seeds; None for itself and where it was not run.
+        paper: result in the paper.
     """
 
     scenario: str
@@ -59,7 +59,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Summary:
-    """All rows, in the order they were asked for; `wall` is how long the evaluation ran this time, s."""
+    """All rows in the order of the experiment; `wall` is the duration of the last run of the evaluation, s."""
 
     trials: int
     seed: int
@@ -69,12 +69,12 @@ class Summary:
 
     @property
     def failed(self) -> int:
-        """Trials that did not come to an end."""
+        """Number of failed trials."""
         return sum(result.failed for result in self.results)
 
 
 def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float) -> Summary:
-    """Make the table of an experiment from the trials there are."""
+    """Summarise the finished trials of an experiment."""
     names = [(*cell.key, cell.method.title) for cell in experiment.cells]
     return tabulate(names, experiment.seeds, rows, wall, realtime=experiment.realtime)
 
@@ -82,7 +82,7 @@ def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float)
 def tabulate(
     names: Sequence[Name], seeds: range, rows: Mapping[Key, TrialRow], wall: float, *, realtime: bool = False
 ) -> Summary:
-    """Make a table with the rows `names` from the trials there are; `wall` is how long they took (s)."""
+    """Summarise finished trials in the rows `names`; `wall` is the duration of the evaluation (s)."""
     results = []
     for scenario, method, title in names:
         mine = _rows(seeds, rows, scenario, method)
@@ -92,7 +92,7 @@ def tabulate(
     return Summary(len(seeds), seeds.start, realtime, wall, tuple(results))
 
 
-def json_content(summary: Summary) -> dict[str, Any]:
+def evaluation_json(summary: Summary) -> dict[str, Any]:
     """Content of the ``kraft.eval/1`` object, without its schema."""
     return {
         "trials": summary.trials,
@@ -100,7 +100,7 @@ def json_content(summary: Summary) -> dict[str, Any]:
         "realtime": summary.realtime,
         "wall_s": round(summary.wall, 3),
         "failed": summary.failed,
-        "results": [_json(result) for result in summary.results],
+        "results": [_result_json(result) for result in summary.results],
     }
 
 
@@ -141,7 +141,7 @@ def _result(scenario: str, method: str, title: str, rows: Sequence[TrialRow], ag
     )
 
 
-def _json(result: Result) -> dict[str, Any]:
+def _result_json(result: Result) -> dict[str, Any]:
     paper, against = result.paper, result.against
     return {
         "scenario": result.scenario,

@@ -1,4 +1,4 @@
-"""The summary as tables, one for each scenario."""
+"""Tables of a summary, one for each scenario."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kraft.text import decimals
 
 @dataclass(frozen=True)
 class Table:
-    """Heading and cells; `importance` says which columns to leave out last, the highest, where there is no room."""
+    """Heading and cells; columns of low `importance` are left out first where the width is small."""
 
     title: str
     heading: tuple[str, ...]
@@ -20,7 +20,7 @@ class Table:
     importance: tuple[int, ...]
 
     def fitted(self, width: int, gap: int = 2) -> Table:
-        """The same table with as many columns as fit `width` characters."""
+        """Table with as many columns as fit in `width` characters."""
         widths = [max(len(row[k]) for row in (self.heading, *self.rows)) for k in range(len(self.heading))]
         kept = list(range(len(self.heading)))
         while len(kept) > 1 and sum(widths[k] + gap for k in kept) - gap > width:
@@ -52,7 +52,7 @@ _COLUMNS: Final = {
 
 
 def tables(summary: Summary) -> list[Table]:
-    """One table for each scenario.  Columns for failed trials and missed deadlines only where there can be some."""
+    """One table for each scenario; failed trials and missed deadlines have columns only where they can occur."""
     left_out = {name for name, wanted in (("failed", summary.failed), ("missed", summary.realtime)) if not wanted}
     names = [name for name in _COLUMNS if name not in left_out]
     found = []

@@ -30,7 +30,7 @@ from kraft.planning.search import Previous
 from kraft.planning.workspace import settings_of
 from kraft.provenance import PLANNING, plain_hash, versions
 from kraft.scenario import Task
-from kraft.text import counted
+from kraft.text import counted, finite
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.vehicle import Vehicle
 
@@ -168,14 +168,10 @@ def _contingency(plan: Plan) -> dict[str, Any] | None:
         return None
     return {
         "manoeuvre": stop.manoeuvre,
-        "spare": _finite(stop.spare),
+        "spare": finite(stop.spare),
         "times": stop.times.tolist(),
         "states": stop.states.tolist(),
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def read_plan_file(path: Path) -> PlanFile:

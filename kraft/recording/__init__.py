@@ -1,1 +1,1 @@
-"""Recording logs for identification: nominal open-loop manoeuvres, driven in simulation and seen by a camera."""
+"""Logs for identification: open-loop manoeuvres, driven in simulation and measured by the camera."""

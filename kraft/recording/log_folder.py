@@ -1,8 +1,8 @@
-"""The folder of a recorded run: what was sent, what was seen, what is true, and how it came about.
+"""Folder of a recorded run: commands, measured poses, true poses and a manifest.
 
-LOGS/run_01/commands.csv    t, throttle, steering: when each command was sent
-LOGS/run_01/poses.csv       t, x, y, yaw: when each frame was taken, by the camera's clock
-LOGS/run_01/truth.csv       t, x, y, yaw, speed: for whoever wants to compare; identification never opens it
+LOGS/run_01/commands.csv    t, throttle, steering: t is the time at which the command was sent
+LOGS/run_01/poses.csv       t, x, y, yaw: t is the time at which the frame was taken, by the camera's clock
+LOGS/run_01/truth.csv       t, x, y, yaw, speed: for comparison; identification never opens it
 LOGS/run_01/manifest.json   manoeuvre, start, scenario, seed, versions
 """
 
@@ -29,11 +29,11 @@ UNITS: Final = {
 }  # fmt: skip
 
 
-def check_target(folder: Path) -> None:
-    """Refuse a folder that exists, and a place that cannot be written.
+def check_log_folder(folder: Path) -> None:
+    """Check that a new folder of logs can be created.
 
     Raises:
-        InputError: if it is one of these.
+        InputError: if the folder exists or cannot be written.
     """
     if os.path.lexists(folder):
         raise InputError.of(str(folder), "is there already", "expected a new folder for the logs", Code.EXISTS)
@@ -41,10 +41,10 @@ def check_target(folder: Path) -> None:
 
 
 def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> Path:
-    """Write a run into its own new folder in `folder`, in one step, and return it.
+    """Write a run into its own new folder in `folder`, in one step, and return that folder.
 
     Raises:
-        InputError: if it cannot be written.
+        InputError: if the run cannot be written.
     """
     final = folder / f"run_{recording.number:02d}"
     with new_folder(final) as temporary:
@@ -56,7 +56,7 @@ def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, An
 
 
 def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
-    """Everything that making the run again would need; nothing in it depends on the clock."""
+    """Content of the manifest: everything that repeating the run needs, and no time of day."""
     start = recording.place.start
     described = {f.name: plain(getattr(scenario, f.name)) for f in fields(scenario) if f.compare}
     return {

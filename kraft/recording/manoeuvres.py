@@ -1,7 +1,7 @@
-"""Nominal open-loop manoeuvres: what a car is commanded so that its parameters can be told from what it does.
+"""Open-loop manoeuvres that make the parameters of a car identifiable.
 
-Each shows what the others do not: straight runs the drive and the straightness of the steering, arcs to both sides the
-wheelbase apart from the steering offset, steps the lags, the mix what was forgotten.
+Straight runs identify the drive and show a steering offset, arcs to both sides separate the wheelbase from the steering
+offset, steps identify the lags, and the mix covers other combinations of commands.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ import numpy as np
 from ompl_ext.arrays import Floats, Matrix
 
 DURATION: Final = 20.0
-"""How long a manoeuvre takes, s."""
+"""Duration of a manoeuvre, s."""
 REST: Final = 0.5
-"""Time at rest before it begins, s: a log that begins at rest tells the speed at its beginning."""
+"""Time at rest before it begins, s: the initial speed of a log that begins at rest is known."""
 COASTING: Final = 2.5
-"""Time without throttle at its end, s: how the car slows down is seen in every log."""
+"""Time without throttle at its end, s, so that every log shows how the car slows down."""
 
 Piece = tuple[float, float, float]
-"""Duration (s), throttle as a share of the largest, steering as a share of the largest."""
+"""Duration (s), and throttle and steering as shares of the largest values."""
 Draw = Callable[[np.random.Generator], list[Piece]]
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Controls (n, 2), throttle and steering, held from each of `times` (n,) to the next; the last one to `end`, s."""
+    """Throttle and steering (n, 2), held from each of `times` (n,) to the next and from the last to `end`, s."""
 
     name: str
     times: Floats
@@ -48,17 +48,17 @@ def manoeuvre(name: str, throttle: float, steering: float, generator: np.random.
 
     Args:
         name: one of `NAMES`.
-        throttle: the largest there is.
-        steering: the largest there is to either side, rad.
-        generator: decides everything that the name leaves open.
+        throttle: largest throttle.
+        steering: largest steering angle to either side, rad.
+        generator: draws durations, throttles and steering angles.
     """
-    room = DURATION - REST - COASTING
+    available = DURATION - REST - COASTING
     pieces: list[Piece] = [(REST, 0.0, 0.0)]
     used = 0.0
-    for duration, u, phi in _filled(KINDS[name], generator):
-        pieces.append((min(duration, room - used), u, phi))
+    for duration, u, phi in _pieces(KINDS[name], generator):
+        pieces.append((min(duration, available - used), u, phi))
         used += duration
-        if used >= room:
+        if used >= available:
             break
     pieces.append((COASTING, 0.0, pieces[-1][2]))
     durations = np.array([piece[0] for piece in pieces])
@@ -67,8 +67,8 @@ def manoeuvre(name: str, throttle: float, steering: float, generator: np.random.
     return Manoeuvre(name, times, controls, DURATION)
 
 
-def _filled(draw: Draw, generator: np.random.Generator) -> list[Piece]:
-    """Pieces that take at least as long as a manoeuvre."""
+def _pieces(draw: Draw, generator: np.random.Generator) -> list[Piece]:
+    """Draw pieces until they take at least as long as a manoeuvre."""
     pieces = draw(generator)
     while sum(piece[0] for piece in pieces) < DURATION:
         pieces += draw(generator)
@@ -82,7 +82,7 @@ def _straight(generator: np.random.Generator) -> list[Piece]:
 
 
 def _arc(generator: np.random.Generator) -> list[Piece]:
-    """One circle after another, each with its radius and throttle."""
+    """Drive circles one after another, each with its own radius and throttle."""
     throttle, steering, duration = generator.uniform((0.3, 0.35, 4.0), (1.0, 1.0, 7.0))
     return [(duration, throttle, steering)]
 
@@ -101,7 +101,7 @@ def _steps(generator: np.random.Generator) -> list[Piece]:
 
 
 def _mix(generator: np.random.Generator) -> list[Piece]:
-    """Anything, for half a second to two, coasting now and then."""
+    """Any throttle and steering for 0.5 to 2 s, sometimes coasting."""
     duration, throttle, steering = generator.uniform((0.5, 0.0, -1.0), (2.0, 1.0, 1.0))
     return [(duration, throttle if throttle > 0.15 else 0.0, steering)]
 

@@ -1,4 +1,4 @@
-"""Drive one manoeuvre in the simulated world, and keep what was sent, what was seen and what is true, apart."""
+"""Record runs: drive manoeuvres in the simulated world and log commands, measured poses and true poses."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.car_model import CarModel
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
+from kraft.recording.free_space import FreeSpace, Place, predicted
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
-from kraft.recording.room import Place, Room, predicted
 from kraft.scenario import Scenario
 from kraft.simulation.world import World
 from kraft.trial.plant import Plant
@@ -18,25 +18,25 @@ from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
 
 COMMAND_RATE: Final = 20.0
-"""Commands are sent at this rate, 1/s: not that of the camera, so that the two are asynchronous, as on a real car."""
+"""Rate of the commands, 1/s: not the camera's, so that the two are asynchronous, as on a real car."""
 STOP: Final = 0.1
-"""A run ends where the true car is nearer than this to anything, m."""
+"""Clearance of the true car at which a run ends, m."""
 SHORTEST: Final = 2.0
-"""A scenario in which a manoeuvre has less room than this is refused, s."""
+"""A scenario is refused if a manoeuvre has free space for less than this time, s."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One run.
+    """Recorded run.
 
     Attributes:
-        number: from 1.
-        manoeuvre: what was commanded.
-        place: where it began.
-        commands: time sent (s), throttle, steering (rad), (m, 3).
-        poses: time taken (s), x, y (m), yaw (rad) as the camera measured them, (n, 4).
-        truth: time (s), x, y (m), yaw (rad), speed (m/s) at every frame of the camera, (k, 5).
-        end: when it ended, s.
+        number: number of the run, from 1.
+        manoeuvre: commanded manoeuvre.
+        place: start of the run.
+        commands: time of sending (s), throttle and steering (rad), (m, 3).
+        poses: time of the frame (s) and measured x, y (m) and yaw (rad), (n, 4).
+        truth: time (s) and true x, y (m), yaw (rad) and speed (m/s) at every frame of the camera, (k, 5).
+        end: time of its end, s.
         note: why it ended early; empty if it did not.
     """
 
@@ -51,73 +51,74 @@ class Recording:
 
 
 class Recorder:
-    """Records runs in a scenario. A run depends on the scenario, the seed and its number, and on nothing else."""
+    """Records runs in a scenario.  A run depends on the scenario, the seed and its number alone."""
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, seed: int) -> None:
-        """Make the world.
+        """Build the world.
 
         Args:
-            scenario: where to drive; its start and goal do not matter.
-            vehicle: the car as it is believed to be: bounds of its commands, its footprint, and where it will get to.
-            seed: of manoeuvres, places and the camera's errors.
+            scenario: where to drive; its start and goal are not used.
+            vehicle: model of the car: bounds of its commands, footprint and predicted paths.
+            seed: seed of manoeuvres, starts and the camera's errors.
 
         Raises:
             InputError: if the vehicle is not a car with throttle and steering.
         """
         self._scenario, self._seed = scenario, seed
         self._model = CarModel(vehicle)
-        self._room = Room(scenario, vehicle)
+        self._free_space = FreeSpace(scenario, vehicle)
         self._world = World(scenario)
 
     def record(self, number: int) -> Recording:
         """Drive run `number`, from 1.
 
         Raises:
-            InputError: if the scenario has no room for its manoeuvre.
+            InputError: if the scenario has no free space for the manoeuvre.
         """
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
         high = self._model.high
         steering = min(high[self._model.steering], -self._model.low[self._model.steering])
-        wanted = manoeuvre(
+        commanded = manoeuvre(
             NAMES[(number - 1) % len(NAMES)], float(high[self._model.throttle]), float(steering), generator
         )
-        place = self._room.place(predicted(self._model, wanted), generator)
+        place = self._free_space.place(predicted(self._model, commanded), generator)
         if place.time < SHORTEST:
             name = self._scenario.name
-            problem = f"has no room for a run of {SHORTEST:g} s (manoeuvre {wanted.name!r})"
-            raise InputError.of(name, problem, "expected more free floor, as in the scenario training")
+            problem = f"has no free space for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"
+            expected = "expected more free floor, as in the scenario training"
+            raise InputError.of(name, problem, expected, Code.GEOMETRY)
         self._world.reset(place.start)
         plant = Plant(self._world, self._scenario.sensing, int(generator.integers(2**62)), COMMAND_RATE)
-        return _Run(plant, self._room, wanted, place).driven(number)
+        return _Run(plant, self._free_space, commanded, place).drive(number)
 
 
 class _Run:
-    """One run while it is driven."""
+    """Run in progress."""
 
-    def __init__(self, plant: Plant, room: Room, wanted: Manoeuvre, place: Place) -> None:
-        self._plant, self._world, self._room = plant, plant.world, room
-        self._manoeuvre, self._place = wanted, place
+    def __init__(self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place) -> None:
+        self._plant, self._world, self._free_space = plant, plant.world, free_space
+        self._manoeuvre, self._place = commanded, place
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
         self._truth: list[tuple[float, ...]] = []
 
-    def driven(self, number: int) -> Recording:
-        """Drive it to its end, or to where it would touch something."""
+    def drive(self, number: int) -> Recording:
+        """Drive to the end of the manoeuvre, or until the clearance is too small."""
         world, end = self._world, round(self._manoeuvre.end / self._world.dt)
         note = ""
         while not note:
-            self._see()
-            self._command()
+            self._observe()
+            self._send()
             if world.steps >= end:
                 break
             self._plant.advance(end)
-            note = self._danger()
+            note = self._stop_reason()
         return Recording(
             number, self._manoeuvre, self._place, np.array(self._commands), np.array(self._poses).reshape(-1, 4),
             np.array(self._truth), world.time, note,
         )  # fmt: skip
 
-    def _see(self) -> None:
+    def _observe(self) -> None:
         world = self._world
         if not self._plant.frame_due:
             return
@@ -127,7 +128,7 @@ class _Run:
         if seen is not None:
             self._poses.append((seen.time, seen.x, seen.y, seen.theta))
 
-    def _command(self) -> None:
+    def _send(self) -> None:
         world = self._world
         if not self._plant.command_due:
             return
@@ -135,12 +136,12 @@ class _Run:
         self._commands.append((world.time, throttle, steering))
         self._plant.send(throttle, steering)
 
-    def _danger(self) -> str:
-        """Why the run has to end here, or nothing."""
+    def _stop_reason(self) -> str:
+        """Why the run has to end now; empty if it goes on."""
         world = self._world
         if world.collision is not None:
             return f"touched {world.collision.obstacle} after {world.time:.2f} s"
-        clearance = self._room.clearance(*map(float, world.pose))
+        clearance = self._free_space.clearance(*map(float, world.pose))
         if clearance < STOP:
-            return f"stopped after {world.time:.2f} s, {clearance:.2f} m from what it would have touched"
+            return f"stopped after {world.time:.2f} s, {clearance:.2f} m from the nearest obstacle or bound"
         return ""

@@ -1,4 +1,4 @@
-"""One trial: `run_trial` drives a robot with a model of itself in a world that is different.
+"""One trial: `run_trial` drives a robot with an approximate model of itself in the simulated world.
 
 `run_trial` loads the simulator, so it is imported when it is first used.
 """

@@ -1,4 +1,4 @@
-"""The smallest distance to obstacles along a drive, exact, computed only where it can be the smallest."""
+"""Smallest distance to obstacles along a drive: exact, from few distance computations."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ class _Measured(NamedTuple):
 
 
 _Span: TypeAlias = tuple[float, _Measured, _Measured]
-"""A lower bound of the distances between two that are measured (m), and these."""
+"""Lower bound of the distances between two measured poses (m), and these two."""
 
 
 class ClosestApproach:
-    """Smallest distance (m) of a footprint to the obstacles at the poses it is shown.
+    """Smallest distance (m) between a footprint and the obstacles over the added poses.
 
-    No point of the footprint moves farther than its centre does plus its reach times the turn, and the distance changes
-    by no more than that.  So two distances bound all those between them, and the drive is halved where the bound is
-    lowest until none is below the smallest distance found.
+    No point of the footprint moves farther than its centre moves plus its reach times the change of heading, and the
+    distance changes by at most as much.  Two measured distances therefore bound all distances between them; the span
+    with the lowest bound is halved until no bound is below the smallest measured distance.
     """
 
     def __init__(self, distance: Distance, reach: float) -> None:
-        """Measure with `distance(x, y, theta)` (m); `reach` (m) is that of the footprint's farthest point."""
+        """Measure with `distance(x, y, theta)` (m); `reach` is the distance of the footprint's farthest point (m)."""
         self._distance, self._reach = distance, reach
         self._poses: list[tuple[float, float, float]] = []
-        self._way: list[float] = []  # up to each pose, by the farthest that any point has moved
+        self._travelled: list[float] = []  # bound of the distance that any point has moved up to each pose
 
-    def show(self, x: float, y: float, theta: float) -> None:
-        """Take in a pose (m, rad)."""
+    def add(self, x: float, y: float, theta: float) -> None:
+        """Add a pose (m, rad)."""
         x0, y0, theta0 = self._poses[-1] if self._poses else (x, y, theta)
         moved = math.hypot(x - x0, y - y0) + self._reach * abs(math.remainder(theta - theta0, math.tau))
         self._poses.append((x, y, theta))
-        self._way.append(moved + (self._way[-1] if self._way else 0.0))
+        self._travelled.append(moved + (self._travelled[-1] if self._travelled else 0.0))
 
     def least(self) -> float:
-        """The smallest distance (m), inf before the first pose."""
+        """Smallest distance (m); inf without poses."""
         if not self._poses:
             return math.inf
         first, last = self._measured(0), self._measured(len(self._poses) - 1)
@@ -60,5 +60,5 @@ class ClosestApproach:
         return _Measured(pose, self._distance(*self._poses[pose]))
 
     def _span(self, a: _Measured, b: _Measured) -> _Span:
-        way = self._way[b.pose] - self._way[a.pose]
+        way = self._travelled[b.pose] - self._travelled[a.pose]
         return 0.5 * (a.distance + b.distance - way), a, b

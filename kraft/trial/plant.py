@@ -1,4 +1,4 @@
-"""What a controller is connected to: the simulated world, its camera, and commands that take effect after a delay."""
+"""Plant of a controller: the simulated world with its camera and delayed commands."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from kraft.simulation.world import Ticks, World, steps_of
 
 
 class Plant:
-    """A world with the clocks of its camera and of the controller.
+    """World with the clocks of its camera and of its controller.
 
-    The loop of a drive is: while it goes on, `expose` if `frame_due`, `send` if `command_due`, then `advance`.
+    A drive repeats: `expose` if `frame_due`, `send` if `command_due`, then `advance`.
     """
 
     def __init__(self, world: World, sensing: Sensing, seed: int, command_rate: float) -> None:
-        """Connect to a world.
+        """Connect camera and command delay to a world.
 
         Args:
             world: the world, at time 0.
@@ -43,17 +43,17 @@ class Plant:
         return self.world.steps >= self._ticks.due
 
     def expose(self) -> Observation | None:
-        """Take the frame that is due; None if the marker is not detected in it."""
+        """Take the due frame; None if the marker is not detected."""
         self._frames.number += 1
         return self._camera.expose(self.world.time, *self.world.marker)
 
     def send(self, throttle: float, steering: float) -> None:
-        """Send the command that is due; it takes effect after the scenario's command delay."""
+        """Send the due command; it takes effect after the scenario's command delay."""
         self._ticks.number += 1
         self._commands.append((self.world.steps + self._delay, throttle, steering))
 
     def advance(self, until: int) -> None:
-        """Apply the commands that have arrived and step to the next event, at the latest to physics step `until`."""
+        """Apply the commands whose delay is over and step to the next event, at most to physics step `until`."""
         world, commands = self.world, self._commands
         while commands and commands[0][0] <= world.steps:
             _, throttle, steering = commands.popleft()

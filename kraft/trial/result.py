@@ -1,4 +1,4 @@
-"""What a trial is, and what is kept of it."""
+"""Specification, outcome and result of a trial."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ompl_ext.vehicle import Vehicle
 
 
 class Outcome(StrEnum):
-    """How a trial ends."""
+    """Outcome of a trial."""
 
     SUCCESS = "success"
     COLLISION = "collision"
@@ -26,7 +26,7 @@ class Outcome(StrEnum):
 
 
 def outcome_text(outcome: str, obstacle: str | None = None, time: float | None = None, digits: int = 2) -> str:
-    """How a trial ended: ``collision with first box after 3.21 s``, without `time` (s) ``collision with first box``."""
+    """Outcome in words: ``collision with first box after 3.21 s``; without `time` (s) ``collision with first box``."""
     text = str(outcome)
     text += f" with {obstacle}" if obstacle else ""
     return text + (f" after {time:.{digits}f} s" if time is not None else "")
@@ -34,10 +34,10 @@ def outcome_text(outcome: str, obstacle: str | None = None, time: float | None =
 
 @dataclass(frozen=True)
 class TrialSpec:
-    """One trial; the same spec gives the same result, byte for byte, in any process.
+    """Specification of a trial; equal specifications give equal results, byte for byte, in any process.
 
-    `vehicle` is the model of itself that the robot plans with.  With `realtime` a cycle's budget is its wall-clock
-    time instead of the method's iterations, and nothing repeats.
+    `vehicle` is the planning model.  With `realtime` the budget of a cycle is its wall-clock time instead of the
+    method's iterations, and results are not repeatable.
     """
 
     scenario: Scenario
@@ -82,7 +82,7 @@ def _vehicle_of_method(method: Method) -> str | None:
 
 @dataclass(frozen=True)
 class Step:
-    """One tick of the controller: truth, belief and command."""
+    """Tick of the controller: true state, estimated state and command."""
 
     time: float
     pose: tuple[float, float, float]
@@ -94,10 +94,10 @@ class Step:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What came of a trial.
+    """Result of a trial.
 
-    `time` is when it ended (s), `obstacle` what was hit; `min_clearance` is the smallest true distance between the
-    vehicle's footprint and an obstacle at any tick of the controller (m).
+    `time` is the time of its end (s), `obstacle` that of the collision, and `min_clearance` the smallest true distance
+    between the vehicle's footprint and an obstacle at any tick of the controller (m).
     """
 
     scenario: str
@@ -113,10 +113,10 @@ class TrialResult:
 
     @property
     def contingencies(self) -> int:
-        """Cycles in which the contingency was committed instead of a plan."""
+        """Number of cycles that committed the contingency instead of a plan."""
         return sum(cycle.kind == "contingency" for cycle in self.cycles)
 
     @property
     def missed(self) -> int:
-        """Cycles whose planning took longer than there was time."""
+        """Number of cycles that exceeded their planning time."""
         return sum(cycle.missed for cycle in self.cycles)

@@ -1,6 +1,6 @@
-"""One trial: a robot with a model of itself drives in a world that is different.
+"""One trial: a robot with an approximate model of itself drives in the simulated world.
 
-`run_trial` is the main path of the package; read it, then `kraft.driving.replanner.Replanner.step`, then
+`run_trial` is the main path of the package; read it first, then `kraft.driving.replanner.Replanner.step`, then
 `ompl_ext.kernels.dirt`.
 """
 
@@ -33,19 +33,19 @@ def run_trial(
     """Drive until the goal, a collision or the time limit.
 
     Args:
-        spec: scenario, method, model and seed; the result depends on nothing else (unless it is `realtime`).
-        on_cycle: is shown each cycle as it is committed.
-        on_step: is shown the world after each tick of the controller.
+        spec: scenario, method, model and seed; unless it is `realtime`, the result depends on nothing else.
+        on_cycle: called with each cycle when it is committed.
+        on_step: called with the world after each tick of the controller.
         keep_trees: keep a copy of the planner's tree in each cycle.
 
     Raises:
-        InputError: if the model is not one of a car with throttle and steering.
+        InputError: if the model is not of a car with throttle and steering.
         Defect: if a plan fails its verification.
     """
     trial = _Trial(spec, keep_trees)
     log = _Log(on_cycle, on_step)
     while (outcome := trial.outcome) is None:
-        trial.see(log)
+        trial.observe(log)
         trial.receive()
         trial.replan(log)
         trial.control(log)
@@ -67,7 +67,7 @@ def run_trial(
 
 @dataclass
 class _Log:
-    """What is kept, and who is shown it."""
+    """Recorded cycles, steps and observations, and the callbacks that receive them."""
 
     on_cycle: OnCycle | None
     on_step: OnStep | None
@@ -77,7 +77,7 @@ class _Log:
 
 
 class _Trial:
-    """World, camera and robot, and when which of them is due."""
+    """Simulated world and robot of a trial, and the messages on their way between them."""
 
     def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
         scenario, method, vehicle = spec.scenario, spec.method, spec.vehicle
@@ -101,15 +101,15 @@ class _Trial:
 
     @property
     def outcome(self) -> Outcome | None:
-        """How the trial has ended, by what is true; None while it goes on."""
+        """Outcome by the true state; None while the trial goes on."""
         if self.world.collision is not None:
             return Outcome.COLLISION
         if self.world.in_goal:
             return Outcome.SUCCESS
         return Outcome.TIMEOUT if self.world.time >= self._limit - 1e-9 else None
 
-    def see(self, log: _Log) -> None:
-        """Expose a frame if one is due, and take in what has arrived."""
+    def observe(self, log: _Log) -> None:
+        """Take a frame if one is due, and give the observations that have arrived to the estimator."""
         now = self.world.time
         if self._plant.frame_due:
             observation = self._plant.expose()
@@ -122,24 +122,24 @@ class _Trial:
             self._estimator.observe(observation)
 
     def receive(self) -> None:
-        """Track from now on what was committed for the cycle that has begun."""
+        """Track the reference of the cycle that has begun."""
         while self._sent and self._sent[0][0] <= self.world.time + 1e-9:
             self._reference = self._sent.pop(0)[1]
 
     def replan(self, log: _Log) -> None:
-        """Let the replanner decide when it is due; what it commits is on its way until its cycle begins."""
+        """Replan if a cycle is due; its reference is tracked from the beginning of the cycle on."""
         now = self.world.time
         if now < self._replanner.next_step - 1e-9:
             return
         cycle = self._replanner.step(self._estimator.replanning_estimate(now), self._reference)
         self._sent.append((cycle.time, cycle.reference))
-        self.receive()  # without lead and delay it begins at once
+        self.receive()  # without lead and delay the cycle begins now
         log.cycles.append(cycle)
         if log.on_cycle is not None:
             log.on_cycle(cycle)
 
     def control(self, log: _Log) -> None:
-        """Send a command if one is due."""
+        """Send a command if one is due, and record the step."""
         now, world = self.world.time, self.world
         if not self._plant.command_due:
             return
@@ -148,13 +148,13 @@ class _Trial:
         self._plant.send(float(command[0]), float(command[1]))
         self._estimator.commanded(now, command)
         x, y, theta = map(float, world.pose)
-        self.approach.show(x, y, theta)
+        self.approach.add(x, y, theta)
         step = Step(now, (x, y, theta), world.speed, estimate.state, command, len(log.cycles) - 1)
         log.steps.append(step)
         if log.on_step is not None:
             log.on_step(world, step)
 
     def advance(self) -> None:
-        """Let commands take effect and time pass, to the next event."""
+        """Advance the world to the next event."""
         until = min(self._replanner.next_step, self._limit)
         self._plant.advance(math.ceil(until / self.world.dt - 1e-6))

@@ -1,4 +1,4 @@
-"""`kraft eval`: run many trials and show the table."""
+"""`kraft eval`: run many trials and print their tables."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ ClusterAddress = Annotated[
     str | None, typer.Option("--cluster", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
 ]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="New results folder; results/eval-TIME-seedN.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the folder of --out.")]
-Realtime = Annotated[bool, typer.Option("--realtime", help="Plan by the clock and count missed deadlines.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume the evaluation in the folder of --out.")]
+Realtime = Annotated[
+    bool, typer.Option("--realtime", help="Limit planning by wall-clock time and count missed deadlines.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -46,37 +48,37 @@ def eval_(
 ) -> ExitStatus:
     """Run methods in scenarios many times and compare them; collisions are results, not errors."""
     from kraft_cli.progress import Interrupts, Progress
-    from kraft_cli.work.evaluate import Request, carry_out, complete, resume_command
+    from kraft_cli.work.evaluate import EvalRequest, complete_request, resume_command, run_evaluation
 
     terminal: Terminal = context.obj
-    request = complete(
-        Request(tuple(scenarios or ()), trials, methods, vehicle, seed, jobs, cluster, out, resume, realtime)
+    request = complete_request(
+        EvalRequest(tuple(scenarios or ()), trials, methods, vehicle, seed, jobs, cluster, out, resume, realtime)
     )
     with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
         try:
-            evaluation = carry_out(request, progress)
+            evaluation = run_evaluation(request, progress)
         except BaseException:
             progress.close()
-            if progress.begun:
-                terminal.problem(f"every finished trial is kept; to go on: {resume_command(request)}")
+            if progress.has_started:
+                terminal.problem(f"every finished trial is kept; to resume: {resume_command(request)}")
             raise
     if not evaluation.complete:
-        terminal.problem(f"stopped; every finished trial is kept; to go on: {resume_command(request)}")
+        terminal.problem(f"stopped; every finished trial is kept; to resume: {resume_command(request)}")
         return ExitStatus.INTERRUPTED
-    return _show(terminal, evaluation, json)
+    return _print_results(terminal, evaluation, json)
 
 
-def _show(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
-    from kraft.evaluation.summary import SCHEMA, json_content
+def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
+    from kraft.evaluation.summary import SCHEMA, evaluation_json
     from kraft.text import counted
     from kraft_cli.tables import show_tables
 
     if json:
-        content = {**json_content(evaluation.summary), "folder": str(evaluation.folder)}
+        content = {**evaluation_json(evaluation.summary), "folder": str(evaluation.folder)}
         terminal.json(SCHEMA, content)
     else:
         show_tables(terminal, evaluation.summary)
-        terminal.say(f"results in {evaluation.folder}; to look at: {evaluation.folder}/report.html")
+        terminal.say(f"results in {evaluation.folder}; page: {evaluation.folder}/report.html")
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:
         terminal.problem(f"{row.scenario}, {row.method}, seed {row.seed}: failed: {row.error}")

@@ -1,4 +1,4 @@
-"""`kraft record`: drive open-loop manoeuvres in simulation and write logs of them."""
+"""`kraft record`: drive open-loop manoeuvres in simulation and write their logs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from kraft_cli.work.record import Recorded
+    from kraft_cli.work.record import RecordedRun
 
 Scenario = Annotated[str, typer.Argument(metavar="[SCENARIO]", help="A bundled name or the path of a file.")]
 Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
@@ -28,21 +28,21 @@ def record(
     seed: Seed = 0,
     json: Json = False,
 ) -> ExitStatus:
-    """Drive manoeuvres without feedback in simulation and write what was commanded and seen, for kraft sysid."""
+    """Drive manoeuvres without feedback in simulation and log commands and measured poses, for kraft sysid."""
     from kraft.text import counted
-    from kraft_cli.work.record import Request, carry_out
+    from kraft_cli.work.record import RecordRequest, record_logs
 
     terminal: Terminal = context.obj
-    done: list[Recorded] = []
+    done: list[RecordedRun] = []
 
-    def ended(run: Recorded) -> None:
+    def ended(run: RecordedRun) -> None:
         done.append(run)
         note = f"; {run.note}" if run.note else ""
         poses = counted(run.poses, "pose")
         terminal.say(f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
     try:
-        carry_out(Request(scenario, out, runs, seed), terminal.say, ended)
+        record_logs(RecordRequest(scenario, out, runs, seed), terminal.say, ended)
     except KeyboardInterrupt:
         kept = f"; {len(done)} of {counted(runs, 'run')} kept in {out}" if done else " before the first run ended"
         terminal.problem(f"stopped{kept}")
@@ -54,7 +54,7 @@ def record(
     return ExitStatus.DONE
 
 
-def _content(scenario: str, seed: int, out: Path, done: list[Recorded]) -> dict[str, object]:
+def _content(scenario: str, seed: int, out: Path, done: list[RecordedRun]) -> dict[str, object]:
     runs = [
         {
             "folder": str(run.folder),

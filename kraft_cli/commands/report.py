@@ -1,4 +1,4 @@
-"""`kraft report`: make the page about an evaluation."""
+"""`kraft report`: write the page of an evaluation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The page to writ
 
 
 def report(context: typer.Context, results: Folder, out: Out = None) -> ExitStatus:
-    """Make a page for a browser of what kraft eval found, also while it runs or after it was stopped."""
+    """Write a page for a browser about the results of kraft eval, also while it runs or after it was stopped."""
     from kraft.evaluation.report import write_report
     from kraft.text import counted
     from kraft_cli.work.run import run_command

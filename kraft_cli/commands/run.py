@@ -1,4 +1,4 @@
-"""`kraft run`: drive one trial, cycle by cycle."""
+"""`kraft run`: drive one trial."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ VehicleName = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write everything about the trial into a new folder.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4.")]
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the run: FILE.png, .svg or .pdf.")]
@@ -34,19 +34,19 @@ def run(
     plot: Plot = None,
     json: Json = False,
 ) -> ExitStatus:
-    """Drive a scenario once in simulation; it ends with 1 if the goal is not reached."""
+    """Drive a scenario once in simulation; the exit code is 1 if the goal is not reached."""
     from kraft.trial.result import Outcome
     from kraft_cli.tables import show_rows
-    from kraft_cli.work.run import Request, carry_out, cycle_line, json_content, table_rows
+    from kraft_cli.work.run import RunRequest, cycle_line, run_json, run_scenario, run_table
     from kraft_cli.work.run_folder import SCHEMA
-    from kraft_cli.work.watching import Wanted
+    from kraft_cli.work.trial_outputs import OutputOptions
 
     terminal: Terminal = context.obj
-    request = Request(scenario, method, vehicle, seed, out, Wanted(video, view, plot))
-    driven = carry_out(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)), terminal.detail)
+    request = RunRequest(scenario, method, vehicle, seed, out, OutputOptions(video, view, plot))
+    driven = run_scenario(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)), terminal.detail)
     success = driven.result.outcome is Outcome.SUCCESS
     if json:
-        terminal.json(SCHEMA, json_content(driven))
+        terminal.json(SCHEMA, run_json(driven))
     else:
-        show_rows(terminal, table_rows(driven), good=success)
+        show_rows(terminal, run_table(driven), good=success)
     return ExitStatus.DONE if success else ExitStatus.NEGATIVE

@@ -1,4 +1,4 @@
-"""An evaluation as it was asked for on a command line: what was left out, what to record, how to ask for it again."""
+"""`kraft eval` without a terminal: from its options to an evaluation, and the command that resumes it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any, Final
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import manifest
-from kraft.evaluation.evaluator import Evaluation, Watch, evaluate
+from kraft.evaluation.evaluator import Evaluation, Observer, evaluate
 from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS
 from kraft.evaluation.folder import check_exists, default_path
 from kraft_cli.work.run import run_command
 
 
 @dataclass(frozen=True)
-class Request:
-    """Options of `kraft eval` as they were written; None and empty for what was left out."""
+class EvalRequest:
+    """Options of `kraft eval` as written; None or empty where an option was left out."""
 
     scenarios: tuple[str, ...] = ()
     trials: int | None = None
@@ -32,8 +32,8 @@ class Request:
     realtime: bool = False
 
 
-UNSAID: Final = Request()
-READERS: Final[dict[str, Callable[[Any], Any]]] = {
+DEFAULTS: Final = EvalRequest()
+OPTION_FROM_MANIFEST: Final[dict[str, Callable[[Any], Any]]] = {
     "scenarios": lambda value: tuple(map(str, value)),
     "methods": lambda value: ",".join(map(str, value)),
     "vehicle": lambda value: None if value is None else str(value),
@@ -41,27 +41,29 @@ READERS: Final[dict[str, Callable[[Any], Any]]] = {
     "seed": int,
     "realtime": bool,
 }
-"""How each of a manifest's arguments becomes the option again."""
+"""Conversion of each argument in a manifest to the option."""
 OPTIONAL: Final = ("vehicle", "realtime")
-"""Options whose absence says something too."""
+"""Options that a manifest need not have."""
 
 
-def complete(request: Request) -> Request:
-    """Fill in where to write, and when going on, whatever was not said about what to run, from the folder.
+def complete_request(request: EvalRequest) -> EvalRequest:
+    """Add the results folder, and when resuming, the options that were left out from the folder's manifest.
 
     Raises:
-        InputError: if there is no folder to go on with, or its manifest does not say it.
+        InputError: if the folder to resume does not exist, or its manifest lacks an option.
     """
     if request.resume:
         if request.out is None:
-            raise InputError.of("--resume", "is given without --out", "expected the folder to go on with", Code.MISSING)
+            raise InputError.of(
+                "--resume", "is given without --out", "expected the folder of the evaluation to resume", Code.MISSING
+            )
         check_exists(request.out)
-        return _recorded(request, request.out / manifest.NAME)
+        return _with_recorded_arguments(request, request.out / manifest.NAME)
     return replace(request, out=request.out or default_path(request.seed or 0))
 
 
-def carry_out(request: Request, watch: Watch) -> Evaluation:
-    """Run what is asked for; see `evaluate` for what is raised."""
+def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
+    """Run the evaluation of a request; see `evaluate` for its exceptions."""
     arguments = arguments_of(request)
     try:
         return evaluate(
@@ -75,7 +77,7 @@ def carry_out(request: Request, watch: Watch) -> Evaluation:
             resume=request.resume,
             realtime=request.realtime,
             cluster=request.cluster,
-            watch=watch,
+            observer=observer,
             arguments=arguments,
             command_line=run_command,
         )
@@ -83,15 +85,15 @@ def carry_out(request: Request, watch: Watch) -> Evaluation:
         raise InputError(_with_resume(diagnostic, request) for diagnostic in error.diagnostics) from error
 
 
-def _with_resume(diagnostic: Diagnostic, request: Request) -> Diagnostic:
-    """The same problem; where it is that the folder exists, with the options that go on with it."""
+def _with_resume(diagnostic: Diagnostic, request: EvalRequest) -> Diagnostic:
+    """Diagnostic with the options that resume the folder, if the problem is that the folder exists."""
     if diagnostic.code is not Code.EXISTS or diagnostic.file != str(request.out):
         return diagnostic
-    return replace(diagnostic, expected=f"expected a new folder, or --out {request.out} --resume to go on with it")
+    return replace(diagnostic, expected=f"expected a new folder, or --out {request.out} --resume to continue this one")
 
 
-def arguments_of(request: Request) -> dict[str, Any]:
-    """What the manifest records: everything that defines the evaluation, defaults filled in."""
+def arguments_of(request: EvalRequest) -> dict[str, Any]:
+    """Arguments that the manifest records: everything that defines the evaluation, with defaults."""
     methods = METHODS if request.methods is None else [name.strip() for name in request.methods.split(",")]
     return {
         "scenarios": list(request.scenarios or SCENARIOS),
@@ -103,8 +105,8 @@ def arguments_of(request: Request) -> dict[str, Any]:
     }
 
 
-def resume_command(request: Request) -> str:
-    """The command that goes on with the evaluation."""
+def resume_command(request: EvalRequest) -> str:
+    """Command that resumes the evaluation."""
     words = ["kraft", "eval", *request.scenarios]
     options = {
         "--trials": request.trials,
@@ -120,23 +122,23 @@ def resume_command(request: Request) -> str:
     return shlex.join([*words, "--out", str(request.out), "--resume"])
 
 
-def _recorded(request: Request, path: Path) -> Request:
-    """The request with what its folder was made with, wherever nothing was said; what was said is compared later."""
+def _with_recorded_arguments(request: EvalRequest, path: Path) -> EvalRequest:
+    """Request with options that were left out taken from the manifest; the others are compared later."""
     if not path.exists():
         return request
     arguments = manifest.read_manifest(path).get("arguments")
-    was = arguments if isinstance(arguments, dict) else {}
+    recorded = arguments if isinstance(arguments, dict) else {}
     found: dict[str, Any] = {}
     missing = []
-    for name, read in READERS.items():
-        if getattr(request, name) != getattr(UNSAID, name):
+    for name, read in OPTION_FROM_MANIFEST.items():
+        if getattr(request, name) != getattr(DEFAULTS, name):
             continue
         try:
-            found[name] = read(was[name])
+            found[name] = read(recorded[name])
         except (KeyError, TypeError, ValueError):
             missing.append(name)
     unknown = [name for name in missing if name not in OPTIONAL]
     if unknown:
-        expected = "expected what kraft eval writes there; else say it again"
-        raise InputError.of(f"{path}: arguments", f"does not tell {', '.join(unknown)}", expected)
+        expected = "expected the arguments that kraft eval writes; otherwise give these options again"
+        raise InputError.of(f"{path}: arguments", f"lacks {', '.join(unknown)}", expected, Code.MISSING)
     return replace(request, **found)

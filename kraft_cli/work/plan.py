@@ -17,7 +17,7 @@ from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_
 from kraft.planning.search import Previous, search_named
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
-from kraft.text import counted, grouped
+from kraft.text import counted, finite, grouped, metres
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
@@ -195,9 +195,9 @@ def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
         "nodes": progress.nodes,
         "retained": progress.retained,
         "unsafe": progress.unsafe,
-        "min_clearance_m": _finite(verification.min_clearance) if verification else None,
+        "min_clearance_m": finite(verification.min_clearance) if verification else None,
         "contingency": plan.contingency.manoeuvre if plan and plan.contingency else None,
-        "contingency_clearance_m": _finite(verification.contingency_clearance) if verification else None,
+        "contingency_clearance_m": finite(verification.contingency_clearance) if verification else None,
         "safe": result.safe,
         "problems": [str(problem) for problem in verification.problems] if verification else [],
         "plan_file": str(outcome.plan_file) if outcome.plan_file else None,
@@ -215,10 +215,10 @@ def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
         seconds, cost = progress.first_solution
         rows.append(("first solution", f"{cost:.2f} s, found after {1000 * seconds:.2f} ms"))
     if result.verification is not None:
-        rows.append(("clearance", f"{_metres(result.verification.min_clearance)} at least, verified with FCL"))
+        rows.append(("clearance", f"{metres(result.verification.min_clearance)} at least, verified with FCL"))
     if plan is not None and plan.contingency is not None:
         stop = plan.contingency
-        clearance = _metres(result.verification.contingency_clearance) if result.verification else "-"
+        clearance = metres(result.verification.contingency_clearance) if result.verification else "-"
         stands = stop.times[-1] - stop.times[0]
         rows.append(
             ("contingency", f"{stop.manoeuvre} at {stop.times[0]:.2f} s, stands {stands:.1f} s later, {clearance}")
@@ -241,9 +241,9 @@ def notes(result: PlanResult) -> dict[str, str]:
     plan, verification = result.plan, result.verification
     if plan is None or verification is None:
         return {}
-    found = {"duration": f"{plan.cost:.2f} s", "clearance": _metres(verification.min_clearance)}
+    found = {"duration": f"{plan.cost:.2f} s", "clearance": metres(verification.min_clearance)}
     if plan.contingency is not None:
-        found["contingency"] = f"{plan.contingency.manoeuvre}, {_metres(verification.contingency_clearance)}"
+        found["contingency"] = f"{plan.contingency.manoeuvre}, {metres(verification.contingency_clearance)}"
     return {**found, "iterations": f"{result.progress.iterations:,}", "nodes": f"{result.progress.nodes:,}"}
 
 
@@ -269,11 +269,3 @@ def _search(result: PlanResult) -> str:
 def _rate(result: PlanResult) -> float | None:
     progress = result.progress
     return progress.edges / progress.seconds if progress.edges and progress.seconds > 0 else None
-
-
-def _metres(value: float | None) -> str:
-    return "no obstacle" if value is None or math.isinf(value) else f"{value:.3f} m"
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""`kraft record` without a terminal: from what was asked to a folder of logs."""
+"""`kraft record` without a terminal: from its options to a folder of logs."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ RUNS: Final = 10
 
 
 @dataclass(frozen=True)
-class Request:
-    """What was asked for, as it was written; `out` is a new folder."""
+class RecordRequest:
+    """Options of `kraft record` as written; `out` is a new folder."""
 
     scenario: str = "training"
     out: Path = Path("logs")
@@ -26,8 +26,8 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """What one run left: its folder, what was driven and for how long (s), how much was logged, and what was noted."""
+class RecordedRun:
+    """Recorded run: folder, manoeuvre, duration (s), numbers of logged commands and poses, and why it ended early."""
 
     folder: Path
     manoeuvre: str
@@ -37,14 +37,14 @@ class Recorded:
     note: str
 
 
-def carry_out(
-    request: Request, say: Callable[[str], None], on_run: Callable[[Recorded], None] | None = None
-) -> tuple[Recorded, ...]:
-    """Record every run; each is written as soon as it is over, so that an interruption keeps the finished ones.
+def record_logs(
+    request: RecordRequest, say: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
+) -> tuple[RecordedRun, ...]:
+    """Record all runs; each is written when it ends, so that an interrupt keeps the finished ones.
 
     Raises:
-        InputError: with what is wrong with the request or the files it names, before anything is driven; if the
-            scenario has no room.
+        InputError: with the problems of the request and of the files it names, before the first run; if the scenario
+            has no free space for a run.
     """
     problems = []
     if request.runs < 1:
@@ -55,10 +55,10 @@ def carry_out(
         raise InputError(problems)
     scenario = load_scenario(request.scenario)
     vehicle = vehicle_of_task(scenario)
-    from kraft.recording.log_folder import check_target, write_recording  # these load the simulator
+    from kraft.recording.log_folder import check_log_folder, write_recording  # these load the simulator
     from kraft.recording.recorder import Recorder
 
-    check_target(request.out)
+    check_log_folder(request.out)
     ensure_compiled(vehicle, say)
     recorder = Recorder(scenario, vehicle, request.seed)
     arguments = {"scenario": request.scenario, "runs": request.runs, "seed": request.seed}
@@ -67,7 +67,7 @@ def carry_out(
         recording = recorder.record(number)
         folder = write_recording(request.out, scenario, arguments, recording)
         logged = len(recording.commands), len(recording.poses)
-        done.append(Recorded(folder, recording.manoeuvre.name, recording.end, *logged, recording.note))
+        done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note))
         if on_run is not None:
             on_run(done[-1])
     return tuple(done)

@@ -1,4 +1,4 @@
-"""`kraft run` without a terminal: from what was asked, by names and paths, to a trial that is driven and written."""
+"""`kraft run` without a terminal: from its options to a trial that is driven and written."""
 
 from __future__ import annotations
 
@@ -18,54 +18,54 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.text import finite, metres
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
-from kraft_cli.work.run_folder import check_target, write_run
+from kraft_cli.work.run_folder import check_run_folder, write_run
+from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
-from kraft_cli.work.watching import NOTHING, Wanted, Watchers
 
 
 @dataclass(frozen=True)
-class Request:
-    """What was asked for, as it was written; `out` is a new folder, None writes nothing."""
+class RunRequest:
+    """Options of `kraft run` as written; `out` is a new folder, None writes nothing."""
 
     scenario: str
     method: str = "kraft"
     vehicle: str | None = None
     seed: int = 0
     out: Path | None = None
-    wanted: Wanted = NOTHING
+    outputs: OutputOptions = NO_OUTPUT
 
 
 @dataclass(frozen=True)
 class Run:
-    """A request, what it was understood as, and what came of it."""
+    """Request with its resolved trial and the result."""
 
-    request: Request
+    request: RunRequest
     spec: TrialSpec
     result: TrialResult = field(repr=False)
 
 
-def carry_out(
-    request: Request,
+def run_scenario(
+    request: RunRequest,
     say: Callable[[str], None],
     on_cycle: Callable[[Cycle], None] | None = None,
     detail: Callable[[str], None] = discard_message,
 ) -> Run:
-    """Load, check, drive, write.
+    """Load, check, drive and write a trial.
 
-    `say` is told what takes long, `detail` what -v asks for, and `on_cycle` is shown each cycle as it is committed.
+    `say` receives messages about what takes long, `detail` those of ``-v``, and `on_cycle` each committed cycle.
 
     Raises:
-        InputError: with what is wrong with the request or the files it names, before anything is driven.
-        Unreachable: if no path leads to the goal, before anything is driven.
-        MissingDependency: if a video or a window is asked for and nothing can be drawn here.
-        Defect: if a plan does not stand up to exact verification.
+        InputError: with the problems of the request and of the files it names, before the drive.
+        Unreachable: if no path leads to the goal, before the drive.
+        MissingDependency: if a video or a window is requested and no image can be rendered.
+        Defect: if a plan fails its exact verification.
     """
     timer = StageTimer(detail)
     experiment = _experiment(request)
     out = request.out
-    check_all(*([] if out is None else [lambda: check_target(out)]), request.wanted.check)
+    check_all(*([] if out is None else [lambda: check_run_folder(out)]), request.outputs.check)
     cell = experiment.cells[0]
-    _tell(detail, cell)
+    _log_details(detail, cell)
     timer.report("loaded and checked")
     ensure_compiled(cell.vehicle, say)
     check_reachable(cell.scenario.task(), cell.vehicle)
@@ -73,19 +73,19 @@ def carry_out(
 
     timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
-    with Watchers(request.wanted, spec, on_cycle) as watchers:
-        result = run_trial(spec, watchers.on_cycle, watchers.on_step, keep_trees=watchers.keep_trees)
-        watchers.finish(result)
-    timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.wanted != NOTHING else ""))
+    with TrialOutputs(request.outputs, spec, on_cycle) as outputs:
+        result = run_trial(spec, outputs.on_cycle, outputs.on_step, keep_trees=outputs.keep_trees)
+        outputs.finish(result)
+    timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
     run = Run(request, spec, result)
     if request.out is not None:
         arguments = {"scenario": request.scenario, "method": request.method, "vehicle": request.vehicle}
-        write_run(request.out, experiment, arguments, cell.vehicle, run.result, json_content(run))
+        write_run(request.out, experiment, arguments, cell.vehicle, run.result, run_json(run))
         timer.report("written")
     return run
 
 
-def _tell(detail: Callable[[str], None], cell: Cell) -> None:
+def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
     detail(f"scenario {cell.scenario.name}: {cell.scenario.source.file}")
     planner, controller = cell.method.planner, cell.method.controller
     detail(f"method {cell.method.name}: {cell.method.source.file}")
@@ -94,15 +94,15 @@ def _tell(detail: Callable[[str], None], cell: Cell) -> None:
         detail(line)
 
 
-def _experiment(request: Request) -> Experiment:
-    """The trial as an evaluation of one, with its checks."""
+def _experiment(request: RunRequest) -> Experiment:
+    """Evaluation of this one trial, with its checks."""
     if not request.method:
         raise InputError.of_argument("method", "is empty", "expected the name of a method")
     return experiment_of([request.scenario], [request.method], vehicle=request.vehicle, trials=1, seed=request.seed)
 
 
-def json_content(run: Run) -> dict[str, Any]:
-    """Content of the ``kraft.run/1`` object; `t_ex_s` is when the trial ended, however it did."""
+def run_json(run: Run) -> dict[str, Any]:
+    """Content of the ``kraft.run/1`` object; `t_ex_s` is the time of the end, whatever the outcome."""
     spec, result = run.spec, run.result
     planning = _planning(result)
     return {
@@ -123,27 +123,27 @@ def json_content(run: Run) -> dict[str, Any]:
     }
 
 
-def table_rows(run: Run) -> list[tuple[str, str]]:
-    """Label and value of each line of the table that a person reads."""
+def run_table(run: Run) -> list[tuple[str, str]]:
+    """Labels and values of the result table."""
     result, planning = run.result, _planning(run.result)
     rows = [
         ("scenario", result.scenario),
         ("method", run.spec.method.title),
         ("vehicle", run.spec.vehicle.name),
         ("result", outcome_text(result.outcome, result.obstacle, result.time)),
-        ("clearance", f"{metres(result.min_clearance)} at least"),
+        ("clearance", f"{metres(result.min_clearance, '-')} at least"),
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
     ]
     if planning:
-        slow = f", {result.missed} took too long" if result.missed else ""
+        slow = f", {result.missed} exceeded the planning time" if result.missed else ""
         rows.append(("planning", f"{percentile(planning, 0.5):.1f} ms median, {max(planning):.1f} ms worst{slow}"))
-    wanted = run.request.wanted
-    made = (("film", wanted.video), ("picture", wanted.plot), ("written to", run.request.out))
+    outputs = run.request.outputs
+    made = (("film", outputs.video), ("picture", outputs.plot), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]
 
 
 def run_command(scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
-    """The command that drives a trial again, and films it into the file `video`."""
+    """Command that repeats a trial, and films it into `video`."""
     words = ["kraft", "run", scenario, "--method", method]
     words += [] if vehicle is None else ["--vehicle", vehicle]
     words += ["--seed", str(seed)]
@@ -152,11 +152,11 @@ def run_command(scenario: str, method: str, vehicle: str | None, seed: int, vide
 
 
 def cycle_line(cycle: Cycle) -> str:
-    """Time, speed, cost to goal, clearance, and what was committed and why."""
+    """Progress line of a cycle: time, speed, cost to goal, clearance, what was committed and why."""
     to_goal = f"{cycle.cost_to_goal:5.2f} s" if math.isfinite(cycle.cost_to_goal) else "  -    "
     reason = f": {cycle.reason}" if cycle.reason else ""
     return (
-        f"{cycle.time:6.2f} s  {cycle.speed:5.2f} m/s  to goal {to_goal}  clearance {metres(cycle.clearance)}  "
+        f"{cycle.time:6.2f} s  {cycle.speed:5.2f} m/s  to goal {to_goal}  clearance {metres(cycle.clearance, '-')}  "
         f"{cycle.kind}{reason}"
     )
 

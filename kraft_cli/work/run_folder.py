@@ -1,4 +1,4 @@
-"""The folder that `kraft run --out` writes: everything about one trial, as files that any tool reads."""
+"""Folder that `kraft run --out` writes: one trial as CSV and JSON files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.driving.messages import Cycle, Reference
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.files import check_writable, write_csv, write_json, write_whole
@@ -20,14 +20,14 @@ MANIFEST_SCHEMA: Final = "kraft.run-manifest/1"
 SCHEMA: Final = "kraft.run/1"
 
 
-def check_target(folder: Path) -> None:
-    """Refuse a folder that exists, and a place that cannot be written.
+def check_run_folder(folder: Path) -> None:
+    """Check that a new folder of a run can be created.
 
     Raises:
-        InputError: if it is one of these.
+        InputError: if the folder exists or cannot be written.
     """
     if folder.exists():
-        raise InputError.of(str(folder), "is there already", "expected a new folder")
+        raise InputError.of(str(folder), "is there already", "expected a new folder", Code.EXISTS)
     check_writable(folder)
 
 
@@ -39,10 +39,10 @@ def write_run(
     result: TrialResult,
     content: Mapping[str, Any],
 ) -> None:
-    """Write a trial into a new folder; `content` is what ``--json`` prints.
+    """Write a trial into a new folder; `content` is the JSON object of the run.
 
     Raises:
-        InputError: if it cannot be written.
+        InputError: if a file cannot be written.
     """
     recorded = {**manifest.manifest_of(experiment, arguments), "schema": MANIFEST_SCHEMA}
     write_csv(folder / "steps.csv", step_heading(vehicle), _steps(result))
@@ -71,7 +71,7 @@ def _observations(result: TrialResult) -> Iterator[list[float]]:
 
 
 def cycle_content(cycle: Cycle) -> dict[str, Any]:
-    """A cycle as one JSON object; what is infinite is null."""
+    """JSON object of a cycle; infinite values are null."""
     return {
         "number": cycle.number,
         "time": float(cycle.time),

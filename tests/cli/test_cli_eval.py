@@ -271,9 +271,9 @@ def test_the_first_interrupt_is_a_wish_and_handlers_are_as_before_afterwards() -
     before = signal.getsignal(signal.SIGINT)
     terminal = Terminal(io.StringIO(), io.StringIO())
     with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
-        assert not progress.stop()
+        assert not progress.stop_requested()
         signal.raise_signal(signal.SIGINT)
-        assert progress.stop()
+        assert progress.stop_requested()
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before

@@ -18,7 +18,7 @@ from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from kraft_cli.work.run import Request, carry_out, cycle_line, table_rows
+from kraft_cli.work.run import RunRequest, cycle_line, run_scenario, run_table
 
 KEYS = {
     "scenario", "method", "seed", "outcome", "t_ex_s", "cycles", "contingencies", "min_clearance_m", "planning_ms_p50",
@@ -96,15 +96,15 @@ def test_the_folder_holds_every_tick_cycle_and_observation(capsys: pytest.Captur
 
 def test_the_same_seed_drives_the_same_and_another_seed_differently() -> None:
     def driven(seed: int) -> str:
-        return digest(carry_out(Request("short.yaml", seed=seed), lambda _: None).result)
+        return digest(run_scenario(RunRequest("short.yaml", seed=seed), lambda _: None).result)
 
     assert driven(2) == driven(2) != driven(3)
 
 
 def test_each_cycle_is_told_when_it_is_committed() -> None:
     told: list[str] = []
-    run = carry_out(
-        Request("short.yaml", "oneshot-openloop"), told.append, lambda cycle: told.append(cycle_line(cycle))
+    run = run_scenario(
+        RunRequest("short.yaml", "oneshot-openloop"), told.append, lambda cycle: told.append(cycle_line(cycle))
     )
     assert told[-len(run.result.cycles) :] == [cycle_line(cycle) for cycle in run.result.cycles]
     assert re.match(r"  0\.00 s   0\.00 m/s  to goal  \d\.\d\d s  clearance \d\.\d{3} m  plan", told[-1])
@@ -121,9 +121,9 @@ def test_a_collision_names_what_was_hit(short: Path) -> None:
     """Blind driving on a floor that steers the car to one side ends at the wall or the box."""
     text = SHORT.replace("center: [2, 2.5]", "center: [1.9, 1.42]")
     short.write_text(text + "truth: {vehicle: {steering_offset_deg: 12}}\n")
-    run = carry_out(Request("short.yaml", "oneshot-openloop"), lambda _: None)
+    run = run_scenario(RunRequest("short.yaml", "oneshot-openloop"), lambda _: None)
     assert run.result.outcome == "collision"
-    assert dict(table_rows(run))["result"].startswith("collision with pillar after ")
+    assert dict(run_table(run))["result"].startswith("collision with pillar after ")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from support import fake_trials
-from support.evaluation import Stopping, kept
+from support.evaluation import StoppingObserver, kept
 from support.paths import ROOT
 
 from kraft.errors import InputError, MissingDependency
@@ -78,15 +78,15 @@ def dask(started: list[Dask], tmp_path: Path) -> Dask:
     return started[-1]
 
 
-class Killing(Stopping):
+class KillingObserver(StoppingObserver):
     """Kills a process after some trials."""
 
     def __init__(self, process: subprocess.Popen[bytes], after: int) -> None:
         super().__init__()
         self._process, self._after = process, after
 
-    def ended(self, row: TrialRow) -> None:
-        super().ended(row)
+    def trial_ended(self, row: TrialRow) -> None:
+        super().trial_ended(row)
         if len(self.rows) == self._after:
             self._process.kill()
 
@@ -100,11 +100,11 @@ def run(dask: Dask, trial: fake_trials.Trial, trials: int, **options: Any) -> ev
 def test_with_a_worker_killed_every_trial_arrives_once_and_the_same(
     dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    watch = Killing(dask.workers[0], 4)
-    found = run(dask, fake_trials.slow, 4, out=tmp_path / "out", watch=watch)
+    observer = KillingObserver(dask.workers[0], 4)
+    found = run(dask, fake_trials.slow, 4, out=tmp_path / "out", observer=observer)
     assert found.complete
     assert dask.workers[0].poll() is not None
-    keys = [row.key for row in watch.rows]
+    keys = [row.key for row in observer.rows]
     assert len(keys) == len(set(keys)) == 16
     fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
     evaluate(*CELLS, 4, 0, out=tmp_path / "here")
@@ -114,19 +114,19 @@ def test_with_a_worker_killed_every_trial_arrives_once_and_the_same(
 def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
     dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    watch = Killing(dask.scheduler, 3)
+    observer = KillingObserver(dask.scheduler, 3)
     with pytest.raises(InputError, match=r"cluster: the scheduler at tcp://.* went away"):
-        run(dask, fake_trials.slow, 4, out=tmp_path / "out", watch=watch)
+        run(dask, fake_trials.slow, 4, out=tmp_path / "out", observer=observer)
     fake_trials.use(monkeypatch, fake_trials.slow, inline=True)
-    rest = Stopping()
-    assert evaluate(*CELLS, 4, 0, out=tmp_path / "out", resume=True, watch=rest).complete
-    assert len(watch.rows) + len(rest.rows) == 16
+    rest = StoppingObserver()
+    assert evaluate(*CELLS, 4, 0, out=tmp_path / "out", resume=True, observer=rest).complete
+    assert len(observer.rows) + len(rest.rows) == 16
 
 
 def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused(
     dask: Dask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stopped = run(dask, fake_trials.slow, 6, watch=Stopping(3))
+    stopped = run(dask, fake_trials.slow, 6, observer=StoppingObserver(3))
     assert not stopped.complete
     assert 3 <= len(stopped.rows) <= 3 + 4
     monkeypatch.setattr(cluster, "versions", lambda _: {"kraft": "99"})
@@ -135,7 +135,7 @@ def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused
 
 
 def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(cluster, "ANSWER_TIMEOUT", 0.5)
     with pytest.raises(InputError, match=r"cluster: no Dask scheduler answers at tcp://127.0.0.1:9 "):
         evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match=r"cluster: no Dask scheduler answers at nowhere"):

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import fake_trials
-from support.evaluation import Stopping, kept, room_for
+from support.evaluation import StoppingObserver, kept, room_for
 from support.paths import ROOT
 
 from kraft.errors import InputError
-from kraft.evaluation import Evaluation, TrialRow, Watch, evaluate, folder, manifest
+from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder, manifest
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
 from kraft.vehicles.load import load_vehicle
@@ -29,9 +29,11 @@ def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
 
 
-def run(out: Path, *, resume: bool = False, trials: int = 3, watch: Watch | None = None, **options: Any) -> Evaluation:
+def run(
+    out: Path, *, resume: bool = False, trials: int = 3, observer: Observer | None = None, **options: Any
+) -> Evaluation:
     arguments = {"scenarios": SCENARIOS, "methods": METHODS, **options}
-    return evaluate(trials=trials, seed=5, out=out, resume=resume, watch=watch, **arguments)
+    return evaluate(trials=trials, seed=5, out=out, resume=resume, observer=observer, **arguments)
 
 
 def test_a_folder_holds_everything(tmp_path: Path) -> None:
@@ -87,12 +89,12 @@ def test_nothing_is_written_where_there_is_a_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize("after", [0, 1, 7, 11])
 def test_a_stopped_evaluation_goes_on_to_the_same_result(after: int, tmp_path: Path) -> None:
     run(tmp_path / "whole")
-    stopped = run(tmp_path / "out", watch=Stopping(after))
+    stopped = run(tmp_path / "out", observer=StoppingObserver(after))
     assert not stopped.complete
     assert len(stopped.rows) == after
     assert not (tmp_path / "out/summary.json").exists()
-    rest = Stopping()
-    assert run(tmp_path / "out", resume=True, watch=rest).complete
+    rest = StoppingObserver()
+    assert run(tmp_path / "out", resume=True, observer=rest).complete
     assert len(rest.rows) == 12 - after
     assert kept(tmp_path / "out") == kept(tmp_path / "whole")
 
@@ -100,20 +102,20 @@ def test_a_stopped_evaluation_goes_on_to_the_same_result(after: int, tmp_path: P
 def test_going_on_with_what_is_complete_runs_nothing(tmp_path: Path) -> None:
     run(tmp_path / "out")
     (tmp_path / "out/summary.json").unlink()
-    again = Stopping()
-    run(tmp_path / "out", resume=True, watch=again)
+    again = StoppingObserver()
+    run(tmp_path / "out", resume=True, observer=again)
     assert again.rows == []
     assert (tmp_path / "out/summary.json").exists()
 
 
 def test_a_torn_last_line_is_told_and_its_trial_repeated(tmp_path: Path) -> None:
     run(tmp_path / "whole")
-    run(tmp_path / "out", watch=Stopping(4))
+    run(tmp_path / "out", observer=StoppingObserver(4))
     path = tmp_path / "out/trials.jsonl"
     path.write_bytes(path.read_bytes()[:-20])
-    rest = Stopping()
-    run(tmp_path / "out", resume=True, watch=rest)
-    assert rest.said == [f"{path}: the last line is torn; its trial is repeated"]
+    rest = StoppingObserver()
+    run(tmp_path / "out", resume=True, observer=rest)
+    assert rest.messages == [f"{path}: the last line is torn; its trial is repeated"]
     assert len(rest.rows) == 9
     assert kept(tmp_path / "out") == kept(tmp_path / "whole")
 
@@ -159,7 +161,7 @@ def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
 def test_a_folder_of_another_configuration_is_refused_field_by_field(
     change: dict[str, Any], expected: list[str], tmp_path: Path
 ) -> None:
-    run(tmp_path / "out", watch=Stopping(2))
+    run(tmp_path / "out", observer=StoppingObserver(2))
     before = (tmp_path / "out/trials.jsonl").read_bytes()
     with pytest.raises(InputError) as caught:
         run(tmp_path / "out", resume=True, **change)
@@ -173,9 +175,9 @@ def test_a_folder_of_another_configuration_is_refused_field_by_field(
 def test_a_changed_file_and_another_version_are_refused(tmp_path: Path) -> None:
     method = tmp_path / "mine.yaml"
     method.write_text("name: mine\ntitle: A\nplanner: {mode: replanning}\ncontroller: {kind: open_loop}\n")
-    run(tmp_path / "out", methods=(method,), watch=Stopping(2))
+    run(tmp_path / "out", methods=(method,), observer=StoppingObserver(2))
     method.write_text(method.read_text().replace("title: A", "title: B  # only words"))
-    run(tmp_path / "out", methods=(method,), watch=Stopping(1), resume=True)
+    run(tmp_path / "out", methods=(method,), observer=StoppingObserver(1), resume=True)
     method.write_text(method.read_text().replace("open_loop", "open_loop, rate_hz: 10"))
     path = tmp_path / "out/manifest.json"
     content = json.loads(path.read_text())
@@ -191,16 +193,16 @@ def test_a_changed_file_and_another_version_are_refused(tmp_path: Path) -> None:
 
 def test_a_full_disk_keeps_every_finished_trial(tmp_path: Path) -> None:
     run(tmp_path / "whole", trials=30)
-    watch = Stopping()
+    observer = StoppingObserver()
     with (
         room_for(30_000),
         pytest.raises(InputError, match=r"trials.jsonl: cannot be written: File too large; expected"),
     ):
-        run(tmp_path / "out", trials=30, watch=watch)
+        run(tmp_path / "out", trials=30, observer=observer)
     content = (tmp_path / "out/trials.jsonl").read_bytes()
     assert content.endswith(b"\n")
     assert 29_000 < len(content) <= 30_000
-    assert len(watch.rows) == len(content.splitlines())
+    assert len(observer.rows) == len(content.splitlines())
     run(tmp_path / "out", trials=30, resume=True)
     assert kept(tmp_path / "out") == kept(tmp_path / "whole")
 
@@ -220,7 +222,7 @@ def test_only_one_process_writes_a_journal(tmp_path: Path) -> None:
 
 
 def test_damage_in_the_middle_is_refused_at_its_line(tmp_path: Path) -> None:
-    run(tmp_path / "out", watch=Stopping(4))
+    run(tmp_path / "out", observer=StoppingObserver(4))
     path = tmp_path / "out/trials.jsonl"
     lines = path.read_text().splitlines()
     other = lines[3].replace('"seed":5', '"seed":99')
@@ -241,11 +243,11 @@ def test_failed_trials_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyP
     fake_trials.use(monkeypatch, fake_trials.raises_once, inline=True)
     broken = run(tmp_path / "out")
     assert broken.summary.failed == len(broken.rows) == 12
-    watch = Stopping(2)
-    assert not run(tmp_path / "out", resume=True, watch=watch).complete
-    watch.after = 100
-    mended = run(tmp_path / "out", resume=True, watch=watch)
-    assert len({row.key for row in watch.rows}) == len(watch.rows) == 12
+    observer = StoppingObserver(2)
+    assert not run(tmp_path / "out", resume=True, observer=observer).complete
+    observer.after = 100
+    mended = run(tmp_path / "out", resume=True, observer=observer)
+    assert len({row.key for row in observer.rows}) == len(observer.rows) == 12
     assert mended.summary.failed == 0
     fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
     run(tmp_path / "whole")

@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pytest
 from support import fake_trials
-from support.evaluation import Stopping, room_for
+from support.evaluation import StoppingObserver, room_for
 from support.paths import ROOT
 
 from kraft.errors import InputError
@@ -134,7 +134,7 @@ def test_without_a_command_line_a_page_names_scenario_method_and_seed_only() -> 
 
 
 def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
-    run(watch=Stopping(after=4))
+    run(observer=StoppingObserver(after=4))
     assert not Path("out/report.html").exists()
     assert main(["report", "out"]) == 0
     out, err = capsys.readouterr()

@@ -69,7 +69,7 @@ def test_a_failed_trial_is_no_success(experiment: Experiment, rows: dict[Key, Tr
 def test_the_json_object_has_the_promised_keys_and_the_papers_numbers(
     experiment: Experiment, rows: dict[Key, TrialRow]
 ) -> None:
-    content = summary.json_content(summary.summarise(experiment, rows, 1.5))
+    content = summary.evaluation_json(summary.summarise(experiment, rows, 1.5))
     assert {"trials", "seed", "wall_s", "results"} <= set(content)
     assert (content["trials"], content["seed"], content["wall_s"]) == (4, 7, 1.5)
     assert all(set(result) >= KEYS for result in content["results"])

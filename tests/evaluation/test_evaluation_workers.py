@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from support import fake_trials
-from support.evaluation import Stopping, kept
+from support.evaluation import StoppingObserver, kept
 from support.paths import ROOT
 
 from kraft.errors import Defect, InputError, MissingDependency
@@ -78,10 +78,10 @@ def test_one_and_two_workers_give_the_same_whatever_ends_first(tmp_path: Path) -
 
 
 def test_a_worker_that_dies_is_replaced_and_its_trial_repeated(left: Path) -> None:
-    watch = Stopping()
-    assert outcomes(run(fake_trials.dies_once, watch=watch)) == outcomes(run(fake_trials.quick, 1))
+    observer = StoppingObserver()
+    assert outcomes(run(fake_trials.dies_once, observer=observer)) == outcomes(run(fake_trials.quick, 1))
     assert len(list(left.glob("*-1-died-*"))) == 2
-    assert watch.said == [
+    assert observer.messages == [
         "the worker of turns, kraft, seed 1 died (killed by SIGKILL); the trial is repeated on a fresh one"
     ]
 

@@ -9,9 +9,9 @@ import pytest
 
 from kraft.errors import InputError
 from kraft.planning.workspace import workspace_of
+from kraft.recording.free_space import MARGIN, STEP, FreeSpace, moved
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, manoeuvre
 from kraft.recording.recorder import COMMAND_RATE, STOP, Recorder, Recording
-from kraft.recording.room import MARGIN, STEP, Room, moved
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
@@ -107,7 +107,7 @@ def test_a_delayed_command_is_logged_when_it_is_sent_and_works_later(runs: list[
 @pytest.mark.parametrize("name", ["turns", "movable"])
 def test_among_obstacles_a_run_ends_before_it_touches_one(name: str) -> None:
     scenario = load_scenario(name)
-    recorder, room = Recorder(scenario, MUSHR, 0), Room(scenario, MUSHR)
+    recorder, room = Recorder(scenario, MUSHR, 0), FreeSpace(scenario, MUSHR)
     for number in (1, 2, 5):
         run = recorder.record(number)
         nearest = min(room.clearance(*pose) for pose in run.truth[:, 1:4])
@@ -118,15 +118,15 @@ def test_among_obstacles_a_run_ends_before_it_touches_one(name: str) -> None:
 
 def test_boxes_that_would_give_way_count_as_obstacles() -> None:
     scenario = load_scenario("movable")
-    assert Room(scenario, MUSHR).clearance(1.75, 2.0, 0.0) == 0.0
+    assert FreeSpace(scenario, MUSHR).clearance(1.75, 2.0, 0.0) == 0.0
     bare = replace(scenario, truth=TRAINING.truth)
-    assert Room(bare, MUSHR).clearance(1.75, 2.0, 0.0) > 0.1
+    assert FreeSpace(bare, MUSHR).clearance(1.75, 2.0, 0.0) > 0.1
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_start_leaves_more_room_with_each_metre_that_will_have_been_driven(seed: int) -> None:
     """0.25 m at first and 0.1 m more for each metre: what docs/record.md promises."""
-    room, metres = Room(TRAINING, MUSHR), np.arange(0.0, 8.05, 0.1)
+    room, metres = FreeSpace(TRAINING, MUSHR), np.arange(0.0, 8.05, 0.1)
     path = np.column_stack([metres, 0 * metres, 0 * metres])
     place = room.place(path, np.random.default_rng(seed))
     assert place.time == pytest.approx(STEP * (len(path) - 1))
@@ -145,7 +145,7 @@ def test_a_start_is_as_far_from_a_box_as_from_the_bounds() -> None:
     metres = np.arange(0.0, 4.05, 0.1)
     path = np.column_stack([metres, 0 * metres, 0 * metres])
     for seed in range(10):
-        room = Room(hall, MUSHR)
+        room = FreeSpace(hall, MUSHR)
         place = room.place(path, np.random.default_rng(seed))
         clearances = np.array([room.clearance(*pose) for pose in moved(path, place.start)])
         assert (clearances >= 0.25 + 0.1 * metres - 1e-9).all()

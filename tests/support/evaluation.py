@@ -1,4 +1,4 @@
-"""What the tests of evaluations share: results without what the clock says, a watch that stops, a full disk."""
+"""What the tests of evaluations share: results without what the clock says, a observer that stops, a full disk."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from kraft.evaluation import TrialRow, Watch
+from kraft.evaluation import Observer, TrialRow
 from kraft.evaluation.summary import WALL_CLOCK
 
 KEYS = {
@@ -18,19 +18,19 @@ KEYS = {
 }  # fmt: skip
 
 
-class Stopping(Watch):
+class StoppingObserver(Observer):
     """Stops after some trials and remembers what was said."""
 
     def __init__(self, after: int = 10**6) -> None:
-        self.after, self.rows, self.said = after, list[TrialRow](), list[str]()
+        self.after, self.rows, self.messages = after, list[TrialRow](), list[str]()
 
-    def say(self, text: str) -> None:
-        self.said.append(text)
+    def log(self, text: str) -> None:
+        self.messages.append(text)
 
-    def ended(self, row: TrialRow) -> None:
+    def trial_ended(self, row: TrialRow) -> None:
         self.rows.append(row)
 
-    def stop(self) -> bool:
+    def stop_requested(self) -> bool:
         return len(self.rows) >= self.after
 
 

@@ -18,7 +18,7 @@ import pytest
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.errors import InputError, MissingDependency
 from kraft.evaluation import cluster, evaluator, job, processes
-from kraft.evaluation.job import Job, Say, Stop, perform
+from kraft.evaluation.job import Job, Log, StopRequested, perform
 from kraft.evaluation.row import TrialRow
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 
@@ -172,10 +172,10 @@ class Inline:
     def __init__(self, count: int = 1, shuffle: Callable[[list[Job]], None] = lambda _: None) -> None:
         self._shuffle = shuffle
 
-    def run(self, jobs: Sequence[Job], stop: Stop, say: Say) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
         order = list(jobs)
         self._shuffle(order)
         for task in order:
-            if stop():
+            if stop_requested():
                 return
             yield perform(task)

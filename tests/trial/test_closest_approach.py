@@ -38,7 +38,7 @@ def test_it_is_the_smallest_of_all_distances_without_measuring_all(
     steps = 0.015 * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     poses = np.column_stack([np.array([1.0, begin]) + np.cumsum(steps, axis=0), heading])
     for x, y, theta in poses:
-        approach.show(float(x), float(y), float(theta))
+        approach.add(float(x), float(y), float(theta))
     least, asked = approach.least(), distance.asked
     assert least == min(distance(*map(float, pose)) for pose in poses)
     assert (least == 0.0) == touches
@@ -49,7 +49,7 @@ def test_a_turn_on_the_spot_counts() -> None:
     distance = Counted()
     approach = ClosestApproach(distance, distance.footprint.reach)
     for theta in np.linspace(0.0, 2.0 * math.pi, 60):
-        approach.show(1.0, 1.75, float(theta))
+        approach.add(1.0, 1.75, float(theta))
     turned = [distance(1.0, 1.75, float(theta)) for theta in np.linspace(0.0, 2.0 * math.pi, 60)]
     assert approach.least() == min(turned) < max(turned)
 
@@ -57,6 +57,6 @@ def test_a_turn_on_the_spot_counts() -> None:
 def test_without_poses_and_without_obstacles_it_is_infinite() -> None:
     approach = ClosestApproach(lambda x, y, theta: math.inf, 0.3)
     assert approach.least() == math.inf
-    approach.show(0.0, 0.0, 0.0)
-    approach.show(1.0, 0.0, 0.0)
+    approach.add(0.0, 0.0, 0.0)
+    approach.add(1.0, 0.0, 0.0)
     assert approach.least() == math.inf

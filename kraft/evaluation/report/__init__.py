@@ -1,4 +1,4 @@
-"""One page about an evaluation, for a browser: `report.html`."""
+"""`report.html`: the results of an evaluation as a page for a browser."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ NAME: Final = "report.html"
 def write_report(
     folder: Path, out: Path | None = None, command_line: CommandLine | None = None
 ) -> tuple[Results, Path]:
-    """Make the page about a results folder; by default it is put there, in place of what is there.
+    """Write the page of a results folder to `out`, by default into the folder, replacing an earlier page.
 
     With `command_line` the page has commands that repeat the trials.
 
     Raises:
-        InputError: if the folder is not one of results, or the page cannot be written.
+        InputError: if the folder is not a results folder, or the page cannot be written.
     """
     path = out or folder / NAME
     results = read_results(folder, command_line)

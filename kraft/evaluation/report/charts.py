@@ -1,4 +1,4 @@
-"""The small drawings in a row of a table: how trials ended, which ones, and how long the successful ones took."""
+"""Charts in a row of the table: outcomes, trials by seed, and durations of the successful trials."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ WIDTH: Final = 190.0
 PAPER, BAR = 9.0, 14.0  # heights of the line above the bar and of the bar
 CELLS: Final = 42  # trials in a line of the strip
 TIMES: Final = 150.0
-EDGE: Final = 8.0  # left and right of the times, so that dots and labels at the ends are whole
+EDGE: Final = 8.0  # margin left and right of the times, for dots and labels at the ends
 
 
 def outcomes(result: Result) -> Element:
-    """Shares of each ending, Wilson's interval of the successes on it, and the paper's above it."""
+    """Bar of the outcomes with Wilson's interval of the success rate; above it the paper's rate and interval."""
     parts: list[Element] = []
     left = 0.0
     for name, count in endings(result):
@@ -38,7 +38,7 @@ def outcomes(result: Result) -> Element:
 
 
 def endings(result: Result) -> list[tuple[str, int]]:
-    """The ways in which trials ended, and how many did."""
+    """Outcomes that occurred, with their numbers of trials."""
     counts = {
         "success": result.success,
         "timeout": result.timeout,
@@ -49,7 +49,7 @@ def endings(result: Result) -> list[tuple[str, int]]:
 
 
 def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | None]) -> Element:
-    """A cell for each seed; those that were not run yet are empty.  `commands` repeat the trials, by seed."""
+    """Strip with a cell for each seed, empty before the trial is run; `commands` by seed repeat the trials."""
     found = {row.seed: row for row in rows}
     step = WIDTH / min(max(len(seeds), 1), CELLS)
     side = min(step, 10.0)
@@ -57,23 +57,23 @@ def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | 
     for place, seed in enumerate(seeds):
         x, y = (place % CELLS) * step, (place // CELLS) * side
         row = found.get(seed)
-        text = f"{told(row)}\n{commands[seed] or f'{row.scenario}, {row.method}'}" if row else None
+        text = f"{trial_text(row)}\n{commands[seed] or f'{row.scenario}, {row.method}'}" if row else None
         title = element("title", text or f"seed {seed}: not run yet")
         look = row.outcome if row else "missing"
         cells.append(element("rect", title, class_=look, x=x, y=y, width=step - 1.0, height=side - 1.0))
     return svg(WIDTH, side * -(-len(seeds) // CELLS), *cells, class_="trials")
 
 
-def told(row: TrialRow) -> str:
-    """A trial in words."""
+def trial_text(row: TrialRow) -> str:
+    """Seed, outcome and error of a trial, in words."""
     text = f"seed {row.seed}: {outcome_text(row.outcome, row.obstacle, row.t_s, digits=1)}"
     return text + (f": {row.error}" if row.error else "")
 
 
 def times(result: Result, rows: Sequence[TrialRow], longest: float) -> Element:
-    """A dot for each successful trial, a line at their mean, a ring at the paper's."""
+    """Durations of the successful trials as dots, their mean as a line, the paper's mean as a ring."""
     dots = [
-        element("circle", element("title", told(row)), class_="time", cx=_at(row.t_s, longest), cy=12.0, r=3.0)
+        element("circle", element("title", trial_text(row)), class_="time", cx=_at(row.t_s, longest), cy=12.0, r=3.0)
         for row in rows
         if row.outcome == "success" and row.t_s is not None
     ]
@@ -82,7 +82,7 @@ def times(result: Result, rows: Sequence[TrialRow], longest: float) -> Element:
 
 
 def time_axis(longest: float) -> Element:
-    """Labels above a column of `times`, s."""
+    """Axis labels above a column of `times`, s."""
     step = next((s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500) if longest / s <= 4), 1000)
     ticks = [step * k for k in range(int(longest // step) + 1)]
     labels = [element("text", f"{tick}", x=_at(tick, longest), y=10.0, class_="tick") for tick in ticks]

@@ -1,4 +1,4 @@
-"""HTML and SVG as trees of elements: whatever text they hold, it comes out escaped."""
+"""HTML and SVG as trees of elements; all text is escaped."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Value: TypeAlias = str | float | None
 
 
 def element(tag: str, *content: Content, **attributes: Value) -> Element:
-    """An element; None is left out of the content and of the attributes.
+    """Make an element; None in content and attributes is skipped.
 
     Attributes are written as Python names: ``class_`` is class, ``stroke_width`` is stroke-width.
     """
@@ -25,19 +25,19 @@ def element(tag: str, *content: Content, **attributes: Value) -> Element:
 
 
 def svg(width: float, height: float, *content: Content, **attributes: Value) -> Element:
-    """A drawing of this size in pixels."""
+    """Make a drawing of a size in pixels."""
     drawing = element("svg", *content, width=width, height=height, role="img", **attributes)
     drawing.set("viewBox", f"0 0 {number(width)} {number(height)}")
     return drawing
 
 
 def number(value: float) -> str:
-    """A length or a coordinate, to six digits."""
+    """Length or coordinate with six digits."""
     return f"{value + 0.0:.6g}"
 
 
 def document(title: str, style: str, *content: Content) -> str:
-    """A whole page that needs nothing but itself."""
+    """Make a page that refers to no other file."""
     head = element(
         "head",
         element("meta", charset="utf-8"),

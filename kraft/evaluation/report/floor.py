@@ -1,4 +1,4 @@
-"""A scene from above: what the planner knows, what only the truth has, and what was hit how often."""
+"""Floor plan of a scenario: what the planner knows, what only the truth contains, and the number of collisions."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from kraft.text import counted
 
 LONGEST, WIDEST = 330.0, 200.0  # px
 MARGIN: Final = 0.03  # of the longer side
-CELLS_MAX: Final = 300  # cells of a map along its longer side; finer ones are drawn as one
+CELLS_MAX: Final = 300  # cells of a map along its longer side; cells of finer maps are merged
 
 
 def floor_plan(scenario: Scenario, hits: Mapping[str, int]) -> Element:
-    """The scene with x to the right and y up.
+    """Draw a scenario with x to the right and y up.
 
     Args:
-        scenario: what is drawn.
-        hits: collisions by the name of the obstacle; the more there were, the redder it is.
+        scenario: the scenario.
+        hits: number of collisions by obstacle; an obstacle is drawn in a deeper red the more it has.
     """
     (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
     margin = MARGIN * max(x1 - x0, y1 - y0)
@@ -79,7 +79,7 @@ def _polygon(vertices: tuple[tuple[float, float], ...], look: str, title: str) -
 
 
 def _cells(cells: OccupancyMap, title: str) -> Element:
-    """Occupied cells as one path, a rectangle for each run along a row."""
+    """Occupied cells of a map as one path, with a rectangle for each run of cells in a row."""
     occupied, side = cells.occupied, cells.resolution
     merged = max(1, math.ceil(max(occupied.shape) / CELLS_MAX))
     if merged > 1:  # a merged cell is occupied if any of its cells is
@@ -104,14 +104,14 @@ def _goal(goal: Goal) -> Element:
 
 
 def _start(start: Start, size: float) -> Element:
-    """An arrowhead at the start, m, that points where it heads."""
+    """Arrowhead of length `size` (m) at the start, along its heading."""
     shape = f"{number(size)},0 {number(-size)},{number(0.7 * size)} {number(-size)},{number(-0.7 * size)}"
     place = f"translate({start.x:.6g} {start.y:.6g}) rotate({math.degrees(start.heading):.6g})"
     return element("polygon", element("title", "start"), class_="start", points=shape, transform=place)
 
 
 def _uphill(tilt: Tilt | None, middle: tuple[float, float], length: float) -> Element | None:
-    """An arrow that points uphill, if the floor leans."""
+    """Arrow that points uphill; None on a level floor."""
     if tilt is None:
         return None
     half, head = length / 2, length / 5

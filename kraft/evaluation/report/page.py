@@ -1,4 +1,4 @@
-"""The page about an evaluation: an overview, then each scenario with its methods, trials and failures."""
+"""HTML of the page: an overview, then each scenario with its methods, trials and failures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NO_VALUE: Final = "–"
 
 
 def page(results: Results) -> str:
-    """The page as HTML; it needs no other file and no network."""
+    """Make the page; it needs no other file and no network."""
     style = files("kraft.evaluation.report").joinpath("style.css").read_text(encoding="utf-8")
     sections = [_scenario(results, name) for name in results.scenarios]
     title = f"{results.title} | kraft eval"
@@ -59,7 +59,7 @@ def _fact(name: str, value: str) -> Element:
 
 
 def _overview(results: Results) -> Element | None:
-    """Successes of every method in every scenario."""
+    """Table of successes of every method in every scenario."""
     names = results.scenarios
     by_cell = {(result.scenario, result.method): result for result in results.summary.results}
     heading = [element("th", element("a", name, href=f"#{name}")) for name in names]
@@ -82,7 +82,7 @@ def _rate(result: Result | None) -> Element:
 
 
 def _key() -> Element:
-    """What the drawings mean."""
+    """Legend of the charts."""
     entries = [
         element("span", element("i", class_=f"swatch {name}"), f" {name}")
         for name in ("success", "timeout", "collision")
@@ -165,12 +165,12 @@ def _small(text: str | None) -> Element | None:
 
 
 def _unsuccessful(results: Results, name: str) -> Element | None:
-    """Every trial that did not succeed, with the command that films it where there is one."""
+    """Table of the unsuccessful trials, with the commands that film them where there are commands."""
     found = [row for row in results.of_cell(name) if row.outcome != "success"]
     if not found:
         return None
     counts = Counter(row.method for row in found)
-    found.sort(key=lambda row: counts[row.method])  # the failures of methods that seldom fail are worth most
+    found.sort(key=lambda row: counts[row.method])  # the failures of methods that rarely fail first
     rows = [_listed(results, row) for row in found[:LISTED]]
     columns = ("method", "seed", "ended", "drive it again, and film it" if results.command_line else None)
     heading = element("tr", *(element("th", text) for text in columns if text))
@@ -182,7 +182,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
 
 def _listed(results: Results, row: TrialRow) -> Element:
     command = results.command(row, video=f"{row.scenario}-{row.method}-{row.seed}.mp4")
-    ended = charts.told(row).split(": ", 1)[1]
+    ended = charts.trial_text(row).split(": ", 1)[1]
     return element(
         "tr",
         element("td", results.methods[row.method]),

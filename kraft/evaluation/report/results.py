@@ -1,4 +1,4 @@
-"""A results folder as the report reads it: the manifest, the trials there are, and the table made of them."""
+"""Results of an evaluation as the report needs them: manifest, finished trials and summary."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from kraft.errors import InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.row import Key, TrialRow
@@ -19,7 +19,7 @@ from kraft.evaluation.summary import Name, Summary, tabulate
 from kraft.scenario import Scenario, load_scenario
 from kraft.text import grouped
 
-EXPECTED = "expected the folder of a kraft eval"
+EXPECTED = "expected the results folder of a kraft eval"
 
 
 class _Part(BaseModel):
@@ -27,7 +27,7 @@ class _Part(BaseModel):
 
 
 class Cell(_Part):
-    """A row of a table; what wrote the folder may have been too old to give it a title."""
+    """Row of a table; older manifests have no title."""
 
     scenario: str
     method: str
@@ -35,13 +35,13 @@ class Cell(_Part):
 
 
 class Hashed(_Part):
-    """What a scenario was understood as, by its hash."""
+    """Hash of the resolved scenario."""
 
     sha256: str
 
 
 class Manifest(_Part):
-    """The parts of `manifest.json` that the report shows."""
+    """Parts of `manifest.json` that the report uses."""
 
     arguments: dict[str, Any]
     began: str
@@ -65,19 +65,19 @@ class Manifest(_Part):
 
 
 class CommandLine(Protocol):
-    """Makes the command that repeats a trial."""
+    """Function that makes the command that repeats a trial."""
 
     def __call__(self, scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
-        """The command; `scenario`, `method` and `vehicle` are names or paths, `video` is a file for its film."""
+        """Make the command; `scenario`, `method` and `vehicle` are names or paths, `video` is the file of a film."""
         ...
 
 
 @dataclass(frozen=True)
 class Results:
-    """An evaluation that was run, or a part of it.
+    """Finished trials of an evaluation, complete or not.
 
-    `known` are the scenarios as they were driven; one that changed since then, or is gone, is not among them.
-    With `command_line` the page has commands that repeat the trials.
+    `known` are the scenarios that can still be loaded and are unchanged since the evaluation.  With `command_line`
+    the page has commands that repeat the trials.
     """
 
     manifest: Manifest
@@ -95,7 +95,7 @@ class Results:
         summary: Summary,
         command_line: CommandLine | None = None,
     ) -> Results:
-        """Of an experiment that was just run; `content` is its manifest."""
+        """Results of an experiment that was just run; `content` is its manifest."""
         known = {cell.scenario.name: cell.scenario for cell in experiment.cells}
         return cls(Manifest.model_validate(content), rows, summary, known, command_line)
 
@@ -111,23 +111,23 @@ class Results:
 
     @property
     def expected(self) -> int:
-        """How many trials were asked for."""
+        """Number of trials of the complete evaluation."""
         return len(self.manifest.rows) * self.manifest.trials
 
     @property
     def title(self) -> str:
-        """What was run, in a line."""
+        """Numbers of trials, scenarios and methods, in words."""
         counts = [(len(self.rows), "trial"), (len(self.scenarios), "scenario"), (len(self.methods), "method")]
         return ", ".join(grouped(count, noun) for count, noun in counts)
 
     def of_cell(self, scenario: str, method: str | None = None) -> Sequence[TrialRow]:
-        """Trials of a scenario, by method and seed."""
+        """Finished trials of a scenario, or of a method in it, ordered by method and seed."""
         methods = [method] if method else list(self.methods)
         keys = ((scenario, name, seed) for name in methods for seed in self.manifest.seeds)
         return [self.rows[key] for key in keys if key in self.rows]
 
     def command(self, row: TrialRow, video: str | None = None) -> str | None:
-        """The command that repeats a trial, and films it into `video`; None without `command_line`."""
+        """Command that repeats a trial, and films it into `video`; None without `command_line`."""
         if self.command_line is None:
             return None
         scenario = _references(self.manifest, "scenarios", self.scenarios).get(row.scenario, row.scenario)
@@ -137,57 +137,59 @@ class Results:
 
 
 def read_results(folder: Path, command_line: CommandLine | None = None) -> Results:
-    """Read a results folder, whether or not the evaluation came to its end.
+    """Read a results folder of a complete or unfinished evaluation.
 
     Raises:
-        InputError: if it is none, or damaged.
+        InputError: if the folder is not a results folder or is damaged.
     """
     if not folder.is_dir():
         problem = "is not a folder" if folder.exists() else "there is no such folder"
-        raise InputError.of(str(folder), problem, EXPECTED)
+        raise InputError.of(str(folder), problem, EXPECTED, Code.NOT_FOUND)
     file = folder / manifest.NAME
     if not file.exists():
-        raise InputError.of(str(folder), f"has no {manifest.NAME}", EXPECTED)
+        raise InputError.of(str(folder), f"has no {manifest.NAME}", EXPECTED, Code.NOT_FOUND)
     content = manifest.read_manifest(file)
     if content["schema"] != manifest.SCHEMA:
-        raise InputError.of(str(file), f"has the schema {content['schema']!r}", f"expected {manifest.SCHEMA!r}")
+        problem = f"has the schema {content['schema']!r}"
+        raise InputError.of(str(file), problem, f"expected {manifest.SCHEMA!r}", Code.MISMATCH)
     try:
         found = Manifest.model_validate(content)
     except ValidationError as error:
         where = ".".join(str(part) for part in error.errors()[0]["loc"])
-        raise InputError.of(f"{file}: {where}", "is damaged", "expected a manifest as kraft eval writes it") from None
-    expected = {(cell.scenario, cell.method, seed) for cell in found.rows for seed in found.seeds}
-    rows = journal.read_journal(folder / journal.NAME, expected).rows
+        expected = "expected the manifest that kraft eval writes"
+        raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
+    trials = {(cell.scenario, cell.method, seed) for cell in found.rows for seed in found.seeds}
+    rows = journal.read_journal(folder / journal.NAME, trials).rows
     summary = tabulate(found.names, found.seeds, rows, _wall(folder), realtime=found.realtime)
     return Results(found, rows, summary, _unchanged(found), command_line)
 
 
 def _wall(folder: Path) -> float:
-    """How long the evaluation took, s, as its summary says; 0 if it did not come to its end."""
+    """Duration of the evaluation in its summary, s; 0 if it is unfinished."""
     try:
         return float(json.loads((folder / SUMMARY).read_bytes())["wall_s"])
     except FileNotFoundError:
         return 0.0
     except (OSError, ValueError, KeyError, TypeError):
-        expected = "expected what kraft eval writes there; going on with the evaluation makes it again"
-        raise InputError.of(str(folder / SUMMARY), "is damaged", expected) from None
+        expected = "expected the summary that kraft eval writes; resuming the evaluation writes it again"
+        raise InputError.of(str(folder / SUMMARY), "is damaged", expected, Code.SYNTAX) from None
 
 
 def _unchanged(found: Manifest) -> dict[str, Scenario]:
-    """The scenarios that can be loaded and are what they were."""
+    """Scenarios that can be loaded and have the recorded hash."""
     known = {}
     for name, reference in _references(found, "scenarios", list(found.scenarios)).items():
         try:
             scenario = load_scenario(reference)
         except InputError:
-            continue  # the page says that there is no picture, and why
+            continue  # the page states that it has no floor plan, and why
         if manifest.scenario_entry(scenario)["sha256"] == found.scenarios[name].sha256:
             known[name] = scenario
     return known
 
 
 def _references(found: Manifest, kind: str, names: Sequence[str]) -> dict[str, str]:
-    """What was written on the command line for each name; the name itself where nothing was recorded."""
+    """Recorded argument for each name; the name itself where none was recorded."""
     written = found.arguments.get(kind)
     if not isinstance(written, list) or len(written) != len(names):
         return {name: name for name in names}

@@ -1,4 +1,4 @@
-"""Who watches a trial: a video, a window, a picture of the whole run."""
+"""Outputs of a trial beside its result: a video, a window, a picture of the whole run."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What to make of a trial: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf)."""
+class OutputOptions:
+    """Requested outputs: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf)."""
 
     video: Path | None = None
     view: bool = False
     plot: Path | None = None
 
     def check(self) -> None:
-        """Find out before the drive whether it can be made.
+        """Check before the drive that the outputs can be made.
 
         Raises:
-            InputError: if a name or a place is wrong.
-            MissingDependency: if nothing can be drawn here.
+            InputError: if a file name is wrong or cannot be written.
+            MissingDependency: if no image can be rendered.
         """
         checks: list[Callable[[], object]] = []
         if self.plot is not None:
@@ -51,28 +51,30 @@ class Wanted:
             check_view()
 
 
-NOTHING: Final = Wanted()
+NO_OUTPUT: Final = OutputOptions()
 
 
-class Watchers:
-    """Passes on what `run_trial` tells; a context manager, at whose end windows close and unfinished files go."""
+class TrialOutputs:
+    """Callbacks of `run_trial` that make the outputs; at its exit windows close and unfinished files are removed."""
 
-    def __init__(self, wanted: Wanted, spec: TrialSpec, on_cycle: Callable[[Cycle], None] | None = None) -> None:
-        self._wanted, self._spec, self._on_cycle = wanted, spec, on_cycle
+    def __init__(
+        self, options: OutputOptions, spec: TrialSpec, on_cycle: Callable[[Cycle], None] | None = None
+    ) -> None:
+        self._options, self._spec, self._on_cycle = options, spec, on_cycle
         self._stack = ExitStack()
-        self._films: list[VideoRecorder | LiveView] = []
+        self._recorders: list[VideoRecorder | LiveView] = []
         self._world: World | None = None
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:  # if the second cannot be had, the first is put away
-            if self._wanted.video is not None:
+        with ExitStack() as stack:  # if the second cannot be opened, the first is closed
+            if self._options.video is not None:
                 from kraft.video.recorder import VideoRecorder
 
-                self._films.append(stack.enter_context(VideoRecorder(self._wanted.video, self._spec)))
-            if self._wanted.view:
+                self._recorders.append(stack.enter_context(VideoRecorder(self._options.video, self._spec)))
+            if self._options.view:
                 from kraft.video.viewer import LiveView
 
-                self._films.append(stack.enter_context(LiveView(self._spec)))
+                self._recorders.append(stack.enter_context(LiveView(self._spec)))
             self._stack = stack.pop_all()
         return self
 
@@ -81,31 +83,31 @@ class Watchers:
 
     @property
     def keep_trees(self) -> bool:
-        """Whether somebody draws the planner's tree."""
-        return bool(self._films)
+        """Whether an output draws the planner's tree."""
+        return bool(self._recorders)
 
     def on_cycle(self, cycle: Cycle) -> None:
-        """For `run_trial`."""
+        """Callback of `run_trial`."""
         if self._on_cycle is not None:
             self._on_cycle(cycle)
-        for film in self._films:
-            film.on_cycle(cycle)
+        for recorder in self._recorders:
+            recorder.on_cycle(cycle)
 
     def on_step(self, world: World, step: Step) -> None:
-        """For `run_trial`."""
+        """Callback of `run_trial`."""
         self._world = world
-        for film in self._films:
-            film.on_step(world, step)
+        for recorder in self._recorders:
+            recorder.on_step(world, step)
 
     def finish(self, result: TrialResult) -> None:
-        """Finish the video, show the end, draw the picture.
+        """Finish the video, show the end in the window, draw the picture.
 
         Raises:
             InputError: if a file cannot be written.
         """
-        for film in self._films:
-            film.finish(result)
-        if self._wanted.plot is not None:
+        for recorder in self._recorders:
+            recorder.finish(result)
+        if self._options.plot is not None:
             from kraft.plot.run import plot_run
             from kraft.simulation.hidden import hidden_features
 
@@ -113,6 +115,6 @@ class Watchers:
             moved = None if self._world is None else self._world.movable_poses
             title = f"{scenario.name} · {self._spec.method.title}"
             plot_run(
-                self._wanted.plot, scenario.task(), self._spec.vehicle, result,
+                self._options.plot, scenario.task(), self._spec.vehicle, result,
                 title=title, unknown=scenario.truth.in_words(), hidden=hidden_features(scenario, moved),
             )  # fmt: skip
