@@ -123,11 +123,11 @@ def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away
 def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:
     heads = list[Plan]()
 
-    def judge(_: Dirt, head: Plan) -> Verification:
+    def verify(_: Dirt, head: Plan) -> Verification:
         heads.append(head)
         return Verification(0.0, None, ())
 
-    monkeypatch.setattr("kraft.driving.proposer.verify", judge)
+    monkeypatch.setattr("kraft.driving.proposer.verify", verify)
     for mode, until in (("replanning", 1.0), ("one-shot", math.inf)):
         subject = replanner(mode=mode)
         subject.begin(start())
