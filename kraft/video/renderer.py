@@ -36,7 +36,7 @@ EVERYTHING: Final = int(mujoco.mjtCatBit.mjCAT_ALL)
 
 FIELD_OF_VIEW: Final = math.radians(45.0)
 DISTANCE: Final = 2.1
-"""Between the camera and what it looks at, m."""
+"""Distance between the camera and its target, m."""
 AHEAD: Final = 0.5
 """Distance in front of the car to which the camera points, m."""
 MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP = math.radians(36.0), math.radians(80.0), math.radians(3.0)
@@ -150,7 +150,7 @@ class Aim:
     perspective: bool
 
     def apply(self, scene: Any, near: float, far: float) -> None:
-        """Make it the camera of a scene that sees from `near` to `far` m."""
+        """Set the camera of a scene, with clipping distances `near` and `far`, m."""
         top = self.half * near if self.perspective else self.half
         for camera in scene.camera:
             camera.pos, camera.forward, camera.up = self.position, self.forward, self.up
@@ -214,7 +214,7 @@ class ChaseCamera:
 
 
 def _level_axes(sight: Floats) -> tuple[Floats, Floats]:
-    """Unit vectors forward and up of a camera that looks along `sight` and keeps the horizon level."""
+    """Unit vectors forward and up of a camera that points along `sight` with a level horizon."""
     forward = sight / np.linalg.norm(sight)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

@@ -119,7 +119,7 @@ def test_the_age_is_that_of_the_newest_pose_that_arrived(choice: Latest | Filter
 
 
 @BOTH
-def test_a_pose_seen_twice_counts_once(choice: Latest | Filter) -> None:
+def test_a_repeated_pose_counts_once(choice: Latest | Filter) -> None:
     ride = Ride.of(car(), 1.0)
     poses = noisy(ride, 1)
     once = list(ride.replay(make_estimator(choice, car(), START), poses))
@@ -128,7 +128,7 @@ def test_a_pose_seen_twice_counts_once(choice: Latest | Filter) -> None:
 
 
 @BOTH
-def test_poses_out_of_order_lead_to_the_same_belief(choice: Latest | Filter) -> None:
+def test_poses_out_of_order_lead_to_the_same_estimate(choice: Latest | Filter) -> None:
     ride = Ride.of(car(), 1.0)
     one, other = (make_estimator(choice, car(), START) for _ in range(2))
     poses = noisy(ride, 1, latency=0.0)[:20]
@@ -244,7 +244,7 @@ def test_for_replanning_poses_are_predicted_to_the_truth(choice: Latest | Filter
     assert rms(np.array(errors)).max() < most
 
 
-def test_a_car_out_of_sight_for_longer_than_the_window_is_believed_where_it_is_seen_again() -> None:
+def test_after_longer_than_the_window_without_poses_the_estimate_is_the_new_pose() -> None:
     estimator = make_estimator(LATEST, car(), START)
     for time, x in ((1.0, 0.0), (1.1, 0.0), (5.0, 3.0)):
         estimator.observe(Observation(time, time, x, 0.0, 0.0))
@@ -308,7 +308,7 @@ def test_a_single_outlier_moves_the_filter_by_little(far: float) -> None:
 
 
 @pytest.mark.parametrize("jump", [(0.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.3, 0.3, 2.0)])
-def test_a_car_that_was_moved_is_believed_within_a_second(jump: tuple[float, float, float]) -> None:
+def test_the_filter_follows_a_car_that_was_moved_within_a_second(jump: tuple[float, float, float]) -> None:
     before, moved = Ride.of(car(), 3.0), np.zeros(4)
     moved[:3] = jump
     after = Ride.of(car(), 4.0, start=before.states[-1] + moved)

@@ -127,7 +127,7 @@ def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.Monkey
         heads.append(head)
         return Verification(0.0, None, ())
 
-    monkeypatch.setattr("kraft.driving.proposer.verify", judge)
+    monkeypatch.setattr("kraft.driving.proposer.verify", verify)
     for mode, until in (("replanning", 1.0), ("one-shot", math.inf)):
         subject = replanner(mode=mode)
         subject.begin(start())

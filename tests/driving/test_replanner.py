@@ -49,7 +49,7 @@ def test_a_vehicle_that_does_as_planned_needs_no_contingency_for_a_clearance_tha
     assert min(cycle.predicted.slack for cycle in cycles) >= 0.0
 
 
-def test_a_controller_that_gets_ahead_of_a_plan_by_more_than_the_margin_is_told_so() -> None:
+def test_a_plan_that_the_controller_gets_ahead_of_by_more_than_the_margin_is_rejected() -> None:
     """The controller looks ahead of the plan: where that speeds up, 0.25 of the difference of speeds is the slack."""
     cycles = drive(replanner(2, safety=MARGIN, margin=0.03, tracking=True), 9)
     refused = [cycle for cycle in cycles if cycle.kind is ReferenceKind.CONTINGENCY]
@@ -227,9 +227,9 @@ def test_the_contingency_in_hand_counts_how_far_a_turn_moves_the_farthest_point(
 def test_a_contingency_goes_on_when_no_other_is_safe() -> None:
     subject = replanner(safety=MARGIN)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
-    doomed = np.array([0.5, 0.78, math.pi / 2, 0.6])
-    second = subject.step(Estimate(1.0, doomed, 0.0), first.reference)
-    third = subject.step(Estimate(1.9, doomed, 0.0), second.reference)
+    near_the_box = np.array([0.5, 0.78, math.pi / 2, 0.6])
+    second = subject.step(Estimate(1.0, near_the_box, 0.0), first.reference)
+    third = subject.step(Estimate(1.9, near_the_box, 0.0), second.reference)
     assert third.reference is second.reference
 
 

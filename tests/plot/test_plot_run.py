@@ -56,9 +56,9 @@ def test_the_same_drive_gives_the_same_bytes(suffix: str, driven: TrialResult, t
 
 
 @pytest.mark.parametrize("outcome", list(Outcome))
-def test_every_ending_is_told(outcome: Outcome, driven: TrialResult) -> None:
-    crashed = outcome is Outcome.COLLISION
-    result = dataclasses.replace(driven, outcome=outcome, obstacle="left wall" if crashed else None)
+def test_every_outcome_is_on_the_page(outcome: Outcome, driven: TrialResult) -> None:
+    collided = outcome is Outcome.COLLISION
+    result = dataclasses.replace(driven, outcome=outcome, obstacle="left wall" if collided else None)
     with plot_style():
         found = texts(_compose(DrivenTrajectory.of(result), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()))
     assert ("collision with left wall" in found) == crashed

@@ -57,7 +57,7 @@ def test_without_held_out_logs_the_fitted_ones_are_predicted() -> None:
     assert "held out" not in seen
 
 
-def test_warnings_bounds_and_objections_are_told() -> None:
+def test_warnings_bounds_and_objections_are_on_the_page() -> None:
     bad = {**RESULT.parameters, "L": estimated(2.0, 0.1, at_bound=True)}
     result = replace(RESULT, parameters=bad, warnings=("something changed between the logs",), converged=False)
     seen = texts(page(SPLIT, result, ("the logs do not show L",)))

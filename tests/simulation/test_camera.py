@@ -67,18 +67,18 @@ def at_distance(distance: float) -> Floats:
 
 @pytest.mark.parametrize("preset", ["planar", "single-tag"])
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5, 3.1])
-def test_without_noise_a_marker_on_a_flat_floor_is_seen_where_it_is(preset: Preset, yaw: float) -> None:
+def test_without_noise_a_marker_on_a_flat_floor_is_measured_exactly(preset: Preset, yaw: float) -> None:
     assert seen(exact(preset=preset), 0.3, -0.5, yaw=yaw) == pytest.approx((0.3, -0.5, yaw), abs=1e-12)
 
 
-def test_a_marker_that_is_lifted_is_seen_farther_from_the_camera_along_the_line_of_sight() -> None:
+def test_a_lifted_marker_is_measured_farther_from_the_camera_along_the_line_of_sight() -> None:
     x, y, theta = seen(exact(), 2.0, 0.5, z=HEIGHT + 0.05)
     stretch = (5.0 - HEIGHT) / (5.0 - HEIGHT - 0.05)
     assert (x, y) == pytest.approx((1.0 + stretch * 1.0, 3.0 - stretch * 2.5))
     assert theta == pytest.approx(0.0, abs=1e-12)
 
 
-def test_on_a_floor_that_leans_the_marker_is_seen_more_than_a_decimetre_off() -> None:
+def test_on_a_tilted_floor_the_measured_position_is_more_than_a_decimetre_off() -> None:
     lean = leaning(0.125)
     point = lean @ np.array([0.4, 4.5, HEIGHT])
     observation = exact().expose(0.0, point, lean @ turned(0.0))

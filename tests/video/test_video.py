@@ -52,7 +52,7 @@ def short_trial() -> TrialSpec:
 
 
 @pytest.fixture(scope="module")
-def film(drawing: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrialResult]:
+def video(drawing: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrialResult]:
     path = tmp_path_factory.mktemp("films") / "short.mp4"
     with VideoRecorder(path, spec := short_trial()) as recorder:
         result = run_trial(spec, recorder.on_cycle, recorder.on_step, keep_trees=True)
@@ -70,18 +70,18 @@ def share_of(colour: str, picture: Image) -> float:
     return float((np.abs(picture.astype(int) - wanted).max(axis=-1) < 25).mean())
 
 
-def test_a_second_of_the_film_is_a_second_of_the_trial(film: tuple[Path, TrialResult]) -> None:
-    with av.open(str(film[0])) as container:
+def test_a_second_of_the_video_is_a_second_of_the_trial(video: tuple[Path, TrialResult]) -> None:
+    with av.open(str(video[0])) as container:
         stream = container.streams.video[0]
         assert stream.average_rate == FPS
         coding = stream.codec_context
         assert (coding.name, coding.pix_fmt, coding.width, coding.height) == ("h264", "yuv420p", *SIZE)
         assert int(coding.colorspace) == 1  # BT.709, as players expect
         assert float(stream.duration * stream.time_base) == pytest.approx(SECONDS + HOLD, abs=0.04)
-    assert len(pictures(film[0])) == round((SECONDS + HOLD) * FPS)
+    assert len(pictures(video[0])) == round((SECONDS + HOLD) * FPS)
 
 
-def test_the_film_of_the_documentation_can_be_made(
+def test_the_video_of_the_documentation_can_be_made(
     drawing: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = (ROOT / "docs" / "run.md").read_text(encoding="utf-8")
@@ -93,15 +93,15 @@ def test_the_film_of_the_documentation_can_be_made(
     assert len(pictures(tmp_path / "bump.mp4")) == round((SECONDS + HOLD) * FPS)
 
 
-def test_the_last_picture_says_how_it_ended(film: tuple[Path, TrialResult]) -> None:
-    first, *_, last = pictures(film[0])
-    assert film[1].outcome is Outcome.TIMEOUT
+def test_the_last_picture_says_how_it_ended(video: tuple[Path, TrialResult]) -> None:
+    first, *_, last = pictures(video[0])
+    assert video[1].outcome is Outcome.TIMEOUT
     assert share_of(palette.FAILURE, first) < 0.001
     assert share_of(palette.FAILURE, last) > 0.02
 
 
-def test_both_views_show_scene_car_and_plan(film: tuple[Path, TrialResult]) -> None:
-    last = pictures(film[0])[-1]
+def test_both_views_show_scene_car_and_plan(video: tuple[Path, TrialResult]) -> None:
+    last = pictures(video[0])[-1]
     edge = SIZE[0] - map_width(load_scenario("slope").bounds)
     for view in (last[:, :edge], last[:, edge:]):
         assert view.std() > 20
@@ -109,13 +109,13 @@ def test_both_views_show_scene_car_and_plan(film: tuple[Path, TrialResult]) -> N
         assert red.mean() > 0.001, "no car to be seen"
 
 
-def test_filming_changes_nothing(film: tuple[Path, TrialResult]) -> None:
+def test_recording_a_video_changes_nothing(video: tuple[Path, TrialResult]) -> None:
     alone = run_trial(short_trial())
-    assert [step.pose for step in alone.steps] == [step.pose for step in film[1].steps]
-    assert [cycle.kind for cycle in alone.cycles] == [cycle.kind for cycle in film[1].cycles]
+    assert [step.pose for step in alone.steps] == [step.pose for step in video[1].steps]
+    assert [cycle.kind for cycle in alone.cycles] == [cycle.kind for cycle in video[1].cycles]
 
 
-def test_an_interrupted_film_leaves_what_was_there(drawing: None, tmp_path: Path) -> None:
+def test_an_interrupted_video_leaves_the_old_file(drawing: None, tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(b"before")
 
@@ -148,7 +148,7 @@ def test_a_file_is_there_when_it_is_complete(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.avi", "a", "file/a.mp4", "folder.mp4"])
-def test_what_cannot_be_a_film_is_refused_before_the_drive(name: str, tmp_path: Path) -> None:
+def test_what_cannot_be_a_video_is_refused_before_the_drive(name: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "folder.mp4").mkdir()
     with pytest.raises(InputError):
@@ -170,7 +170,7 @@ def test_without_opengl_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch, t
 
 
 @pytest.mark.parametrize("backend", ["glfw", "osmesa", "foo"])
-def test_a_way_to_draw_that_draws_nothing_is_told_in_one_line_before_the_drive(backend: str, tmp_path: Path) -> None:
+def test_an_unusable_backend_is_reported_in_one_line_before_the_drive(backend: str, tmp_path: Path) -> None:
     """Each in a process of its own: MuJoCo takes MUJOCO_GL when it is loaded."""
     hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     environment = {**hidden, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
@@ -227,8 +227,8 @@ def test_long_reasons_are_cut_to_their_lines() -> None:
     assert wrapped("w" * 200, 13, 100, 1)[0].endswith("…")
 
 
-def test_a_still_is_what_the_film_shows(film: tuple[Path, TrialResult], tmp_path: Path) -> None:
+def test_a_still_is_a_picture_of_the_video(video: tuple[Path, TrialResult], tmp_path: Path) -> None:
     write_still(tmp_path / "a.png", short_trial(), 0.2)
     with Pillow.open(tmp_path / "a.png") as picture:
         still = np.asarray(picture).astype(int)
-    assert np.abs(still - pictures(film[0])[6]).mean() < 6
+    assert np.abs(still - pictures(video[0])[6]).mean() < 6
