@@ -148,9 +148,6 @@ def objections(identification: Identification, evaluation: PredictionEvaluation)
 
 def _pairs(identification: Identification) -> list[tuple[str, str]]:
     """Pairs of parameters that are indistinguishable under the stated noise, however much the logs differ."""
-    names, indistinguishable = (
-        identification.names,
-        np.abs(correlations(identification.graph_covariance)) > CORRELATION_INDISTINGUISHABLE,
-    )
-    rows, columns = np.nonzero(np.triu(indistinguishable, 1))
+    names, size = identification.names, np.abs(correlations(identification.graph_covariance))
+    rows, columns = np.nonzero(np.triu(size > CORRELATION_INDISTINGUISHABLE, 1))
     return [(names[i], names[j]) for i, j in zip(rows, columns, strict=True)]

@@ -130,10 +130,8 @@ def _unidentified(solution: Solution) -> Iterator[str]:
 
 
 def _unbounded(solution: Solution) -> Iterator[str]:
-    p, known = (
-        solution.problem.parameters,
-        {*at_bound(solution), *unidentified(solution)},
-    )  # these have warnings of their own
+    p = solution.problem.parameters
+    known = {*at_bound(solution), *unidentified(solution)}  # these have warnings of their own
     half = solution.uncertainty.quantile * solution.uncertainty.std
     values = solution.optimum.point.rho[p.free]
     for name, value, reach in zip(solution.names, values, half, strict=True):
