@@ -123,7 +123,7 @@ def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away
 def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:
     heads = list[Plan]()
 
-    def judge(_: DirtSolver, head: Plan) -> Verification:
+    def verify(_: DirtSolver, head: Plan) -> Verification:
         heads.append(head)
         return Verification(0.0, None, ())
 

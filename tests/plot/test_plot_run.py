@@ -61,8 +61,8 @@ def test_every_outcome_is_on_the_page(outcome: Outcome, driven: TrialResult) -> 
     result = dataclasses.replace(driven, outcome=outcome, obstacle="left wall" if collided else None)
     with plot_style():
         found = texts(_compose(DrivenTrajectory.of(result), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()))
-    assert ("collision with left wall" in found) == crashed
-    assert ("collision with\nleft wall" in found) == crashed
+    assert ("collision with left wall" in found) == collided
+    assert ("collision with\nleft wall" in found) == collided
     assert ("timeout" in found) == (outcome is Outcome.TIMEOUT)
 
 
