@@ -29,7 +29,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Trials of `driving_fakes` in this process."""
+    """Run trials of `fake_trials` in this process."""
     fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
 
 
@@ -256,7 +256,7 @@ def test_quiet_says_nothing_and_bars_are_only_for_a_terminal(inline: None) -> No
     assert err.getvalue() == ""
 
 
-def test_the_first_interrupt_is_a_wish_and_handlers_are_as_before_afterwards() -> None:
+def test_the_first_interrupt_is_a_request_and_handlers_are_as_before_afterwards() -> None:
     import signal
 
     before = signal.getsignal(signal.SIGINT)

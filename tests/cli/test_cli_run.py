@@ -102,7 +102,7 @@ def test_the_same_seed_drives_the_same_and_another_seed_differently() -> None:
     assert driven(2) == driven(2) != driven(3)
 
 
-def test_each_cycle_is_told_when_it_is_committed() -> None:
+def test_each_cycle_is_reported_when_it_is_committed() -> None:
     told: list[str] = []
     run = run_scenario(
         RunRequest("short.yaml", "oneshot-openloop"), told.append, lambda cycle: told.append(cycle_line(cycle))
@@ -162,7 +162,9 @@ def test_verbose_tells_with_what_it_drives_and_how_long_it_takes(capsys: pytest.
     assert re.fullmatch(r"\d+\.\d{2} s driven in \d+\.\d{3} s", lines[-1])
 
 
-def test_a_goal_that_no_path_leads_to_is_told_before_the_drive(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_goal_that_no_path_leads_to_is_reported_before_the_drive(
+    short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     short.write_text(SHORT.replace("center: [2, 2.5], size: [0.5, 0.5]", "center: [1.5, 2], size: [0.2, 4]"))
     for command in (["run"], ["eval", "--trials", "1", "--methods", "kraft,oneshot-openloop"]):
         assert main([*command, "short.yaml", "--out", "out"]) == 1
@@ -173,7 +175,7 @@ def test_a_goal_that_no_path_leads_to_is_told_before_the_drive(short: Path, caps
         assert not Path("out").exists()
 
 
-def test_every_place_that_is_taken_is_told_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_place_that_is_taken_is_reported_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("out", "g.png", "g.mp4"):
         Path(name).mkdir()
     assert main(["run", "short.yaml", "--out", "out", "--plot", "g.png", "--video", "g.mp4"]) == 2

@@ -108,7 +108,7 @@ def test_going_on_with_what_is_complete_runs_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "out/summary.json").exists()
 
 
-def test_a_torn_last_line_is_told_and_its_trial_repeated(tmp_path: Path) -> None:
+def test_a_incomplete_last_line_is_reported_and_its_trial_repeated(tmp_path: Path) -> None:
     run(tmp_path / "whole")
     run(tmp_path / "out", observer=StoppingObserver(4))
     path = tmp_path / "out/trials.jsonl"

@@ -145,7 +145,7 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
     assert tags.classes("rect")["missing"] == 8
 
 
-def test_failed_trials_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_trials_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_trials.use(monkeypatch, fake_trials.raises, inline=True)
     evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out")
     text = text_of(Tags(Path("out/report.html").read_text()))

@@ -158,7 +158,7 @@ def test_workers_end_when_the_process_that_gave_the_jobs_is_killed(tmp_path: Pat
     assert len(list(left.iterdir())) == before
 
 
-def test_an_interrupt_finishes_what_runs_and_tells_how_to_go_on(
+def test_an_interrupt_finishes_what_runs_and_names_the_command_that_resumes(
     tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
