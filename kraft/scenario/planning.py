@@ -20,6 +20,7 @@ PLANNERS: Final[dict[str, str]] = {
 }
 
 
+STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MOST_STEPS`)
 DEFAULT_ITERATIONS: Final = 20_000
 
 Duration = Annotated[float, Field(gt=0, le=1000)]
@@ -76,6 +77,9 @@ class Planning(StrictModel):
         if self.integration_step > shortest:
             problem = f"is {self.integration_step:g}, longer than the shortest edge"
             raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
+        if self.steps > STEPS_MAX:
+            expected = f"expected a step with which the longest edge takes at most {STEPS_MAX} steps"
+            raise refuse(f"is {self.integration_step:g}", expected, ("integration_step",), Code.CONFLICT)
         if self.iterations is not None and self.time is not None:
             raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",), Code.CONFLICT)
         return self

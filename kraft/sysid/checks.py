@@ -211,6 +211,8 @@ def _best_correlation(steering: Floats, curvature: Floats, moving: Floats) -> fl
     best = 0.0
     for shift in range(0, 11, 2):
         chosen = moving[shift:]
+        if chosen.sum() < 2:  # of a short log nothing is left
+            break
         a = _ranks(steering[: len(steering) - shift][chosen])
         b = _ranks(curvature[shift:][chosen])
         value = float(np.corrcoef(a, b)[0, 1]) if np.std(a) > 0.0 and np.std(b) > 0.0 else 0.0

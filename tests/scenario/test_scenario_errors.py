@@ -105,6 +105,7 @@ def test_the_smallest_scenario_is_valid() -> None:
         ("planning: {edge_duration: [1, 0.5]}", "5:27 planning.edge_duration value"),
         ("planning: {edge_duration: 1}", "5:27 planning.edge_duration type"),
         ("planning: {integration_step: 0.8}", "5:30 planning.integration_step conflict"),
+        ("planning: {integration_step: 1e-9}", "5:30 planning.integration_step conflict"),
         ("planning: {goal_bias: 1.5}", "5:23 planning.goal_bias value"),
         ("planning: {pruning: yes}", "5:21 planning.pruning type"),
         ("planning: {safety: {delta: -0.1}}", "5:28 planning.safety.delta value"),
