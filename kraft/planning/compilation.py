@@ -26,21 +26,21 @@ from ompl_ext.vehicle import Vehicle
 POLL: Final = 0.05  # s, how late an interrupt is seen
 
 
-def ensure_compiled(vehicle: Vehicle, say: Callable[[str], None]) -> None:
+def ensure_compiled(vehicle: Vehicle, report: Callable[[str], None]) -> None:
     """Compile everything that planning for `vehicle` needs, unless it was; `say` is told before and after."""
     if is_cached(vehicle):
         return
-    say(f"compiling the planner and the model of {vehicle.name} for this machine: once, about 20 s ...")
+    report(f"compiling the planner and the model of {vehicle.name} for this machine: once, about 20 s ...")
     began = time.perf_counter()
     _exercise(vehicle)
-    say(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
+    report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 
-def ensure_maps_compiled(say: Callable[[str], None]) -> None:
+def ensure_maps_compiled(report: Callable[[str], None]) -> None:
     """Compile what looking at a map needs, the same for every vehicle, unless it was."""
     if _maps_marker().exists():
         return
-    say("compiling the maps' kernels for this machine: once, about 6 s ...")
+    report("compiling the maps' kernels for this machine: once, about 6 s ...")
     with interrupts_between_passes():
         compile_maps()
 

@@ -113,9 +113,9 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
 
 
 def task_hash(task: Task) -> str:
-    """Hash over what the planner is told: geometry, start, goal, settings; not names of files or comments."""
-    told = {f.name: getattr(task, f.name) for f in fields(Task) if f.name not in ("source", "vehicle")}
-    return plain_hash(told)
+    """Hash over what the planner is known: geometry, start, goal, settings; not names of files or comments."""
+    known = {f.name: getattr(task, f.name) for f in fields(Task) if f.name not in ("source", "vehicle")}
+    return plain_hash(known)
 
 
 def vehicle_content(vehicle: Vehicle, reference: str) -> dict[str, Any]:

@@ -41,10 +41,13 @@ class Previous:
             InputError: if it is not.
         """
         plan = self.plan
-        sizes, wanted = (plan.trajectory.shape[1], plan.controls.shape[1]), (len(vehicle.state), len(vehicle.controls))
-        if sizes != wanted:
+        sizes, required = (
+            (plan.trajectory.shape[1], plan.controls.shape[1]),
+            (len(vehicle.state), len(vehicle.controls)),
+        )
+        if sizes != required:
             problem = f"the plan has {sizes[0]} state components and {sizes[1]} controls"
-            expected = f"expected a plan of {vehicle.name}, which has {wanted[0]} and {wanted[1]}"
+            expected = f"expected a plan of {vehicle.name}, which has {required[0]} and {required[1]}"
             raise InputError.of(self.origin, problem, expected, Code.MISMATCH)
         if not 0.0 <= self.elapsed < plan.cost:
             problem = f"the plan is over after {plan.cost:.6g} s, asked for is {self.elapsed:.6g} s"

@@ -124,9 +124,9 @@ class _Run:
             return
         x, y, theta = map(float, world.pose)
         self._truth.append((world.time, x, y, theta, world.speed))
-        seen = self._plant.expose()
-        if seen is not None:
-            self._poses.append((seen.time, seen.x, seen.y, seen.theta))
+        observation = self._plant.expose()
+        if observation is not None:
+            self._poses.append((observation.time, observation.x, observation.y, observation.theta))
 
     def _send(self) -> None:
         world = self._world

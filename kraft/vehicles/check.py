@@ -25,7 +25,7 @@ def check_functions(vehicle: Vehicle, reference: str) -> None:
     """Compile each function by itself and try it; does nothing for a vehicle whose kernels are in the cache.
 
     Raises:
-        InputError: with every problem of every function, `reference` being what it is said of.
+        InputError: with every problem of every function, `reference` being what it is sentence of.
     """
     if is_cached(vehicle):
         return
@@ -85,8 +85,8 @@ def _not_finite(dispatcher: Any, arguments: tuple[Any, ...], label: str) -> Iter
         yield f"{label} fails at rest: {error}", "expected finite numbers"
         return
     if not all(math.isfinite(value) for value in values):
-        shown = ", ".join(f"{value:g}" for value in values)
-        yield f"{label} returns ({shown}) at rest", "expected finite numbers"
+        listed = ", ".join(f"{value:g}" for value in values)
+        yield f"{label} returns ({listed}) at rest", "expected finite numbers"
 
 
 def _untyped(value: Any) -> Any:
@@ -100,9 +100,9 @@ def readable(error: Exception) -> str:
     if "NRT required" in text:
         return "it makes a list or an array, and kernels cannot allocate memory"
     lines = [line.strip() for line in text.splitlines()]
-    said = next((line for line in lines if line and not line.startswith(("Failed in", "- Resolution"))), text)
+    sentence = next((line for line in lines if line and not line.startswith(("Failed in", "- Resolution"))), text)
     place = re.search(r'File "(?P<file>[^"]+)", line (?P<line>\d+):', text)
-    short = said if len(said) <= _LINE_MAX else said[: _LINE_MAX - 3] + "..."
+    short = sentence if len(sentence) <= _LINE_MAX else sentence[: _LINE_MAX - 3] + "..."
     return f"{short} ({place['file']}:{place['line']})" if place else short
 
 

@@ -79,8 +79,8 @@ def stop(x: Values, p: Values, k: int) -> Values:
 @derivative
 def brake(x: Values, p: Values, k: int) -> Values:
     """The same with the motor against the motion, gently near standstill."""
-    wanted = -BRAKING * x[3]
-    throttle = REVERSE if wanted < REVERSE else (-REVERSE if wanted > -REVERSE else wanted)
+    proportional = -BRAKING * x[3]
+    throttle = REVERSE if proportional < REVERSE else (-REVERSE if proportional > -REVERSE else proportional)
     return throttle, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
 
 

@@ -112,8 +112,8 @@ def _cache() -> Finding:
 
 def _rendering() -> Finding:
     """Try, in another process, which of MuJoCo's ways to draw without a screen works here."""
-    asked = os.environ.get("MUJOCO_GL")
-    for backend in (asked,) if asked else BACKENDS:
+    requested = os.environ.get("MUJOCO_GL")
+    for backend in (requested,) if requested else BACKENDS:
         environment = {**os.environ, "MUJOCO_GL": backend}
         command = [sys.executable, "-c", _GL_TRIAL]
         try:
@@ -122,5 +122,5 @@ def _rendering() -> Finding:
             continue
         if trial.returncode == 0:
             return Finding("rendering", "ok", f"MUJOCO_GL={backend}")
-    tried = f"MUJOCO_GL={asked} cannot draw here, unset it" if asked else "no EGL, OSMesa or GLFW"
+    tried = f"MUJOCO_GL={requested} cannot draw here, unset it" if requested else "no EGL, OSMesa or GLFW"
     return Finding("rendering", "note", f"{tried}; `--video` and `--view` need one of {', '.join(BACKENDS)}")

@@ -64,7 +64,7 @@ class PlanOutcome:
 
 
 def run_plan(
-    request: PlanRequest, say: Callable[[str], None], detail: Callable[[str], None] = discard_message
+    request: PlanRequest, report: Callable[[str], None], detail: Callable[[str], None] = discard_message
 ) -> PlanOutcome:
     """Load, check, plan, write, draw; `say` is told what takes long or is strange, `detail` what -v asks for.
 
@@ -77,12 +77,12 @@ def run_plan(
     timer = StageTimer(detail)
     task = _task(request)
     vehicle = _vehicle(request, task)
-    previous = _previous(request, task, say)
+    previous = _previous(request, task, report)
     target = None if request.out is None else request.out / NAME
     _check_places(target, request.plot)
     _report_inputs(detail, request, task, vehicle)
     timer.report("loaded and checked")
-    ensure_compiled(vehicle, say)
+    ensure_compiled(vehicle, report)
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
     timer.report("planned, with maps and verification,")
     if target is not None and result.plan is not None:
@@ -150,7 +150,7 @@ def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]
     return replace(diagnostic, file=where, line=None, column=None, path=path)
 
 
-def _previous(request: PlanRequest, task: Task, say: Callable[[str], None]) -> Previous | None:
+def _previous(request: PlanRequest, task: Task, report: Callable[[str], None]) -> Previous | None:
     if request.previous is None:
         if request.after != 0.0:
             raise InputError.of("--after", "is given without --from", "expected both or none", Code.CONFLICT)
@@ -160,7 +160,7 @@ def _previous(request: PlanRequest, task: Task, say: Callable[[str], None]) -> P
     content = read_plan_file(request.previous)
     scenario = content.scenario.name
     if scenario != task.name:
-        say(f"note: {request.previous} is a plan of {scenario or 'a scenario without a name'}, not of {task.name}")
+        report(f"note: {request.previous} is a plan of {scenario or 'a scenario without a name'}, not of {task.name}")
     return Previous(content.plan(), request.after, str(request.previous))
 
 

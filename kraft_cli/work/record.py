@@ -38,7 +38,7 @@ class RecordedRun:
 
 
 def record_logs(
-    request: RecordRequest, say: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
+    request: RecordRequest, report: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
 ) -> tuple[RecordedRun, ...]:
     """Record all runs; each is written when it ends, so that an interrupt keeps the finished ones.
 
@@ -59,7 +59,7 @@ def record_logs(
     from kraft.recording.recorder import Recorder
 
     check_log_folder(request.out)
-    ensure_compiled(vehicle, say)
+    ensure_compiled(vehicle, report)
     recorder = Recorder(scenario, vehicle, request.seed)
     arguments = {"scenario": request.scenario, "runs": request.runs, "seed": request.seed}
     done = []

@@ -46,13 +46,13 @@ class Run:
 
 def run_scenario(
     request: RunRequest,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
     on_cycle: Callable[[Cycle], None] | None = None,
     detail: Callable[[str], None] = discard_message,
 ) -> Run:
     """Load, check, drive and write a trial.
 
-    `say` receives messages about what takes long, `detail` those of ``-v``, and `on_cycle` each committed cycle.
+    `report` receives messages about what takes long, `detail` those of ``-v``, and `on_cycle` each committed cycle.
 
     Raises:
         InputError: with the problems of the request and of the files it names, before the drive.
@@ -67,7 +67,7 @@ def run_scenario(
     cell = experiment.cells[0]
     _log_details(detail, cell)
     timer.report("loaded and checked")
-    ensure_compiled(cell.vehicle, say)
+    ensure_compiled(cell.vehicle, report)
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 

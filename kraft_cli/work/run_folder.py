@@ -66,8 +66,11 @@ def _steps(result: TrialResult) -> Iterator[list[float]]:
 
 
 def _observations(result: TrialResult) -> Iterator[list[float]]:
-    for seen in result.observations:
-        yield [float(value) for value in (seen.time, seen.arrival, seen.x, seen.y, seen.theta)]
+    for observation in result.observations:
+        yield [
+            float(value)
+            for value in (observation.time, observation.arrival, observation.x, observation.y, observation.theta)
+        ]
 
 
 def cycle_content(cycle: Cycle) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from support.evaluation import places
 from support.paths import ROOT
 
 from kraft.recording.recorder import Recorder
@@ -70,7 +71,7 @@ def test_logs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixture
     before = contents(folder)
     capsys.readouterr()
     assert main(["record", "--runs", "1", "--seed", "1"]) == 2
-    assert capsys.readouterr().err == "logs: is there already; expected a new folder for the logs\n"
+    assert places(capsys.readouterr().err) == ["logs"]
     assert contents(folder) == before
 
 
@@ -99,7 +100,7 @@ def test_a_run_that_cannot_be_written_leaves_no_part_of_it(
 
     monkeypatch.setattr("kraft.files.os.rename", full)
     assert main(["record", "--runs", "1"]) == 2
-    assert "logs/run_01: cannot be written: No space left on device; expected" in capsys.readouterr().err
+    assert places(capsys.readouterr().err)[-1] == "logs/run_01"
     assert list((folder / "logs").iterdir()) == []
 
 
@@ -115,11 +116,11 @@ def test_a_run_that_ends_early_says_so(capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["trainin"], "trainin: there is no scenario of this name; did you mean 'training'?"),
-        (["--runs", "0"], "--runs: is 0; expected a number of at least 1"),
-        (["--seed", "-1"], "--seed: is -1; expected a number of at least 0"),
-        (["--out", "."], ".: is there already; expected a new folder for the logs"),
-        (["--out", "/proc/x"], "/proc/x: cannot be written: nothing can be made in /proc ("),
+        (["trainin"], "trainin"),
+        (["--runs", "0"], "--runs"),
+        (["--seed", "-1"], "--seed"),
+        (["--out", "."], "."),
+        (["--out", "/proc/x"], "/proc/x"),
     ],
 )
 def test_bad_arguments_are_explained_without_driving(
@@ -128,7 +129,7 @@ def test_bad_arguments_are_explained_without_driving(
     assert main(["record", *arguments]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(expected)
+    assert places(err) == [expected]
     assert list(folder.iterdir()) == []
 
 

@@ -1,13 +1,25 @@
-"""One trial, two trials."""
+"""One trial, two trials; clearances and finite numbers."""
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from kraft.text import counted, grouped
+from kraft.text import counted, decimals, finite, grouped, metres
 
 
 @pytest.mark.parametrize(("number", "text"), [(0, "0 trials"), (1, "1 trial"), (2, "2 trials")])
 def test_one_thing_is_no_plural(number: int, text: str) -> None:
     assert counted(number, "trial") == grouped(number, "trial") == text
     assert grouped(20_000, "edge") == "20,000 edges"
+
+
+@pytest.mark.parametrize("value", [None, math.inf, -math.inf, math.nan])
+def test_what_is_not_finite_is_null_in_json_and_words_in_text(value: float | None) -> None:
+    assert finite(value) is None
+    assert (metres(value), metres(value, "-"), decimals(value, 2)) == ("no obstacle", "-", "-")
+
+
+def test_finite_numbers_keep_their_digits() -> None:
+    assert (finite(0.1), metres(0.12345), decimals(2.0, 1)) == (0.1, "0.123 m", "2.0")

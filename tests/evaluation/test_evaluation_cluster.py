@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 from support import fake_trials
-from support.evaluation import StoppingObserver, kept
+from support.evaluation import StoppingObserver, kept, refused
 from support.paths import ROOT
 
-from kraft.errors import InputError, MissingDependency
+from kraft.errors import Code, MissingDependency
 from kraft.evaluation import TrialRow, cluster, evaluate, evaluator
 from kraft_cli.main import main
 
@@ -115,7 +115,7 @@ def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
     dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     observer = KillingObserver(dask.scheduler, 3)
-    with pytest.raises(InputError, match=r"cluster: the scheduler at tcp://.* went away"):
+    with refused(("cluster", Code.NOT_FOUND)):
         run(dask, fake_trials.slow, 4, out=tmp_path / "out", observer=observer)
     fake_trials.use(monkeypatch, fake_trials.slow, inline=True)
     rest = StoppingObserver()
@@ -130,15 +130,15 @@ def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused
     assert not stopped.complete
     assert 3 <= len(stopped.rows) <= 3 + 4
     monkeypatch.setattr(cluster, "versions", lambda _: {"kraft": "99"})
-    with pytest.raises(InputError, match=r"a worker has kraft 0.1.0 instead of 99, .*; expected the same versions"):
+    with refused(("cluster", Code.MISMATCH)):
         run(dask, fake_trials.quick, 1)
 
 
 def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "ANSWER_TIMEOUT", 0.5)
-    with pytest.raises(InputError, match=r"cluster: no Dask scheduler answers at tcp://127.0.0.1:9 "):
+    with refused(("cluster", Code.NOT_FOUND)):
         evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
-    with pytest.raises(InputError, match=r"cluster: no Dask scheduler answers at nowhere"):
+    with refused(("cluster", Code.NOT_FOUND)):
         evaluate(["turns"], ["kraft"], 1, cluster="nowhere")
 
 
@@ -150,8 +150,7 @@ def test_a_wrong_address_ends_at_once_with_one_line_and_leaves_no_folder(tmp_pat
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")
-    told = r"--cluster: no Dask scheduler answers at nowhere \(.*\); expected its address, as in tcp://192.0.2.1:8786\n"
-    assert re.fullmatch(told, done.stderr)
+    assert re.fullmatch(r"--cluster: .*\n", done.stderr)
     assert not (tmp_path / "out").exists()
 
 
@@ -162,5 +161,5 @@ def test_without_the_extra_it_ends_with_3_and_says_what_to_install(
     with pytest.raises(MissingDependency):
         cluster.Cluster("tcp://127.0.0.1:9")
     assert main(["eval", "turns", "--cluster", "tcp://127.0.0.1:9", "--out", str(tmp_path / "out")]) == 3
-    assert "a Dask cluster needs the package distributed: pip install 'kraft[cluster]'" in capsys.readouterr().err
+    assert "pip install 'kraft[cluster]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

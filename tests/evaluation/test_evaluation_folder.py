@@ -1,4 +1,4 @@
-"""The results folder: nothing that was finished is lost, nothing is mixed, nothing is overwritten."""
+"""The results folder keeps finished trials, refuses other evaluations, and is never overwritten."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import fake_trials
-from support.evaluation import StoppingObserver, kept, room_for
+from support.evaluation import StoppingObserver, kept, places, refused, room_for
 from support.paths import ROOT
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder, manifest
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
@@ -77,11 +77,11 @@ def test_the_order_in_which_trials_end_changes_nothing(tmp_path: Path, monkeypat
 def test_nothing_is_written_where_there_is_a_folder(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match=r"is there already"):
+    with refused((tmp_path / "out", Code.EXISTS)):
         run(tmp_path / "out")
-    with pytest.raises(InputError, match="cannot be"):
+    with refused((tmp_path / "file", Code.UNWRITABLE)):
         run(tmp_path / "file")
-    with pytest.raises(InputError, match="is not a folder"):
+    with refused((tmp_path / "file/deeper", Code.UNWRITABLE)):
         run(tmp_path / "file/deeper")
     assert list((tmp_path / "out").iterdir()) == []
 
@@ -108,14 +108,15 @@ def test_going_on_with_what_is_complete_runs_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "out/summary.json").exists()
 
 
-def test_a_torn_last_line_is_told_and_its_trial_repeated(tmp_path: Path) -> None:
+def test_a_incomplete_last_line_is_reported_and_its_trial_repeated(tmp_path: Path) -> None:
     run(tmp_path / "whole")
     run(tmp_path / "out", observer=StoppingObserver(4))
     path = tmp_path / "out/trials.jsonl"
     path.write_bytes(path.read_bytes()[:-20])
     rest = StoppingObserver()
     run(tmp_path / "out", resume=True, observer=rest)
-    assert rest.messages == [f"{path}: the last line is torn; its trial is repeated"]
+    assert places(rest.messages[0]) == [str(path)]
+    assert len(rest.messages) == 1
     assert len(rest.rows) == 9
     assert kept(tmp_path / "out") == kept(tmp_path / "whole")
 
@@ -127,34 +128,27 @@ def test_an_evaluation_stopped_before_its_manifest_begins_anew(tmp_path: Path) -
 
 
 def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such folder"):
+    with refused((tmp_path / "out", Code.NOT_FOUND)):
         run(tmp_path / "out", resume=True)
     (tmp_path / "out").mkdir()
     (tmp_path / "out/manifest.json").write_text("[]")
-    with pytest.raises(InputError, match="has no schema"):
+    with refused((tmp_path / "out/manifest.json", Code.MISSING)):
         run(tmp_path / "out", resume=True)
 
 
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"trials": 4}, ["trials: was made with 3, now it is 4"]),
+        ({"trials": 4}, ["trials"]),
         (
                 {"methods": ("kraft",)},
-                [
-                    "methods.oneshot-openloop: method oneshot-openloop is part of it, but left out now",
-                    "vehicles.mushr: vehicle mushr is part of it, but left out now",
-                ],
+                ["methods.oneshot-openloop", "vehicles.mushr"],
             ),
-        ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes: scenario boxes is not part of it"]),
-        ({"realtime": True}, ["realtime: was made with false, now it is true"]),
+        ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes"]),
+        ({"realtime": True}, ["realtime"]),
         (
             {"vehicle": "unicycle2"},
-            [
-                "rows.slip, kraft: was made with \"mushr-drive\", now it is \"unicycle2\"",
-                "vehicles.mushr: vehicle mushr is part of it, but left out now",
-                "vehicles.unicycle2: vehicle unicycle2 is not part of it",
-            ],
+            ["rows.slip, kraft", "vehicles.mushr", "vehicles.unicycle2"],
         ),
     ],
 )  # fmt: skip
@@ -165,10 +159,11 @@ def test_a_folder_of_another_configuration_is_refused_field_by_field(
     before = (tmp_path / "out/trials.jsonl").read_bytes()
     with pytest.raises(InputError) as caught:
         run(tmp_path / "out", resume=True, **change)
-    told = [f"{each.path}: {each.problem}" for each in caught.value.diagnostics]
-    assert set(expected) <= set(told)
+    differing = [each.path for each in caught.value.diagnostics]
+    assert {each.code for each in caught.value.diagnostics} == {Code.MISMATCH}
+    assert set(expected) <= set(differing)
     if len(expected) == 1:
-        assert len(told) == 1
+        assert len(differing) == 1
     assert (tmp_path / "out/trials.jsonl").read_bytes() == before
 
 
@@ -185,10 +180,9 @@ def test_a_changed_file_and_another_version_are_refused(tmp_path: Path) -> None:
     path.write_text(json.dumps(content))
     with pytest.raises(InputError) as caught:
         run(tmp_path / "out", methods=(method,), resume=True)
-    told = {each.path: each.problem for each in caught.value.diagnostics}
-    assert told["methods.mine.content.controller.rate_hz"] == "was made with 30.0, now it is 10.0"
-    assert told["versions.mujoco"].startswith('was made with "3.9", now it is')
-    assert len(told) == 2
+    problems = {each.path: each.problem for each in caught.value.diagnostics}
+    assert problems.keys() == {"methods.mine.content.controller.rate_hz", "versions.mujoco"}
+    assert problems["methods.mine.content.controller.rate_hz"] == "was 30.0, is 10.0 now"
 
 
 def test_a_full_disk_keeps_every_finished_trial(tmp_path: Path) -> None:
@@ -196,7 +190,7 @@ def test_a_full_disk_keeps_every_finished_trial(tmp_path: Path) -> None:
     observer = StoppingObserver()
     with (
         room_for(30_000),
-        pytest.raises(InputError, match=r"trials.jsonl: cannot be written: File too large; expected"),
+        refused((tmp_path / "out/trials.jsonl", Code.UNWRITABLE)),
     ):
         run(tmp_path / "out", trials=30, observer=observer)
     content = (tmp_path / "out/trials.jsonl").read_bytes()
@@ -208,14 +202,14 @@ def test_a_full_disk_keeps_every_finished_trial(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_is_full_from_the_start_leaves_nothing_behind(tmp_path: Path) -> None:
-    with room_for(100), pytest.raises(InputError, match=r"manifest.json: cannot be written"):
+    with room_for(100), refused((tmp_path / "out/manifest.json", Code.UNWRITABLE)):
         run(tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_only_one_process_writes_a_journal(tmp_path: Path) -> None:
     first = Journal(tmp_path / "trials.jsonl")
-    with pytest.raises(InputError, match="another kraft eval writes it"):
+    with refused((tmp_path / "trials.jsonl", Code.CONFLICT)):
         Journal(tmp_path / "trials.jsonl")
     first.close()
     Journal(tmp_path / "trials.jsonl").close()
@@ -229,12 +223,11 @@ def test_damage_in_the_middle_is_refused_at_its_line(tmp_path: Path) -> None:
     path.write_text("\n".join([lines[0], "}{", lines[2], lines[2], other, '{"scenario":1}']) + "\n")
     with pytest.raises(InputError) as caught:
         run(tmp_path / "out", resume=True)
-    told = [(each.line, each.problem) for each in caught.value.diagnostics]
-    assert told == [
-        (2, "is not a trial"),
-        (4, "turns, oneshot-openloop, seed 7 is there twice"),
-        (5, "turns, kraft, seed 99 is not a trial of this evaluation"),
-        (6, "is not a trial"),
+    assert [(each.line, each.code) for each in caught.value.diagnostics] == [
+        (2, Code.SYNTAX),
+        (4, Code.DUPLICATE),
+        (5, Code.MISMATCH),
+        (6, Code.SYNTAX),
     ]
 
 
@@ -272,7 +265,7 @@ def test_a_journal_cut_anywhere_holds_its_whole_lines(found: list[TrialRow], dat
         path.write_bytes(content[:cut])
         read = read_journal(path)
     assert list(read.rows.values()) == found[: content[:cut].count(b"\n")]
-    assert read.whole + read.torn == cut
+    assert read.complete_bytes + read.incomplete_bytes == cut
 
 
 def test_the_default_folder_is_never_one_that_exists(tmp_path: Path) -> None:

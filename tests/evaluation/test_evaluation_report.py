@@ -15,10 +15,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pytest
 from support import fake_trials
-from support.evaluation import StoppingObserver, room_for
+from support.evaluation import StoppingObserver, places, refused, room_for
 from support.paths import ROOT
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, evaluate
 from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element
@@ -145,7 +145,7 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
     assert tags.classes("rect")["missing"] == 8
 
 
-def test_failed_trials_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_trials_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_trials.use(monkeypatch, fake_trials.raises, inline=True)
     evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out")
     text = text_of(Tags(Path("out/report.html").read_text()))
@@ -243,40 +243,42 @@ def damaged(**changes: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("spoil", "expected"),
     [
-        (lambda: Path("out/manifest.json").unlink(), "out: has no manifest.json; expected the folder of a kraft eval"),
-        (lambda: Path("out/manifest.json").write_text("{"), "out/manifest.json: is not JSON"),
-        (lambda: damaged(schema="kraft.run/1"), "out/manifest.json: has the schema 'kraft.run/1'"),
-        (lambda: damaged(trials=0), "out/manifest.json: trials: is damaged"),
-        (lambda: damaged(rows=[]), "out/manifest.json: rows: is damaged"),
-        (lambda: Path("out/trials.jsonl").write_text("{}\n[]\n"), "out/trials.jsonl:1:1: is not a trial"),
-        (lambda: Path("out/summary.json").write_text("{}"), "out/summary.json: is damaged"),
+        (lambda: Path("out/manifest.json").unlink(), ["out", "", "not-found"]),
+        (lambda: Path("out/manifest.json").write_text("{"), ["out/manifest.json", "", "syntax"]),
+        (lambda: damaged(schema="kraft.run/1"), ["out/manifest.json", "", "mismatch"]),
+        (lambda: damaged(trials=0), ["out/manifest.json", "trials", "syntax"]),
+        (lambda: damaged(rows=[]), ["out/manifest.json", "rows", "syntax"]),
+        (lambda: Path("out/trials.jsonl").write_text("{}\n[]\n"), ["out/trials.jsonl:1:1", "", "syntax"]),
+        (lambda: Path("out/summary.json").write_text("{}"), ["out/summary.json", "", "syntax"]),
     ],
 )
-def test_a_damaged_folder_is_refused(spoil: Any, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_folder_is_refused(spoil: Any, expected: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     run()
     before = Path("out/report.html").read_bytes()
     spoil()
+    with pytest.raises(InputError) as caught:
+        read_results(Path("out"))
+    first = caught.value.diagnostics[0]
+    assert [first.place, first.path, first.code] == expected
     assert main(["report", "out"]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(message)
+    assert capsys.readouterr().out == ""
     assert Path("out/report.html").read_bytes() == before
 
 
 def test_wrong_folders_and_files_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     run()
     Path("file").touch()
-    for arguments, message in (
-        (["none"], "none: there is no such folder; expected the folder of a kraft eval\n"),
-        (["file"], "file: is not a folder; expected the folder of a kraft eval\n"),
-        (["out", "--out", "out"], "out: is a folder; expected the name of a file\n"),
-        (["out", "--out", "file/page.html"], f"file/page.html: cannot be written: {Path.cwd() / 'file'} is not a folder"),
-        (["out", "--out", "/proc/x.html"], "/proc/x.html: cannot be written: nothing can be made in /proc ("),
-    ):  # fmt: skip
+    for arguments, place in (
+        (["none"], "none"),
+        (["file"], "file"),
+        (["out", "--out", "out"], "out"),
+        (["out", "--out", "file/page.html"], "file/page.html"),
+        (["out", "--out", "/proc/x.html"], "/proc/x.html"),
+    ):
         assert main(["report", *arguments]) == 2
-        assert capsys.readouterr().err.startswith(message)
+        assert places(capsys.readouterr().err) == [place]
     assert main(["report", "out", "--out", "pages/mine.html"]) == 0
     assert capsys.readouterr().out == "pages/mine.html\n"
     assert Path("pages/mine.html").read_bytes() == Path("out/report.html").read_bytes()
@@ -287,7 +289,7 @@ def test_a_disk_that_is_full_leaves_the_old_page(capsys: pytest.CaptureFixture[s
     before = Path("out/report.html").read_bytes()
     with room_for(10_000):
         assert main(["report", "out"]) == 2
-    assert capsys.readouterr().err.startswith("out/report.html: cannot be written: File too large")
+    assert places(capsys.readouterr().err) == ["out/report.html"]
     assert Path("out/report.html").read_bytes() == before
 
 
@@ -309,6 +311,6 @@ def test_a_folder_without_titles_is_shown_with_names() -> None:
 
 def test_an_outsider_s_folder_is_not_written_to() -> None:
     Path("empty").mkdir()
-    with pytest.raises(InputError, match=r"has no manifest\.json"):
+    with refused(("empty", Code.NOT_FOUND)):
         write_report(Path("empty"))
     assert list(Path("empty").iterdir()) == []

@@ -1,4 +1,4 @@
-"""What the tests of evaluations share: results without what the clock says, a observer that stops, a full disk."""
+"""What the tests of evaluations share: results without measured times, an observer that stops, refusals, a full disk."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from kraft.errors import Code, InputError
 from kraft.evaluation import Observer, TrialRow
 from kraft.evaluation.summary import WALL_CLOCK
 
@@ -18,8 +21,21 @@ KEYS = {
 }  # fmt: skip
 
 
+@contextmanager
+def refused(*expected: tuple[Path | str, Code]) -> Iterator[None]:
+    """Expect an InputError whose diagnostics have these places and codes, in this order."""
+    with pytest.raises(InputError) as caught:
+        yield
+    assert [(each.place, each.code) for each in caught.value.diagnostics] == [(str(p), c) for p, c in expected]
+
+
+def places(err: str) -> list[str]:
+    """Places of the diagnostics on stderr: what stands before the first colon and space of each line."""
+    return [line.split(": ", 1)[0] for line in err.splitlines()]
+
+
 class StoppingObserver(Observer):
-    """Stops after some trials and remembers what was said."""
+    """Requests a stop after some trials and records the messages."""
 
     def __init__(self, after: int = 10**6) -> None:
         self.after, self.rows, self.messages = after, list[TrialRow](), list[str]()
@@ -41,7 +57,7 @@ def without_clock(value: Any) -> Any:
 
 
 def kept(out: Path) -> tuple[list[str], Any]:
-    """Sorted trials and summary, without what the clock says."""
+    """Sorted trials and summary, without measured times."""
     lines = [json.dumps(without_clock(json.loads(line))) for line in (out / "trials.jsonl").read_text().splitlines()]
     return sorted(lines), without_clock(json.loads((out / "summary.json").read_text()))
 

@@ -103,7 +103,7 @@ def test_the_same_spec_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
     assert first != other
 
 
-def test_being_watched_changes_nothing(tmp_path: Path) -> None:
+def test_observing_changes_nothing(tmp_path: Path) -> None:
     cycles: list[Cycle] = []
     steps: list[Step] = []
 
