@@ -12,8 +12,9 @@ from kraft.driving.method import Method, load_method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.job import Job
 from kraft.planning.feasibility import check_placement
-from kraft.planning.workspace import start_state, vehicle_of_task
+from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario, load_scenario
+from kraft.trial.result import load_planning_vehicle, vehicle_reference
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -169,10 +170,9 @@ def _cells(
         checked: set[str] = set()
         for method in methods:
             try:
-                reference = vehicle or _vehicle_of_method(method) or scenario.vehicle
+                reference = vehicle_reference(scenario, method, vehicle)
                 if reference not in loaded:
-                    given = reference == scenario.vehicle
-                    loaded[reference] = vehicle_of_task(scenario) if given else load_vehicle(reference)
+                    loaded[reference] = load_planning_vehicle(scenario, reference)
                 model = loaded[reference]
                 if reference not in checked:
                     checked.add(reference)
@@ -180,14 +180,3 @@ def _cells(
                 yield Cell(scenario, method, reference, model)
             except InputError as error:
                 problems += error.diagnostics
-
-
-def _vehicle_of_method(method: Method) -> str | None:
-    """Planning model that the method names, by a path relative to the method's file; None without one."""
-    if method.planner.vehicle is None:
-        return None
-    try:
-        return resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
-    except VehicleProblem as error:
-        problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
-        raise InputError([problem]) from None

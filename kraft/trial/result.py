@@ -55,29 +55,35 @@ class TrialSpec:
         Raises:
             InputError: with what is wrong with scenario, method or vehicle.
         """
-        scene, how = load_scenario(scenario), load_method(method)
-        return cls(scene, how, load_vehicle_of_trial(scene, how, vehicle)[1], seed)
+        loaded, loaded_method = load_scenario(scenario), load_method(method)
+        reference = vehicle_reference(loaded, loaded_method, vehicle)
+        return cls(loaded, loaded_method, load_planning_vehicle(loaded, reference), seed)
 
 
-def load_vehicle_of_trial(scenario: Scenario, method: Method, vehicle: str | None = None) -> tuple[str, Vehicle]:
-    """Reference and model that a robot plans with: `vehicle`, else the method's own, else the scenario's.
+def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = None) -> str:
+    """Reference of the model that the robot plans with: `vehicle`, else the method's own, else the scenario's.
 
-    A method's own path is relative to the method's file.
+    A path in a method file is relative to that file.
 
     Raises:
-        InputError: if it cannot be loaded, reported at the line that names it.
+        InputError: if the method's reference is wrong, reported at its line.
     """
-    reference = vehicle or _vehicle_of_method(method) or scenario.vehicle
-    return reference, vehicle_of_task(scenario) if reference == scenario.vehicle else load_vehicle(reference)
-
-
-def _vehicle_of_method(method: Method) -> str | None:
-    if method.planner.vehicle is None:
-        return None
+    if vehicle is not None or method.planner.vehicle is None:
+        return vehicle or scenario.vehicle
     try:
         return resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
     except VehicleProblem as error:
-        raise InputError([method.source.diagnostic("planner.vehicle", error.problem, error.expected)]) from None
+        problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
+        raise InputError([problem]) from None
+
+
+def load_planning_vehicle(scenario: Scenario, reference: str) -> Vehicle:
+    """Model of a `vehicle_reference`; problems with the scenario's own are reported at its line.
+
+    Raises:
+        InputError: if it cannot be loaded.
+    """
+    return vehicle_of_task(scenario) if reference == scenario.vehicle else load_vehicle(reference)
 
 
 @dataclass(frozen=True)
