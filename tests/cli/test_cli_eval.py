@@ -22,11 +22,6 @@ from kraft_cli.terminal import Terminal
 EVAL = (ROOT / "docs" / "eval.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run trials of `fake_trials` in this process."""

@@ -36,9 +36,8 @@ COLLISION = Violation(Requirement.COLLISION, "plan: collides")
 
 
 @pytest.fixture(autouse=True)
-def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / "room.yaml"
+def room(folder: Path) -> Path:
+    path = folder / "room.yaml"
     path.write_text(SCENE)
     return path
 

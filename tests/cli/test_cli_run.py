@@ -35,10 +35,9 @@ goal: {center: [2.4, 1], radius: 0.4}
 
 
 @pytest.fixture(autouse=True)
-def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "short.yaml").write_text(SHORT)
-    return tmp_path / "short.yaml"
+def short(folder: Path) -> Path:
+    (folder / "short.yaml").write_text(SHORT)
+    return folder / "short.yaml"
 
 
 def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[str]) -> None:

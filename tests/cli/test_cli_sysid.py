@@ -29,10 +29,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: Path) -> Path:
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(recorded, tmp_path / "logs")
-    return tmp_path
+def logs(folder: Path, recorded: Path) -> None:
+    shutil.copytree(recorded, folder / "logs")
 
 
 def shorten(run: Path, poses: int, apart: int = 3) -> None:
