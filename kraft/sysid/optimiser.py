@@ -172,9 +172,9 @@ def _solve(factors: RhoFactors, damping: float, free: Bools, fixed: Floats) -> F
     graph.add(gtsam.HessianFactor(RHO, np.diag(prior[free]), -factors.prior_gradient[free], 0.0))
     try:
         solution: Floats = graph.optimize().at(RHO)
-    except RuntimeError as error:  # GTSAM's IndeterminantLinearSystemException
+    except RuntimeError:  # GTSAM's IndeterminantLinearSystemException
         raise NegativeResult(
             "the logs do not determine the parameters: the linear system of the optimiser is singular; "
             "check the units and scales of the commands"
-        ) from error
+        ) from None
     return solution
