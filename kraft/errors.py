@@ -1,19 +1,18 @@
-"""What can go wrong, as types.
+"""Exceptions of kraft, and the diagnostics that they carry.
 
     KraftError
-    ├── InputError             what was given is wrong; carries every problem found, each with its place
-    ├── MissingError           something this installation should have is not there
+    ├── InputError             invalid input; carries every problem found, each with its place
+    ├── MissingError           the installation lacks something
     │   ├── MissingDependency  a package
     │   └── MissingAsset       a file that kraft itself ships or makes
-    ├── NegativeResult         everything worked and the answer is no (no plan found, not identifiable)
+    ├── NegativeResult         the computation succeeded with a negative result (no plan, not identifiable)
     │   └── Unreachable        no path leads to the goal; carries the places of the goals
-    └── Defect                 kraft broke a promise it makes; never the user's fault
+    └── Defect                 an error in kraft itself, never in its input
 
-A name or file that the user gave and that does not exist is an InputError. Exit codes belong to the
-command line, not here.
+A name or file that the user gave and that does not exist is an InputError.  The command line assigns exit codes.
 """
 
-# ruff: noqa: N818 - the names say what happened
+# ruff: noqa: N818 - a name without "Error" where nothing is erroneous
 
 from __future__ import annotations
 
@@ -23,10 +22,10 @@ from enum import StrEnum
 
 
 class Code(StrEnum):
-    """What kind of problem a diagnostic reports.  Programs and tests decide by the code, never by the text."""
+    """Kind of a problem.  Programs and tests decide by the code, never by the text."""
 
     SYNTAX = "syntax"
-    """the file does not have the format that its kind has"""
+    """the file does not have the format of its kind"""
     TYPE = "type"
     """a value of another type"""
     VALUE = "value"
@@ -34,41 +33,41 @@ class Code(StrEnum):
     UNKNOWN = "unknown"
     """a key, parameter, column or name that does not exist"""
     MISSING = "missing"
-    """something that has to be given is not"""
+    """something required is not given"""
     DUPLICATE = "duplicate"
     """something is given twice"""
     CONFLICT = "conflict"
-    """things that are allowed, but not together"""
+    """values that are allowed alone, but not together"""
     MISMATCH = "mismatch"
-    """a file or a result of something else than what it is used for"""
+    """a file or a result that does not fit what it is used for"""
     NOT_FOUND = "not-found"
     """there is no such file, folder, module or bundled name"""
     UNREADABLE = "unreadable"
-    """it is there and cannot be read"""
+    """it exists and cannot be read"""
     UNWRITABLE = "unwritable"
-    """nothing can be written there"""
+    """it cannot be written"""
     EXISTS = "exists"
-    """something is there that must not be replaced"""
+    """it exists and must not be replaced"""
     GEOMETRY = "geometry"
-    """poses, shapes or places that do not go together in the scene"""
+    """poses or shapes that are invalid or inconsistent in the scene"""
     CODE = "code"
-    """a user's Python code fails or returns something else than it should"""
+    """a user's Python code fails or returns a wrong value"""
     DATA = "data"
-    """logs that cannot be used, or show too little"""
+    """logs that cannot be used, or contain too little information"""
 
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One problem in one place; prints as ``FILE:LINE:COLUMN: path.to.key: problem; expected``.
+    """Problem at one place; prints as ``FILE:LINE:COLUMN: path.to.key: problem; expected``.
 
     Attributes:
-        file: the file, name or argument that is wrong.
-        problem: what is wrong with it.
-        expected: what to give instead.
-        line, column: from 1; both None when the problem is the file itself, the column alone when it is a whole row.
-        path: the key that is wrong; empty when the problem is not at a key.
-        code: what kind of problem it is.
-        argument: whether `file` is the name of a function's argument; the command line prints the option for it.
+        file: file, name or argument that is wrong.
+        problem: what is wrong.
+        expected: the value to give instead.
+        line, column: counted from 1; both None for the file as a whole, the column alone for a whole row.
+        path: key that is wrong; empty if the problem is not at a key.
+        code: kind of the problem.
+        argument: whether `file` is the name of a function's argument; the command line prints the option instead.
     """
 
     file: str
@@ -91,27 +90,27 @@ class Diagnostic:
 
 
 class KraftError(Exception):
-    """Root of everything kraft raises on purpose."""
+    """Base class of all exceptions that kraft raises."""
 
 
 class InputError(KraftError):
-    """What was given is wrong. ``diagnostics`` holds every problem, in the order of the file."""
+    """Invalid input. ``diagnostics`` holds every problem, in the order of the file."""
 
     diagnostics: tuple[Diagnostic, ...]
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
-        found = dict.fromkeys(diagnostics)  # the same problem seen through two checks is said once
+        found = dict.fromkeys(diagnostics)  # two checks may report the same problem
         self.diagnostics = tuple(sorted(found, key=lambda d: (d.file, d.line or 0, d.column or 0)))
         super().__init__(self.diagnostics)
 
     @classmethod
     def of(cls, subject: str, problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
-        """Make the error for a single problem of ``subject`` (a file or a name) as a whole."""
+        """Error with a single problem of ``subject``, a file or a name."""
         return cls([Diagnostic(subject, problem, expected, code=code)])
 
     @classmethod
     def of_argument(cls, name: str, problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
-        """Make the error for a single problem of the argument ``name`` of a function."""
+        """Error with a single problem of the argument ``name`` of a function."""
         return cls([Diagnostic(name, problem, expected, code=code, argument=True)])
 
     def __str__(self) -> str:
@@ -119,7 +118,7 @@ class InputError(KraftError):
 
 
 class MissingError(KraftError):
-    """Something this installation should have is not there."""
+    """The installation lacks something."""
 
 
 class MissingDependency(MissingError):
@@ -131,11 +130,11 @@ class MissingAsset(MissingError):
 
 
 class NegativeResult(KraftError):
-    """Everything worked and the answer is no."""
+    """The computation succeeded with a negative result."""
 
 
 class Unreachable(NegativeResult):
-    """No path leads to a goal, whatever is tried. ``diagnostics`` says which goals, and where they were written."""
+    """No path leads to a goal. ``diagnostics`` names the goals and where they are written."""
 
     diagnostics: tuple[Diagnostic, ...]
 
@@ -148,4 +147,4 @@ class Unreachable(NegativeResult):
 
 
 class Defect(KraftError):
-    """kraft broke a promise it makes."""
+    """Error in kraft itself."""

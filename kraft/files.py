@@ -1,4 +1,4 @@
-"""Write a file whole or not at all."""
+"""Atomic writing of files, and checks before the work that a file can be written."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from typing import Any, Self
 
 from kraft.errors import Code, Diagnostic, InputError
 
-EXPECTED = "expected a place that can be written, with room for it"
+EXPECTED = "expected a writable place with enough space"
 
 
 def check_writable(path: Path) -> None:
-    """Find out before the work whether a file or a new folder can be put at `path`, by trying to in the nearest folder.
+    """Check that a file or a new folder can be written at `path`, by writing to the nearest existing folder.
 
     Raises:
-        InputError: if a folder stands there, a file stands where a folder has to be, or nothing can be made there.
+        InputError: if `path` is a folder, a file stands where a folder is needed, or nothing can be written.
     """
     if path.is_dir():
         raise InputError.of(str(path), "is a folder", "expected the name of a file", Code.UNWRITABLE)
     folder = next(p for p in path.absolute().parents if os.path.lexists(p))
     if not folder.is_dir():
         raise InputError.of(str(path), f"cannot be written: {folder} is not a folder", EXPECTED, Code.UNWRITABLE)
-    try:  # permissions do not tell: think of /proc, and of what is mounted read-only
+    try:  # permissions are not enough: /proc and read-only mounts refuse in spite of them
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".kraft-"):
             pass
     except OSError as error:
-        problem = f"cannot be written: nothing can be made in {folder} ({error.strerror})"
+        problem = f"cannot be written: no file can be created in {folder} ({error.strerror})"
         raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from None
 
 
 def check_all(*checks: Callable[[], object]) -> None:
-    """Make every check, and raise what all of them found.
+    """Run every check and raise their problems together.
 
     Raises:
-        InputError: with the problems of every check that raises one.
+        InputError: with the problems of all checks.
     """
     problems: list[Diagnostic] = []
     for check in checks:

@@ -1,4 +1,4 @@
-"""Where a result comes from: versions of the software, and hashes of what it was made with."""
+"""Provenance of a result: versions of the software, and hashes of its inputs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pydantic import BaseModel
 from kraft.version import VERSION
 
 PLANNING: Final = ("numba", "numpy", "ompl")
-"""Distributions that shape a plan."""
+"""Distributions that a plan depends on."""
 SIMULATION: Final = (*PLANNING, "mujoco", "scipy")
-"""Distributions that shape a trial."""
+"""Distributions that a trial depends on."""
 IDENTIFICATION: Final = ("gtsam", "numba", "numpy", "scipy")
-"""Distributions that shape identified parameters."""
+"""Distributions that identified parameters depend on."""
 
 
 def versions(distributions: Iterable[str]) -> dict[str, str]:
@@ -30,9 +30,9 @@ def versions(distributions: Iterable[str]) -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """A value as nested lists and dictionaries; arrays as their shape and the hash of their bytes.
+    """Value as nested lists and dictionaries; an array as its shape and the hash of its bytes.
 
-    What a dataclass leaves out of comparisons (where in a file a value was written) is left out here too.
+    Fields of a dataclass that comparisons ignore (positions in a file) are ignored here too.
     """
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
@@ -48,5 +48,5 @@ def plain(value: Any) -> Any:
 
 
 def plain_hash(value: Any) -> str:
-    """SHA-256 of a value's plain data."""
+    """SHA-256 of the plain data of a value."""
     return hashlib.sha256(json.dumps(plain(value), sort_keys=True).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Words and numbers for messages and files: counts, lengths, suggestions for misspelt names."""
+"""Phrases for messages: counts with nouns, lists of alternatives, suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from difflib import get_close_matches
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 trial``, ``2 trials``."""
+    """Number with its noun: ``1 trial``, ``2 trials``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def grouped(number: int, noun: str) -> str:
-    """The same for numbers that may be large: ``20,000 iterations``."""
+    """Number with separators between thousands and its noun: ``20,000 iterations``."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def suggestion(word: str, options: Iterable[str], *, none: str = "there is nothing to choose from") -> str:
-    """Say what to write instead of ``word``: the near miss if there is one, else all ``options``."""
+def suggestion(word: str, options: Iterable[str], *, none: str = "there are no alternatives") -> str:
+    """Phrase with the option most similar to ``word``, or with all ``options`` if none is similar."""
     options = list(options)
     near = nearest(word, options)
     if near is not None:
@@ -27,9 +27,9 @@ def suggestion(word: str, options: Iterable[str], *, none: str = "there is nothi
 
 
 def nearest(word: str, options: Iterable[str]) -> str | None:
-    """Return the option most like ``word`` (case and ``-``/``_`` do not count), or None."""
+    """Option most similar to ``word``, ignoring case and ``-``/``_``; None if none is similar."""
     folded = {_folded(option): option for option in options}
-    for candidate, option in folded.items():  # a unit that was left out: yaw for yaw_deg
+    for candidate, option in folded.items():  # a missing unit: yaw for yaw_deg
         if candidate.startswith(f"{_folded(word)}-"):
             return option
     close = get_close_matches(_folded(word)[:100], folded, n=1, cutoff=0.65)
@@ -41,7 +41,7 @@ def _folded(word: str) -> str:
 
 
 def alternatives(options: Iterable[str]) -> str:
-    """List ``options`` for a sentence: ``a``, ``a or b``, ``one of a, b, c``."""
+    """Options as a phrase: ``a``, ``a or b``, ``one of a, b, c``."""
     options = list(options)
     if len(options) <= 2:
         return " or ".join(options)

@@ -1,4 +1,4 @@
-"""The version of kraft, for ``kraft --version`` and for every file that kraft writes."""
+"""Version of kraft, for ``kraft --version`` and for every file that kraft writes."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""The commands and the options common to all of them."""
+"""Command line application: all commands and their common options."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 GLOBAL_FLAGS = ("-q", "--quiet", "-v", "--verbose", "--traceback")
-"""Options that may stand anywhere on the command line; `kraft_cli.main` moves them to the front."""
+"""Options that are allowed anywhere on the command line; `kraft_cli.main` moves them to the front."""
 
 app = typer.Typer(
     name="kraft",
@@ -41,9 +41,9 @@ def _print_version(requested: bool) -> None:
 @app.callback()
 def common(
     context: typer.Context,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but results and errors.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
-    traceback: Annotated[bool, typer.Option("--traceback", help="Show where an error came from.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print results and errors only.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print details.")] = False,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Print the traceback of an error.")] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,

@@ -1,4 +1,4 @@
-"""The one place where an exception becomes text and an exit code."""
+"""Error boundary: the one place that converts an exception to messages and an exit code."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from kraft_cli.terminal import Terminal
 from ompl_ext.cache_error import CacheError
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What writing fails with when it is the disk's fault."""
+"""Error numbers of a write that fails because of the disk."""
 
 POSITIONAL: Final = ("files", "logs", "results", "scenario", "scenarios")
 """Arguments that the commands take without an option."""
 
 
 def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
-    """Run a command; whatever it raises is explained on stderr."""
+    """Run a command and report every exception on stderr."""
     try:
         status = _flushed(terminal, command)
     except KeyboardInterrupt:
@@ -37,16 +37,16 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
         return ExitStatus.DONE
     except typer.Exit as request:
         return ExitStatus(request.exit_code)
-    except Exception as error:  # the boundary: everything has to end in an exit code
+    except Exception as error:  # every exception has to end in an exit code
         status = explain(terminal, error)
     return status
 
 
 def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:
-    """Run a command and have its output written, not only buffered.
+    """Run a command and flush its output.
 
     Raises:
-        InputError: if stdout, or a file that is nobody's in particular, takes no more.
+        InputError: if stdout, or a file without a handler of its own, cannot be written because the disk is full.
     """
     try:
         status = command()
@@ -61,7 +61,7 @@ def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatu
 
 
 def _stdout_fails() -> bool:
-    """Whether stdout still takes something: a failed write may have left nothing in its buffer to try again with."""
+    """Whether stdout cannot be written, found with a new line, because a failed write may have emptied the buffer."""
     try:
         print(flush=True)
     except OSError:
@@ -71,7 +71,7 @@ def _stdout_fails() -> bool:
 
 
 def explain(terminal: Terminal, error: Exception) -> ExitStatus:
-    """Report what went wrong, with ``--traceback`` also where, and return the exit code for it."""
+    """Report an exception, with ``--traceback`` also its traceback, and return its exit code."""
     status = _explained(terminal, error)
     if terminal.traceback:
         terminal.problem("".join(traceback.format_exception(error)).rstrip())
@@ -86,7 +86,7 @@ def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
     if isinstance(error, CacheError):
-        terminal.problem(f"{error}; expected a place that can, which KRAFT_CACHE_DIR names")
+        terminal.problem(f"{error}; expected a writable folder in KRAFT_CACHE_DIR")
         return ExitStatus.INVALID
     if isinstance(error, KraftError) and not isinstance(error, Defect):
         terminal.error(str(error))
@@ -102,7 +102,7 @@ def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
 
 
 def _with_option(diagnostic: Diagnostic) -> Diagnostic:
-    """The same problem, reported at the command's option instead of at the library's argument."""
+    """Same problem, reported at the option of the command instead of at the argument of the library."""
     if not diagnostic.argument or diagnostic.file in POSITIONAL:
         return diagnostic
     return replace(diagnostic, file=f"--{diagnostic.file.replace('_', '-')}", argument=False)
@@ -128,5 +128,5 @@ def _causes(error: BaseException) -> Iterator[BaseException]:
 
 
 def _abandon_stdout() -> None:
-    """Point stdout at nothing, so that Python's own flush at exit does not fail again."""
+    """Redirect stdout to the null device, so that the flush of Python at exit does not fail again."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""Where the process of the `kraft` command begins and ends: quiet if it is interrupted while modules load."""
+"""Entry point of the process of `kraft`; an interrupt during the import of modules prints no traceback."""
 
 from __future__ import annotations
 
@@ -13,4 +13,4 @@ def main() -> int:
         return run()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130  # ExitStatus.INTERRUPTED, which may not be loaded yet
+        return 130  # ExitStatus.INTERRUPTED, which may not be imported yet

@@ -1,4 +1,4 @@
-"""What kraft's exit codes mean."""
+"""Exit codes of kraft."""
 
 from enum import IntEnum
 
@@ -8,9 +8,9 @@ class ExitStatus(IntEnum):
 
     DONE = 0
     NEGATIVE = 1
-    """it ran, and the answer is no: no plan found, parameters not identifiable"""
+    """it ran with a negative result: no plan found, parameters not identifiable"""
     INVALID = 2
-    """usage or input is wrong"""
+    """invalid usage or input"""
     MISSING = 3
     """a dependency or asset is missing"""
     INTERNAL = 70

@@ -1,4 +1,4 @@
-"""Entry point of the `kraft` command."""
+"""Main function of the `kraft` command."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from kraft_cli.terminal import Terminal
 
 
 def main(argv: Sequence[str] | None = None, terminal: Terminal | None = None) -> int:
-    """Run one command line and return its exit code; ``argv`` is without the program's name."""
+    """Run one command line and return its exit code; ``argv`` excludes the name of the program."""
     arguments = _flags_first(list(sys.argv[1:] if argv is None else argv))
     terminal = terminal or Terminal()
-    terminal.traceback = "--traceback" in arguments  # so that it holds for errors in the arguments too
+    terminal.traceback = "--traceback" in arguments  # before parsing, so that it applies to errors in the arguments too
 
     def command() -> ExitStatus:
         program = typer.main.get_command(app)
@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None, terminal: Terminal | None = None) ->
 
 
 def _flags_first(arguments: list[str]) -> list[str]:
-    """Move the global flags to the front, so that they mean the same before and after the command."""
+    """Move the global flags to the front, so that they have the same effect before and after the command."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     flags = [a for a in arguments[:end] if a in GLOBAL_FLAGS]
     return [*flags, *(a for a in arguments[:end] if a not in GLOBAL_FLAGS), *arguments[end:]]

@@ -1,4 +1,4 @@
-"""Where output goes: data to stdout, everything said to the person to stderr."""
+"""Output of the command line: data on stdout, messages on stderr."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _stderr() -> TextIO:
 
 @dataclass
 class Terminal:
-    """The two streams and how talkative to be; one per run of `main`."""
+    """Output streams and verbosity; one per run of `main`."""
 
     out: TextIO = field(default_factory=_stdout)
     err: TextIO = field(default_factory=_stderr)
@@ -30,7 +30,7 @@ class Terminal:
 
     @property
     def interactive(self) -> bool:
-        """Whether a person watches stderr: progress bars only then."""
+        """Whether stderr is a terminal; progress bars are shown only there."""
         return self.err.isatty()
 
     def data(self, text: str) -> None:
@@ -42,7 +42,7 @@ class Terminal:
         self.data(json.dumps({"schema": schema, **content}, indent=2, ensure_ascii=False, allow_nan=False))
 
     def table(self, heading: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Print aligned columns; the last one may be as long as it likes."""
+        """Print aligned columns; the last one has no limit of width."""
         widths = [max(len(row[i]) for row in (heading, *rows)) for i in range(len(heading))]
         for number, row in enumerate((heading, *rows)):
             cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
@@ -50,21 +50,21 @@ class Terminal:
             self.data(_styled(line, "1", self.out) if number == 0 else line)
 
     def say(self, text: str) -> None:
-        """Tell the person something; ``-q`` silences it."""
+        """Print a message, unless ``-q`` is given."""
         if not self.quiet:
             print(text, file=self.err)
 
     def detail(self, text: str) -> None:
-        """Tell what only ``-v`` asks for."""
+        """Print a message if ``-v`` is given."""
         if self.verbose:
             print(text, file=self.err)
 
     def problem(self, text: str) -> None:
-        """Print one line about what is wrong; nothing silences it."""
+        """Print one problem, even if ``-q`` is given."""
         print(text, file=self.err)
 
     def error(self, text: str) -> None:
-        """Print what ended the command."""
+        """Print the error that ends the command."""
         print(f"{_styled('error:', '1;31', self.err)} {text}", file=self.err)
 
 

@@ -1,1 +1,1 @@
-"""Configuration files: YAML with the position of every value, schemas, and the files that come with kraft."""
+"""Configuration files: readers that keep the position of every value, validation, and the bundled files."""

@@ -1,4 +1,4 @@
-"""The files that come with kraft: scenarios, vehicles and methods, by name."""
+"""Bundled scenarios, vehicles and methods by name."""
 
 from __future__ import annotations
 
@@ -23,18 +23,16 @@ _SUFFIXES: Final = (".yaml", ".yml")
 
 @cache
 def root() -> Path:
-    """Return the folder that holds ``scenarios/`` and ``configs/``.
-
-    An installed kraft carries them inside the package; a checkout has them at its top.
+    """Folder that holds ``scenarios/`` and ``configs/``: inside an installed package, or at the top of a checkout.
 
     Raises:
-        MissingAsset: if neither is there.
+        MissingAsset: if neither exists.
     """
     package = Path(__file__).resolve().parent.parent
     for candidate in (package / "_bundled", package.parent):
         if (candidate / "scenarios").is_dir() and (candidate / "configs").is_dir():
             return candidate
-    raise MissingAsset(f"kraft's own scenarios and configs are not in {package / '_bundled'}; reinstall kraft")
+    raise MissingAsset(f"the bundled scenarios and configs are not in {package / '_bundled'}; reinstall kraft")
 
 
 def folder(kind: Kind) -> Path:
@@ -48,7 +46,7 @@ def names(kind: Kind) -> tuple[str, ...]:
 
 
 def descriptions(kind: Kind) -> dict[str, str]:
-    """Map each name to the ``description`` its file gives (without checking the rest of the file)."""
+    """Description of each bundled file by name; the rest of the file is not checked."""
     result = {}
     for name in names(kind):
         data = read_document(folder(kind) / f"{name}.yaml").data
@@ -58,17 +56,17 @@ def descriptions(kind: Kind) -> dict[str, str]:
 
 
 def find(kind: Kind, name_or_path: str | Path) -> Path:
-    """Return the file that a name or path means.
+    """File of a bundled name or a path.
 
     A word without a folder and without ``.yaml`` is a bundled name; everything else is a path.
 
     Raises:
-        InputError: if there is no such name or file, with the nearest one there is.
+        InputError: if there is no such name or file; it suggests the most similar one.
     """
     if isinstance(name_or_path, str) and is_name(name_or_path):
         if name_or_path in names(kind):
             return folder(kind) / f"{name_or_path}.yaml"
-        expected = suggestion(name_or_path, names(kind), none=f"no {kind} comes with kraft")
+        expected = suggestion(name_or_path, names(kind), none=f"no {kind} is bundled")
         problem = f"there is no {kind} of this name"
         raise InputError.of(name_or_path, problem, f"{expected} (or the path of a .yaml file)", Code.NOT_FOUND)
     path = Path(name_or_path)
@@ -78,18 +76,18 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
 
 
 def is_name(text: str) -> bool:
-    """Whether ``text`` reads as a bundled name rather than as a path."""
+    """Whether ``text`` has the form of a bundled name rather than of a path."""
     return "/" not in text and "\\" not in text and not text.endswith(_SUFFIXES)
 
 
 def _nearby(kind: Kind, path: Path) -> str:
-    """Suggest a file of the same folder, or a bundled name."""
+    """Suggestion of a file in the same folder, or of a bundled name."""
     try:
         siblings = [p.name for p in path.parent.iterdir() if p.suffix in _SUFFIXES]
-    except (OSError, ValueError):  # the folder is missing or closed to us: suggest nothing from it
+    except (OSError, ValueError):  # the folder is missing or unreadable: no suggestion from it
         siblings = []
     if near := nearest(path.name, siblings):
         return f"did you mean {str(path.parent / near)!r}?"
     if near := nearest(path.stem, names(kind)):
-        return f"expected the path of a .yaml file (kraft's own {kind} is called {near!r})"
+        return f"expected the path of a .yaml file (there is a bundled {kind} {near!r})"
     return f"expected the path of a .yaml file or the name of a {kind}"

@@ -1,7 +1,7 @@
-"""Read JSON with the position of every value, as `kraft.config.yaml_reader` reads YAML.
+"""JSON reader that keeps line and column of every value, as `kraft.config.yaml_reader` does for YAML.
 
-For files that kraft writes itself: they may be large, and YAML would take a hundred times as long.  Numbers and words
-mean the same in both.  Repeated keys are errors.
+For files that kraft writes itself: they may be large, and the YAML reader is much slower.  Numbers and words have the
+same values in both.  Repeated keys are errors.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def read_json(path: Path, bytes_max: int, expected: str) -> Document:
 
 @dataclass
 class _Scanner:
-    """Reads values from the text of a file and keeps every position and problem."""
+    """Converts text to values and records every problem and position."""
 
     file: str
     text: str
@@ -62,7 +62,7 @@ class _Scanner:
     def document(self) -> Document:
         data, end = self.value(self.skip(0), ())
         if self.skip(end) < len(self.text):
-            raise self.syntax_error(self.skip(end), "something follows the value")
+            raise self.syntax_error(self.skip(end), "text follows the value")
         source = Source(self.file, self.values, self.keys)
         return Document(data, source, tuple(self.problems), frozenset(self.unusable))
 
@@ -79,7 +79,7 @@ class _Scanner:
             case '"':
                 text, end = self.string(at)
                 if holds_surrogate(text):
-                    problem, wanted = "holds half of a character", "expected text that UTF-8 can write"
+                    problem, wanted = "contains half of a surrogate pair", "expected text that UTF-8 can write"
                     return self.reject(at, path, problem, wanted, Code.SYNTAX), end
                 return text, end
         return self.word(at, path)

@@ -1,4 +1,4 @@
-"""What every configuration file's schema is made of: a strict frozen model and the numbers it holds."""
+"""Base class of all schemas of files, and the types of their numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kraft.errors import Code
 
 
 class StrictModel(BaseModel):
-    """One mapping of a configuration file: frozen, no unknown keys, no conversions between types."""
+    """Mapping in a file: frozen, without unknown keys, without conversions between types."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
@@ -21,15 +21,15 @@ class StrictModel(BaseModel):
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """What is wrong between keys, see `refuse`; asked also where a key is wrong by itself, which pydantic does not.
+        """Problems between keys, see `refuse`; checked even if single keys are wrong, where pydantic checks nothing.
 
-        `content` is the mapping as it was written: of what it holds nothing is certain.
+        `content` is the mapping as it was written, with values of any type.
         """
         yield from ()
 
 
 def refuse(problem: str, expected: str, at: KeyPath = (), code: Code = Code.VALUE) -> PydanticCustomError:
-    """Make the error that a validator raises; ``at`` is where, relative to what is being validated."""
+    """Error for a validator to raise; ``at`` is its place relative to the validated value."""
     context = {"problem": problem, "expected": expected, "at": at, "code": code}
     return PydanticCustomError("kraft", "{problem}; {expected}", context)
 
@@ -44,9 +44,9 @@ def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 LENGTH_MIN: Final = 0.001
-"""Metres. Shorter than any part of a scene that a robot or a map resolves; products of tiny lengths vanish."""
+"""Metres. No robot and no map resolves less, and products of tiny lengths underflow to 0."""
 LENGTH_MAX: Final = 10_000.0
-"""Metres. Beyond it a workspace is a typing mistake, and grids over it would not fit into memory."""
+"""Metres. A larger workspace is a typing mistake, and grids over it would not fit into memory."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-LENGTH_MAX, le=LENGTH_MAX)]
 Length: TypeAlias = Annotated[float, Field(ge=LENGTH_MIN, le=LENGTH_MAX)]

@@ -1,4 +1,4 @@
-"""Where in a file each value was written, so that errors found much later can still point at it."""
+"""Positions of values in their file, so that later errors can point at them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Position:
 
 
 def format_path(path: KeyPath) -> str:
-    """Write a key path as a person would: ``obstacles[1].box.size[0]``."""
+    """Key path as text: ``obstacles[1].box.size[0]``."""
     text = ""
     for part in path:
         if isinstance(part, int):
@@ -36,7 +36,7 @@ def format_path(path: KeyPath) -> str:
 
 
 def parse_path(text: str) -> KeyPath:
-    """Read what `format_path` writes. Keys must not contain ``.``, ``[`` or ``]``."""
+    """Inverse of `format_path`. Keys must not contain ``.``, ``[`` or ``]``."""
     return tuple(int(index) if index else key for key, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", text) or [])
 
 
@@ -44,7 +44,7 @@ def parse_path(text: str) -> KeyPath:
 class Source:
     """Positions of the values and keys of one file.
 
-    A scenario that was built in code has an empty source; asking it for a place is not an error.
+    A scenario that was built in code has an empty source, which has no positions.
     """
 
     file: str = "<built in code>"
@@ -54,8 +54,8 @@ class Source:
     def where(self, path: KeyPath | str) -> Position | None:
         """Position of the value at ``path``.
 
-        A key that the file leaves to its default has no position: then that of the nearest enclosing
-        key, and None only when nothing was read from a file.
+        A key that the file omits has the position of the nearest enclosing key.  None if nothing was read from a
+        file.
         """
         parts = parse_path(path) if isinstance(path, str) else path
         for end in range(len(parts), -1, -1):
@@ -67,7 +67,7 @@ class Source:
     def diagnostic(
         self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False, code: Code = Code.VALUE
     ) -> Diagnostic:
-        """Make a diagnostic at the value of ``path`` (or at the key itself, for a key that is wrong)."""
+        """Diagnostic at the value of ``path``, or at the key itself if the key is wrong."""
         parts = parse_path(path) if isinstance(path, str) else path
         position = self.keys.get(parts) if at_key else None
         position = position or self.where(parts)

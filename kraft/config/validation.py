@@ -1,4 +1,4 @@
-"""Check a document against its schema and say everything that is wrong, each at its place in the file."""
+"""Validation of a document against its schema; reports every problem at its place in the file."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _LIMITS = {
 
 
 def read_model(path: Path, model: type[Model]) -> tuple[Model, Document]:
-    """Read and check a file that needs no checks beyond its schema.
+    """Read a file and validate it against its schema.
 
     Raises:
         InputError: with every problem of the file.
@@ -53,7 +53,7 @@ def read_model(path: Path, model: type[Model]) -> tuple[Model, Document]:
 
 
 def check(model: type[Model], document: Document) -> tuple[Model | None, list[Diagnostic]]:
-    """Validate a document. Returns the model, or None and what is wrong (YAML problems included)."""
+    """Validate a document. Returns the model or None, and all problems, those of the syntax included."""
     problems = list(document.problems)
     value = None
     try:
@@ -64,7 +64,7 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
         for detail in details:
             if _counts_bad_items_as_absent(detail) or (detail["type"] == "missing" and detail["loc"] in misspelt):
                 continue
-            unknown = detail["type"] == "extra_forbidden"  # said even if its value is unusable too
+            unknown = detail["type"] == "extra_forbidden"  # reported even if its value is unusable too
             if unknown or not _already_reported(in_file(model, detail["loc"]), document):
                 problems.append(_diagnostic(model, document, detail))
         problems = list(dict.fromkeys([*problems, *_across_keys(model, document)]))
@@ -72,10 +72,10 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
 
 
 def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
-    """Make a model from values that come from elsewhere than a file; ``origin`` is what errors name.
+    """Model from values that were not read from a file; errors name ``origin``.
 
     Raises:
-        InputError: with everything that is wrong.
+        InputError: with every problem.
     """
     value, problems = check(model, Document(dict(content), Source(origin)))
     if value is None:
@@ -84,7 +84,7 @@ def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
 
 
 def part(model: type[Model], value: Value) -> Model | None:
-    """Return ``value`` as a model if it is one; its errors, if any, are reported by `check` on the whole."""
+    """``value`` as a model, or None if it is invalid; `check` of the whole document reports the errors."""
     try:
         return model.model_validate(value)
     except ValidationError:
@@ -92,7 +92,7 @@ def part(model: type[Model], value: Value) -> Model | None:
 
 
 def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
-    """What is wrong between the keys of the whole file, which pydantic looks at only if every key is right."""
+    """Problems between the keys of the file, which pydantic checks only if every single key is right."""
     if issubclass(model, StrictModel) and isinstance(document.data, dict):
         for error in model.across_keys(document.data):
             context = error.context or {}
@@ -102,14 +102,14 @@ def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnos
 
 
 def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
-    """Keys that an unknown key beside them was probably meant to be: one mistake, one line."""
+    """Missing keys that an unknown key beside them probably stands for: one mistake gives one problem."""
     unknown = [detail["loc"] for detail in details if detail["type"] == "extra_forbidden"]
     meant = [(path[:-1], nearest(str(path[-1]), lookup(model, path[:-1]).keys)) for path in unknown]
     return {(*parent, key) for parent, key in meant if key is not None}
 
 
 def _counts_bad_items_as_absent(detail: ErrorDetails) -> bool:
-    """Whether a list is called too short only because pydantic does not count items that are wrong."""
+    """Whether pydantic reports a list as too short only because it does not count invalid items."""
     given = detail["input"]
     return detail["type"] == "too_short" and isinstance(given, tuple) and len(given) >= detail["ctx"]["min_length"]
 
@@ -121,7 +121,7 @@ def _already_reported(path: tuple[int | str, ...], document: Document) -> bool:
 def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails) -> Diagnostic:
     path: KeyPath = in_file(model, detail["loc"])
     kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
-    if path and path[-1] == "[key]":  # pydantic's way to say that the key itself is wrong
+    if path and path[-1] == "[key]":  # pydantic's mark of an invalid key
         return document.source.diagnostic(path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True)
     source = document.source
     known = lookup(model, detail["loc"])
@@ -157,7 +157,7 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
 
 def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) -> Diagnostic:
     if discriminator:
-        path, expected = (*path, discriminator), "expected which one it is"
+        path, expected = (*path, discriminator), "expected the kind"
     elif isinstance(path[-1], int):  # an item of a list of fixed length
         about = f" ({known.description})" if known.description else ""
         return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
@@ -167,7 +167,7 @@ def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) ->
 
 
 def describe(value: object) -> str:
-    """Name a value for a sentence: ``the text 'x'``, ``the number 3``, ``a list``."""
+    """Value as a phrase: ``the text 'x'``, ``the number 3``, ``a list``."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -181,7 +181,7 @@ def describe(value: object) -> str:
 
 @dataclass(frozen=True)
 class Known:
-    """What the schema says about one place."""
+    """Description, keys, choices and length that the schema has for one place."""
 
     description: str | None = None
     keys: tuple[str, ...] = ()
@@ -190,7 +190,7 @@ class Known:
 
 
 def lookup(model: type[BaseModel], path: KeyPath) -> Known:
-    """Follow a key path of pydantic's through the annotations of a schema."""
+    """Schema at a key path of pydantic's."""
     annotation, description, length = _follow(model, path)
     if annotation is None:
         return Known()
@@ -203,7 +203,7 @@ def lookup(model: type[BaseModel], path: KeyPath) -> Known:
 
 
 def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:
-    """Return a key path of pydantic's, which has the kind of a union's member as if it were a key, as in the file."""
+    """Key path in the file for one of pydantic's, which contains the kinds of union members as if they were keys."""
     return tuple(part for i, part in enumerate(path) if part not in _kinds(_bare(_follow(model, path[:i])[0])))
 
 
@@ -224,7 +224,7 @@ def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int
             annotation = _kinds(annotation)[str(part)]
         elif get_origin(annotation) is tuple and isinstance(part, int):
             length = len(arguments)
-            if Ellipsis in arguments:  # the description is that of the list, not of an item
+            if Ellipsis in arguments:  # the description belongs to the list, not to an item
                 annotation, description = arguments[0], None
             else:
                 annotation = arguments[min(part, length - 1)]

@@ -1,8 +1,8 @@
-"""Read YAML through its nodes, so that every value knows its line and column.
+"""YAML reader that keeps line and column of every value.
 
 Anchors and aliases work (a value used through an alias is reported where it is written). Merge keys, tags,
-repeated keys and several documents in one file are errors. Lists become tuples: configuration does not change
-after it was read.
+repeated keys and several documents in one file are errors. Unquoted words have one meaning only, see `plain_scalar`.
+Lists become tuples, because configuration does not change after reading.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from kraft.errors import Code, Diagnostic, InputError
 
 BYTES_MAX: Final = 256 * 1024
 DEPTH_MAX: Final = 50
-NODES_MAX: Final = 100_000  # after aliases are followed: a few lines of aliases can stand for billions
+NODES_MAX: Final = 100_000  # after resolving aliases: a few lines of aliases can stand for billions of values
 TOO_DEEP: Final = "nested too deep"
 PLAIN: Final = "!plain"
-"""Tag of a word without quotes, whose meaning is not decided here."""
+"""Tag of an unquoted word, whose value `plain_scalar` decides."""
 _STANDARD: Final = "tag:yaml.org,2002:"
 _VALID: Final = "expected YAML, such as 'key: value'"
 Scalar: TypeAlias = str | int | float | bool | None
@@ -31,7 +31,7 @@ Value: TypeAlias = "Scalar | tuple[Value, ...] | dict[str, Value] | Unusable"
 
 
 class Unusable:
-    """Stands for a value that was already reported."""
+    """Placeholder of a value whose problem is already reported."""
 
     def __repr__(self) -> str:
         return "<unusable>"
@@ -42,10 +42,10 @@ class Document:
     """The content of one file.
 
     Attributes:
-        data: the root value; lists are tuples, and what could not be read is an `Unusable`.
-        source: where each value and key was written.
-        problems: what was wrong with the YAML itself; `data` is usable apart from those places.
-        unusable: the places in `data` that hold an `Unusable`.
+        data: root value; lists are tuples, and a value that could not be read is an `Unusable`.
+        source: positions of values and keys.
+        problems: problems of the syntax; `data` is usable apart from their places.
+        unusable: places in `data` that hold an `Unusable`.
     """
 
     data: Value
@@ -64,7 +64,7 @@ def read_document(path: Path) -> Document:
 
 
 def parse_document(content: bytes | str, file: str) -> Document:
-    """Parse the content of a file; ``file`` is the name that errors carry.
+    """Parse the content of a file; errors name ``file``.
 
     Raises:
         InputError: if it is too large, not UTF-8, or not one YAML document.
@@ -93,7 +93,7 @@ def read_bytes(path: Path, bytes_max: int = BYTES_MAX, expected: str = "expected
 
 
 def compose(content: bytes | str, file: str) -> yaml.Node:
-    """Return the root node of a file's content; ``file`` is the name that errors carry.
+    """Root node of the content of a file; errors name ``file``.
 
     Raises:
         InputError: if it is empty, too large, not UTF-8, or not one YAML document.
@@ -138,14 +138,14 @@ def _composed(text: str, file: str) -> yaml.Node | None:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise _syntax_error(file, _marked(mark), *_explained(error)) from error
-    except (ValueError, OverflowError) as error:  # PyYAML lets these out for absurd escapes and directives
+    except (ValueError, OverflowError) as error:  # PyYAML raises these for some invalid escapes and directives
         position = _marked(loader.get_mark()) if loader else None
         raise _syntax_error(file, position, "not valid YAML (a number out of range)", _VALID) from error
     return node
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's reader with a depth limit and without any opinion about unquoted words."""
+    """PyYAML's loader with a limit of depth, which leaves unquoted words as they are."""
 
     depth = 0
 
@@ -165,7 +165,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _explained(error: yaml.MarkedYAMLError) -> tuple[str, str]:
-    """Say what is wrong and what was expected, for the mistakes people make."""
+    """Problem and expectation of a syntax error, with clear words for frequent mistakes."""
     problem = error.problem or "cannot be read"
     if error.context == "expected a single document in the stream":
         return "a second document begins here", "expected one document in a file"
@@ -187,13 +187,13 @@ def _marked(mark: Any) -> Position | None:
 
 
 def holds_surrogate(text: str) -> bool:
-    """Whether a text holds half of a character, which escapes can write and UTF-8 cannot."""
+    """Whether a text contains a surrogate, which escapes can write and UTF-8 cannot."""
     return any("\ud800" <= character <= "\udfff" for character in text)
 
 
 @dataclass
 class _Converter:
-    """Turns nodes into values and notes every problem and position on the way."""
+    """Converts nodes to values and records every problem and position."""
 
     file: str
     values: dict[KeyPath, Position] = field(default_factory=dict)
@@ -224,7 +224,7 @@ class _Converter:
             self.report(node, (), f"holds more than {NODES_MAX} values", "expected fewer aliases")
             raise InputError(self.problems)
         if node in self.open_nodes:
-            return self.reject(node, path, "the alias stands for something it is part of", "expected a finite value")
+            return self.reject(node, path, "the alias refers to a value that contains it", "expected a finite value")
         if len(self.open_nodes) >= DEPTH_MAX:
             return self.reject(node, path, TOO_DEEP, f"expected at most {DEPTH_MAX} levels")
         self.open_nodes.append(node)
@@ -245,7 +245,7 @@ class _Converter:
     def scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Value:
         text: str = node.value
         if holds_surrogate(text):
-            return self.reject(node, path, "holds half of a character", "expected text that UTF-8 can write")
+            return self.reject(node, path, "contains half of a surrogate pair", "expected text that UTF-8 can write")
         if node.tag != PLAIN:
             return text
         try:
@@ -270,11 +270,11 @@ class _Converter:
         return result
 
     def key(self, node: yaml.Node, path: KeyPath) -> str | None:
-        """Return the text of a key, or None after reporting that it is not text."""
+        """Text of a key, or None after a report if it is not text."""
         if not isinstance(node, yaml.ScalarNode) or node.tag not in (PLAIN, _STANDARD + "str"):
             self.report(node, path, "a key is a list, a mapping or tagged", "expected keys that are words")
         elif holds_surrogate(node.value):
-            self.report(node, path, "a key holds half of a character", "expected text that UTF-8 can write")
+            self.report(node, path, "a key contains half of a surrogate pair", "expected text that UTF-8 can write")
         elif node.value == "<<" and node.tag == PLAIN:
             self.report(node, path, "merge keys (<<) are not supported", "expected the keys written out")
         else:
@@ -298,8 +298,8 @@ _NOT_FINITE = re.compile(r"([-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z")
 _DIGITS_MAX = 18  # every integer of 18 digits fits 64 bits
 
 
-class AmbiguousScalar(ValueError):  # noqa: N818 - it names what the word is
-    """A word that cannot be taken as a value."""
+class AmbiguousScalar(ValueError):  # noqa: N818 - it names the word
+    """Unquoted word without an unambiguous value."""
 
     def __init__(self, problem: str, expected: str) -> None:
         super().__init__(problem, expected)
@@ -308,7 +308,7 @@ class AmbiguousScalar(ValueError):  # noqa: N818 - it names what the word is
 
 
 def plain_scalar(word: str) -> Scalar:
-    """Return the value of an unquoted word.
+    """Value of an unquoted word.
 
     Raises:
         AmbiguousScalar: for an integer with leading zeros, another base or underscores, a number that is

@@ -1,4 +1,4 @@
-"""From a task to a verified plan.  `plan_task` is the whole; `Budget` bounds it."""
+"""Planning of a task: `plan_task` returns a verified plan within a `Budget`."""
 
 from __future__ import annotations
 

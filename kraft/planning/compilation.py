@@ -1,4 +1,4 @@
-"""Compile the planner for this machine and a vehicle: once, before the clock of any plan runs."""
+"""Compilation of the planner for this machine and a vehicle, once, before any measured planning time."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ompl_ext.query import Goal
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
-POLL: Final = 0.05  # s, how late an interrupt is seen
+POLL: Final = 0.05  # s, longest delay of an interrupt
 
 
 def ensure_compiled(vehicle: Vehicle, report: Callable[[str], None]) -> None:
-    """Compile everything that planning for `vehicle` needs, unless it was; `say` is told before and after."""
+    """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages."""
     if is_cached(vehicle):
         return
     report(f"compiling the planner and the model of {vehicle.name} for this machine: once, about 20 s ...")
@@ -37,7 +37,7 @@ def ensure_compiled(vehicle: Vehicle, report: Callable[[str], None]) -> None:
 
 
 def ensure_maps_compiled(report: Callable[[str], None]) -> None:
-    """Compile what looking at a map needs, the same for every vehicle, unless it was."""
+    """Compile the kernels for maps, which are the same for every vehicle, unless they are cached."""
     if _maps_marker().exists():
         return
     report("compiling the maps' kernels for this machine: once, about 6 s ...")
@@ -46,7 +46,7 @@ def ensure_maps_compiled(report: Callable[[str], None]) -> None:
 
 
 def _exercise(vehicle: Vehicle) -> None:
-    """Plan a few iterations in a small world: kernels compile when they are first called."""
+    """Plan a few iterations in a small world, because kernels compile at their first call."""
     with interrupts_between_passes() as check:
         with _maps_meanwhile() as maps:
             kernels(vehicle)
@@ -65,10 +65,10 @@ def _exercise(vehicle: Vehicle) -> None:
 
 @contextmanager
 def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes]]:
-    """Compile the maps' kernels, the same for every vehicle, in a process that ends with the block at the latest.
+    """Compile the kernels for maps in a process that ends with the block at the latest.
 
-    It is silent and in a process group of its own, which no Ctrl-C reaches.  Should it fail, the maps' kernels compile
-    here after all, and say why they cannot.
+    It is silent and in a process group of its own, which no Ctrl-C reaches.  If it fails, these kernels compile in
+    this process, which reports the error.
     """
     command = [sys.executable, "-c", f"from {__name__} import compile_maps; compile_maps()"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -83,7 +83,7 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes]]:
 
 
 def compile_maps() -> None:
-    """Compile the clearance field's and the cost-to-go's kernels."""
+    """Compile the kernels of the clearance field and of the cost-to-go."""
     field = clearance_field(Workspace(((0.0, 1.0), (0.0, 1.0)), (box((1.0, 1.0), (0.1, 0.1)),)), 0.1)
     cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0)
     _maps_marker().touch()

@@ -1,4 +1,4 @@
-"""Are start and goal where a vehicle can be?  Exact, before any planning, and said at the right line."""
+"""Exact checks of start and goal before planning; problems are reported at their line of the scenario."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide en
 
 
 def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | None = None) -> None:
-    """Check the start state and the goal's centre against the obstacles and the bounds, with FCL.
+    """Check with FCL that the start state and the centre of the goal are free and within the bounds.
 
     Args:
         task: the scene and the goal.
-        vehicle: whose footprint has to fit.
-        state: where planning starts, shape (nx,).
-        origin: the plan file that the state comes from, if it is not the task's own start.
+        vehicle: vehicle whose footprint is checked.
+        state: state in which planning starts, shape (nx,).
+        origin: plan file that the state is from, if it is not the start of the task.
 
     Raises:
         InputError: if the footprint at the start, or the goal's centre, is inside an obstacle or out of bounds.
@@ -65,7 +65,7 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
 
 
 def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[float, float, float]) -> str | None:
-    """What the footprint at a pose is in collision with, for a sentence."""
+    """Phrase with the first collision of the footprint at a pose; None if it is free."""
     for i, obstacle in enumerate(task.obstacles):
         if _collides(task, footprint, pose, planar_obstacle(obstacle)):
             return (
@@ -95,7 +95,7 @@ def check_reachable(task: Task, vehicle: Vehicle) -> None:
 
 
 def reachable(problem: Problem, x: float, y: float) -> bool:
-    """Whether a point (m) is connected to the goal for the disc inscribed in the footprint: needed, not enough."""
+    """Whether the disc inscribed in the footprint can move from a point (m) to the goal: necessary, not sufficient."""
     scalar, togo = problem.scalar, problem.togo
     column = math.floor((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5)
     row = math.floor((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5)

@@ -1,4 +1,4 @@
-"""Plan a task: check it, grow the tree, and have the plan judged before anybody sees it."""
+"""Planning of a task: check it, grow the tree, and verify the plan exactly before it is returned."""
 
 from __future__ import annotations
 
@@ -34,19 +34,20 @@ from ompl_ext.verification import Requirement, Verification, verify
 
 @dataclass(frozen=True)
 class PlanResult:
-    """What came of planning a task.
+    """Result of planning a task.
 
     Attributes:
-        plan: the best plan, or the one that ends closest to the goal, or None if there is none that may be executed.
-        tree: a copy of the tree that it was found in.
-        progress: iterations, edges, and when which cost was found.
-        verification: FCL's judgement of the plan; None without a plan.  DIRT's have no problems; a plan of one of
-            OMPL's own planners, which know no SAFETY, is free of collisions but may lack clearance or a contingency.
-        reason: why there is no plan that reaches the goal; empty if there is one.
-        budget: what was asked for.
+        plan: best plan, or the one that ends closest to the goal; None if no plan may be executed.
+        tree: copy of the search tree.
+        progress: iterations, edges, and the history of costs.
+        verification: exact verification of the plan; None without a plan.  Plans of DIRT have no problems; a plan of
+            one of OMPL's own planners, which have no SAFETY, is free of collisions but may lack clearance or a
+            contingency.
+        reason: why no plan reaches the goal; empty if one does.
+        budget: budget of the search.
         seed: of the random generator.
         setup_seconds: clearance field, cost-to-go, loading the compiled kernels.
-        verify_seconds: the judgement.
+        verify_seconds: verification.
     """
 
     plan: Plan | None
@@ -71,26 +72,26 @@ class PlanResult:
 
 
 def budget_of(task: Task) -> Budget:
-    """The budget that the task itself gives."""
+    """Budget of the task itself."""
     return Budget(task.planning.iteration_budget, task.planning.time)
 
 
 def plan_task(
     task: Task, vehicle: Vehicle, budget: Budget | None = None, seed: int = 0, previous: Previous | None = None
 ) -> PlanResult:
-    """Plan from the task's start, or from within a previous plan, to the goal.
+    """Plan to the goal from the start of the task, or from a state of a previous plan.
 
     Args:
         task: scene, start, goal and planning settings.
-        vehicle: see `kraft.vehicles.load.load_vehicle`; the task's own reference is not followed.
-        budget: instead of the task's.
+        vehicle: from `kraft.vehicles.load.load_vehicle`; the reference in the task is ignored.
+        budget: by default that of the task.
         seed: the same seed and iterations give the same plan, bit for bit.
-        previous: an earlier plan to begin with.
+        previous: earlier plan to start from and to retain.
 
     Raises:
         InputError: if start or goal is in collision or out of bounds, the previous plan is not of this vehicle, or
             there is no such planner.
-        Defect: if the plan found does not stand up to exact verification.
+        Defect: if a plan of DIRT fails verification.
     """
     search = search_named(task.planning.planner)
     if previous is not None:
@@ -146,10 +147,10 @@ def plan(
 
 
 def _accepted(found: SearchResult, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:
-    """The plan if it stands up to its verification, else why there is none.
+    """Plan that passes verification, or the reason why there is none.
 
     Raises:
-        Defect: if a planner that promises SAFETY broke its promise.
+        Defect: if the plan of a planner with SAFETY fails verification.
     """
     if found.plan is None or verification is None or not verification.problems:
         return found.plan, ""
@@ -158,12 +159,12 @@ def _accepted(found: SearchResult, verification: Verification | None, seed: int)
         raise Defect(f"the plan of seed {seed} fails verification: {problems}")
     collides = any(problem.requirement is Requirement.COLLISION for problem in verification.problems)
     if verification.min_clearance > 0.0 and not collides:
-        return found.plan, ""  # free of collisions, and that is all this planner promises
+        return found.plan, ""  # free of collisions, which is all that this planner guarantees
     return None, f"the planner's plan was refused: {problems}"
 
 
 def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:
-    """Why no plan can be found from this start, however long one searches; empty if one might be."""
+    """Reason why no plan from this start exists, whatever the budget; empty if one may exist."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
     if not reachable(dirt.problem, x, y):
         return UNREACHABLE
@@ -172,12 +173,12 @@ def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:
         return f"the start is too near to an obstacle: {exact:.4f} m, which is less than the clearance grid resolves"
     _, beyond_delta = dirt.edge(state, np.zeros(len(dirt.vehicle.controls)), 0.0, 0.0)
     if beyond_delta < 0.0:
-        return f"the start lacks {-beyond_delta:.3f} m of the clearance delta that its first cycle asks for"
+        return f"the start lacks {-beyond_delta:.3f} m of the clearance delta that its first cycle requires"
     return ""
 
 
 def _failure_reason(task: Task, vehicle: Vehicle, plan: Plan | None, progress: Progress) -> str:
-    """Why the search ended without a plan that reaches the goal; empty if there is one."""
+    """Reason why no plan reaches the goal; empty if one does."""
     if plan is not None and plan.reaches_goal:
         return ""
     used = f"{counted(progress.iterations, 'iteration')} ({progress.seconds:.3g} s)"
@@ -188,7 +189,7 @@ def _failure_reason(task: Task, vehicle: Vehicle, plan: Plan | None, progress: P
 
 
 def _distance_to_goal(task: Task, vehicle: Vehicle, plan: Plan) -> str:
-    """Where a plan ends relative to the goal region: its distance, and how far its heading is off, for a sentence."""
+    """Phrase with the distance of the end of a plan from the goal region and its heading error."""
     goal = task.goal
     x, y, heading = pose_of(plan.states[-1], vehicle)
     distance = math.dist((x, y), goal.center) - goal.radius

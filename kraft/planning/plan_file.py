@@ -1,7 +1,7 @@
-"""The plan file: everything about a plan that planning it again would need, as JSON that a person can read.
+"""Plan file: a plan with everything needed to plan it again, as readable JSON.
 
-The same seed and iterations give the same bytes: nothing in it depends on the clock.  Numbers are written so that
-reading them gives the same doubles.
+The same seed and iterations give the same bytes: nothing in it depends on the clock.  Reading a number gives the double
+that was written.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NAME: Final = "plan.json"
 SCHEMA: Final = "kraft.plan-file/1"
 SIZE_MAX: Final = 256 * 1024 * 1024  # bytes
 EXPECTED: Final = f"expected a plan file ({SCHEMA})"
-TOLERANCE: Final = 1e-6  # s, between numbers that say the same thing twice
+TOLERANCE: Final = 1e-6  # s, between redundant numbers
 
 
 Number = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -49,7 +49,7 @@ Table = Annotated[tuple[Row, ...], Field(min_length=1)]
 
 @dataclass(frozen=True)
 class Origin:
-    """How the things that were planned with were named: enough to name them again."""
+    """References to the scenario, the vehicle and the previous plan, as they were given."""
 
     scenario: str
     vehicle: str
@@ -57,20 +57,20 @@ class Origin:
 
 
 def write_plan(path: Path, task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) -> None:
-    """Write the plan of a result in one step, in place of an earlier plan file at `path`.
+    """Write the plan file of a result atomically; it replaces an earlier plan file.
 
     Raises:
-        InputError: if something else than a plan file is there, or it cannot be written.
+        InputError: if another file is at `path`, or it cannot be written.
     """
     check_plan_target(path)
     write_whole(path, plan_text(task, vehicle, result, origin).encode())
 
 
 def check_plan_target(path: Path) -> None:
-    """Refuse to replace a file that is not a plan file, and a place that cannot be written.
+    """Check that a plan file can be written at `path`.
 
     Raises:
-        InputError: if there is such a file, or a folder, or no permission.
+        InputError: if a file that is not a plan file, or a folder, is there, or it cannot be written.
     """
     check_writable(path)
     if path.exists():
@@ -113,13 +113,13 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
 
 
 def task_hash(task: Task) -> str:
-    """Hash over what the planner is known: geometry, start, goal, settings; not names of files or comments."""
+    """Hash of the input of the planner: geometry, start, goal, settings; not names of files or comments."""
     known = {f.name: getattr(task, f.name) for f in fields(Task) if f.name not in ("source", "vehicle")}
     return plain_hash(known)
 
 
 def vehicle_content(vehicle: Vehicle, reference: str) -> dict[str, Any]:
-    """A vehicle as plain data; `reference` is how it was named."""
+    """Vehicle as plain data; `reference` is how it was named."""
     return {
         "name": vehicle.name,
         "reference": reference,
@@ -132,7 +132,7 @@ def vehicle_content(vehicle: Vehicle, reference: str) -> dict[str, Any]:
 
 
 def dumps(content: Mapping[str, Any]) -> str:
-    """JSON with one line per entry and per row of a table."""
+    """JSON text with one line per entry and per row of a table."""
     return _indented(content, "")
 
 
@@ -187,7 +187,7 @@ def read_plan_file(path: Path) -> PlanFile:
 
 
 def read_plan(path: Path) -> Plan:
-    """Plan of a plan file.
+    """Read the plan of a plan file.
 
     Raises:
         InputError: with every problem of the file.
@@ -219,7 +219,7 @@ class PlannedScenario(StrictModel):
     reference: str | None = None
     """how it was named"""
     sha256: str | None = None
-    """hash of what the planner was given"""
+    """hash of the input of the planner"""
 
 
 class PlannedGoal(StrictModel):
@@ -247,7 +247,7 @@ class PlannedContingency(StrictModel):
 
 
 class PlanFile(StrictModel):
-    """Content of a plan file; `object` marks what is recorded for people and not read."""
+    """Content of a plan file; fields of type `object` are recorded for people and not read."""
 
     schema_: Annotated[Literal["kraft.plan-file/1"], Field(alias="schema")]
     """kind and version of the file"""
@@ -264,7 +264,7 @@ class PlanFile(StrictModel):
     settings: object = None
     """settings of the planner"""
     from_: Annotated[object, Field(alias="from")] = None
-    """the earlier plan that planning began with"""
+    """the previous plan"""
     goal: PlannedGoal
     """goal region {center, radius, reached}"""
     cost: NonNegative
@@ -284,7 +284,7 @@ class PlanFile(StrictModel):
     contingency: PlannedContingency | None
     """manoeuvre that stops the vehicle {manoeuvre, spare, times, states}"""
     versions: object = None
-    """versions of what shaped the plan"""
+    """versions of the software"""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

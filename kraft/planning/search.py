@@ -1,4 +1,4 @@
-"""The search itself, by the planner's name: kraft's DIRT, or one of OMPL's planners over callbacks."""
+"""Search by the name of the planner: kraft's DIRT, or one of OMPL's planners through callbacks."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ompl_ext.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Previous:
-    """Planning begins where `plan` is predicted to be after `elapsed` s, and keeps what is left of it.
+    """Earlier plan: planning starts in the state that it predicts after `elapsed` s, and retains its remaining edges.
 
-    `origin` is the file it was read from, for messages and for the record.
+    `origin` is the file of the plan, for messages and for the plan file.
     """
 
     plan: Plan
@@ -30,12 +30,12 @@ class Previous:
 
     @property
     def state(self) -> Floats:
-        """The state that the plan predicts after `elapsed` s, shape (nx,)."""
+        """State that the plan predicts after `elapsed` s, shape (nx,)."""
         plan = self.plan
         return np.array([np.interp(self.elapsed, plan.times, column) for column in plan.trajectory.T])
 
     def check(self, vehicle: Vehicle) -> None:
-        """Check that the plan is one of `vehicle` and not over.
+        """Check that the plan belongs to `vehicle` and lasts longer than `elapsed`.
 
         Raises:
             InputError: if it is not.
@@ -50,13 +50,13 @@ class Previous:
             expected = f"expected a plan of {vehicle.name}, which has {required[0]} and {required[1]}"
             raise InputError.of(self.origin, problem, expected, Code.MISMATCH)
         if not 0.0 <= self.elapsed < plan.cost:
-            problem = f"the plan is over after {plan.cost:.6g} s, asked for is {self.elapsed:.6g} s"
+            problem = f"the plan is over after {plan.cost:.6g} s, before {self.elapsed:.6g} s"
             raise InputError.of(self.origin, problem, f"expected from 0 to less than {plan.cost:.6g} s")
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How long to plan: a number of iterations, which is repeatable, or wall-clock time in s."""
+    """Budget of a search: a number of iterations, which is repeatable, or wall-clock time in s."""
 
     iterations: int | None = None
     seconds: float | None = None
@@ -64,9 +64,9 @@ class Budget:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found, as the planner claims it, and how it went.
+    """Plan of a search before verification, and its progress.
 
-    `promises_safety` is whether the planner promises SAFETY and the clearance delta; OMPL's own planners know neither.
+    `promises_safety` is whether the planner guarantees SAFETY and the clearance delta; OMPL's own planners do not.
     """
 
     plan: Plan | None
@@ -75,11 +75,11 @@ class SearchResult:
 
 
 Search = Callable[[DirtSolver, Floats, Budget, int, Previous | None], SearchResult]
-"""Search from a state with a budget and a seed.  The `DirtSolver` holds the query and has been started at the state."""
+"""Search from a state with a budget and a seed.  The `Dirt` has the query and was started in the state."""
 
 
 def search_named(planner: str) -> Search:
-    """The search of a planner.
+    """Search of a planner.
 
     Raises:
         InputError: if there is no planner of this name.

@@ -1,4 +1,4 @@
-"""What a task means to the planner: its workspace, goal, safety and settings."""
+"""Conversion of a task to the input of the planner: workspace, goal, safety and settings."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ompl_ext.vehicle import Vehicle
 
 
 def workspace_of(task: Task, vehicle: Vehicle) -> Workspace:
-    """Obstacles of the task, and a fence around its bounds, because the footprint has to stay inside them."""
+    """Obstacles of the task, and walls around its bounds, because the footprint has to stay inside them."""
     solid = tuple(planar_obstacle(obstacle) for obstacle in task.obstacles)
     thickness = 2 * vehicle.footprint.reach
     return Workspace((task.bounds.x, task.bounds.y), solid + fence(task.bounds, thickness))
 
 
 def planar_obstacle(obstacle: Obstacle) -> planar.Obstacle:
-    """An obstacle as the planner takes it."""
+    """Obstacle for the planner."""
     match obstacle:
         case Box():
             return box(obstacle.center, obstacle.size, obstacle.yaw)
@@ -39,7 +39,7 @@ def planar_obstacle(obstacle: Obstacle) -> planar.Obstacle:
 
 
 def fence(bounds: Bounds, thickness: float) -> tuple[planar.Polygon, ...]:
-    """Four boxes that begin where the bounds end, `thickness` m wide."""
+    """Four walls around the bounds, `thickness` m wide."""
     (x0, x1), (y0, y1) = bounds.x, bounds.y
     cx, cy, width, height = (x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0
     t = thickness
@@ -52,7 +52,7 @@ def fence(bounds: Bounds, thickness: float) -> tuple[planar.Polygon, ...]:
 
 
 def goal_of(task: Task) -> Goal:
-    """The goal region; without a heading any will do."""
+    """Goal region; without a heading every heading is accepted."""
     goal = task.goal
     if goal.heading is None or goal.heading_tolerance is None:
         return Goal(goal.center, goal.radius)
@@ -60,7 +60,7 @@ def goal_of(task: Task) -> Goal:
 
 
 def safety_of_task(task: Task) -> Safety:
-    """SAFETY where the plan leaves its first cycle, with the clearance that the task asks for."""
+    """SAFETY at the end of the first cycle, with the clearance that the task requires."""
     margin = task.planning.safety
     return Safety(
         cycle=task.planning.cycle,
@@ -71,7 +71,7 @@ def safety_of_task(task: Task) -> Safety:
 
 
 def settings_of(task: Task) -> Settings:
-    """The planner's settings; what a scenario does not say is the planner's own default."""
+    """Settings of the planner; those that a scenario does not have keep their defaults."""
     planning = task.planning
     shortest, longest = planning.edge_duration
     return Settings(
@@ -86,9 +86,9 @@ def settings_of(task: Task) -> Settings:
 
 
 def start_state(task: Task, vehicle: Vehicle) -> Floats:
-    """The start pose and speed as a state of the vehicle, all else zero, shape (nx,).
+    """Start pose and speed as a state of the vehicle with all other components zero, shape (nx,).
 
-    The speed is the component that the vehicle names first among those that vanish at rest.
+    The speed is the first of the components that vanish at rest.
     """
     state = np.zeros(len(vehicle.state))
     values = {"x": task.start.x, "y": task.start.y, "theta": task.start.heading}
@@ -112,15 +112,15 @@ def pose_of(state: Floats, vehicle: Vehicle) -> tuple[float, float, float]:
 
 
 def pose_text(x: float, y: float, heading: float) -> str:
-    """A pose for a sentence."""
+    """Pose as a phrase."""
     return f"({x:.3g}, {y:.3g}) heading {math.degrees(heading):.4g} deg"
 
 
 def vehicle_of_task(task: Task, parameters: Mapping[str, float] | None = None) -> Vehicle:
-    """The vehicle that a scenario names.
+    """Vehicle that a scenario names.
 
     Raises:
-        InputError: as `load_vehicle`; what is wrong with the reference is said at its line.
+        InputError: as `load_vehicle`; problems of the reference are reported at its line.
     """
     try:
         return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)

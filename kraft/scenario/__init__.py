@@ -1,6 +1,6 @@
-"""Scenarios: what a YAML file may say, what it means, and loading it.
+"""Scenarios: schema of the YAML file, plain geometry, and loading.
 
-The modules load when a name is first used: `kraft list planners` needs no arrays.
+The modules are imported when a name is first used, so that `kraft list planners` does not import numpy.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Obstacles as plain geometry: metres and radians, x forward, y left.
 
-Footprints are all that the planner knows; ``height`` is for the physics world and for pictures.
+The planner uses the outline alone; ``height`` is for the simulated world and for pictures.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Vec2: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class Box:
-    """A rectangle of full ``size`` (length, width) in m, turned by ``yaw`` rad about its ``center``."""
+    """Rectangle of full ``size`` (length, width) in m, turned by ``yaw`` rad about its ``center``."""
 
     center: Vec2
     size: Vec2
@@ -29,7 +29,7 @@ class Box:
 
     @property
     def corners(self) -> tuple[Vec2, Vec2, Vec2, Vec2]:
-        """The four corners, counter-clockwise."""
+        """Four corners, counter-clockwise."""
         (x, y), (length, width) = self.center, self.size
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         a, b = length / 2, width / 2
@@ -39,7 +39,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Circle:
-    """A disc."""
+    """Disc."""
 
     center: Vec2
     radius: float
@@ -49,7 +49,7 @@ class Circle:
 
 @dataclass(frozen=True)
 class Polygon:
-    """A simple polygon, convex or not; ``vertices`` run counter-clockwise and do not repeat the first."""
+    """Simple polygon, convex or not; ``vertices`` run counter-clockwise and do not repeat the first."""
 
     vertices: tuple[Vec2, ...]
     height: float = 0.2
@@ -58,11 +58,11 @@ class Polygon:
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap:
-    """A grid of square cells.
+    """Grid of square cells.
 
     Attributes:
         occupied: read-only bool array [ny, nx]; row 0 lies at the origin, x grows with the column.
-            Cells that the map does not know are occupied.
+            Unknown cells are occupied.
         resolution: side of a cell, m.
         origin: pose (x, y, yaw) of the outer corner of cell [0, 0], m and rad.
     """
@@ -85,11 +85,11 @@ class OccupancyMap:
 
     @property
     def grid(self) -> OccupancyGrid:
-        """The map as the planner takes it."""
+        """Grid for the planner."""
         return OccupancyGrid(self.occupied, self.resolution, self.origin)
 
     def boxes(self) -> tuple[Box, ...]:
-        """Cover exactly the occupied cells with few rectangles that do not overlap."""
+        """Few disjoint rectangles that cover exactly the occupied cells."""
         return tuple(self._box(*cells) for cells in self.grid.rectangles())
 
     def _box(self, row: int, column: int, rows: int, columns: int) -> Box:
@@ -105,15 +105,15 @@ Obstacle: TypeAlias = Box | Circle | Polygon | OccupancyMap
 
 def signed_area(vertices: NDArray[np.float64]) -> float:
     """Area of a polygon [n, 2] in m^2, positive when it runs counter-clockwise."""
-    local = vertices - vertices[0]  # far from the world's origin the products would lose digits
+    local = vertices - vertices[0]  # far from the origin of the world the products would lose digits
     x, y = local[:, 0], local[:, 1]
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def crossing_edges(vertices: NDArray[np.float64]) -> tuple[int, int] | None:
-    """Return two edges of a polygon [n, 2] that meet where they should not, or None when it is simple.
+    """Two edges of a polygon [n, 2] that intersect, or None if it is simple.
 
-    Edge i runs from vertex i to i + 1. Neighbours meet in one point; meeting in more (folding back) counts.
+    Edge i runs from vertex i to i + 1. Neighbours share one point; if they share more (fold back), they intersect.
     """
     n = len(vertices)
     a, b = vertices, np.roll(vertices, -1, axis=0)
@@ -132,7 +132,7 @@ def crossing_edges(vertices: NDArray[np.float64]) -> tuple[int, int] | None:
 def _meet(
     p: NDArray[np.float64], q: NDArray[np.float64], r: NDArray[np.float64], s: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether the segment pq meets each segment rs [m, 2]; touching counts."""
+    """Whether the segment pq intersects each segment rs [m, 2]; touching counts."""
 
     def side(o: NDArray[np.float64], d: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
         u, v = d - o, t - o

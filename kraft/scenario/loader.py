@@ -1,4 +1,4 @@
-"""Load scenarios: read, check everything, and turn into plain geometry."""
+"""Loading of scenarios: read, validate, and convert to plain geometry."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def parse_scenario(content: bytes | str, file: str = "scenario.yaml", folder: Path | None = None) -> Scenario:
-    """Load a scenario from the content of a file; ``folder`` is what its paths are relative to.
+    """Load a scenario from the content of a file; its paths are relative to ``folder``.
 
     Raises:
         InputError: with every problem of the content.
@@ -40,7 +40,7 @@ def parse_scenario(content: bytes | str, file: str = "scenario.yaml", folder: Pa
 
 
 def scenario_from(document: Document, folder: Path) -> Scenario:
-    """Check a document and build the scenario it describes.
+    """Validate a document and build its scenario.
 
     Raises:
         InputError: with every problem of the document and of the maps it names.
@@ -69,7 +69,7 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
 
 
 def _outside_bounds(document: Document) -> list[Diagnostic]:
-    """Find start and goal outside the bounds, as far as these sections are right in themselves."""
+    """Start and goal outside the bounds, as far as these sections are valid themselves."""
     bounds = part(Bounds, _at(document.data, ("bounds",)))
     start = part(StartFile, _at(document.data, ("start",)))
     goal = part(GoalFile, _at(document.data, ("goal",)))
@@ -96,7 +96,7 @@ def _outside_bounds(document: Document) -> list[Diagnostic]:
 def _vehicle(document: Document, folder: Path) -> tuple[str, list[Diagnostic]]:
     default = ScenarioFile.model_fields["vehicle"].default
     reference = _at(document.data, ("vehicle",), default)
-    if not isinstance(reference, str):  # its type was already reported
+    if not isinstance(reference, str):  # a wrong type is already reported
         return "", []
     try:
         return resolve_vehicle(reference, folder), []
@@ -105,7 +105,7 @@ def _vehicle(document: Document, folder: Path) -> tuple[str, list[Diagnostic]]:
 
 
 def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], list[Diagnostic]]:
-    """Read the maps of all obstacles that name one, by the obstacle's index."""
+    """Maps of all obstacles that name one, by the index of the obstacle."""
     maps: dict[int, OccupancyMap] = {}
     problems: list[Diagnostic] = []
     entries = _at(document.data, ("obstacles",))
@@ -129,7 +129,7 @@ def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], li
 
 
 def _at(data: Value, path: tuple[str, ...], default: Value = None) -> Value:
-    """Return what the raw data holds at ``path``, or ``default`` where there is no such key."""
+    """Value of the raw data at ``path``, or ``default`` if there is no such key."""
     for key in path:
         if not isinstance(data, dict) or key not in data:
             return default
@@ -145,7 +145,7 @@ def _obstacle(entry: ObstacleFile, occupancy: OccupancyMap | None) -> Obstacle:
         return Circle(entry.circle.center, entry.circle.radius, entry.circle.height, entry.name)
     if entry.polygon is not None:
         return _polygon(entry.polygon.vertices, entry.polygon.height, entry.name)
-    assert occupancy is not None, "the schema lets only these four shapes through"
+    assert occupancy is not None, "the schema allows these four shapes alone"
     return occupancy
 
 

@@ -1,4 +1,4 @@
-"""A scenario as the rest of kraft sees it: plain geometry, metres and radians."""
+"""Scenario and task as plain geometry, in metres and radians."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Goal:
-    """A disc to arrive in, perhaps with a heading; angles in rad.
+    """Goal region: a disc, and optionally a heading; angles in rad.
 
     ``heading`` and ``heading_tolerance`` are both given or both None.
     """
@@ -37,10 +37,10 @@ class Goal:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What the robot is told. Everything on the planner's side takes a `Task`, never a `Scenario`.
+    """Planning problem as the robot knows it. Code of the planner takes a `Task`, never a `Scenario`.
 
-    ``vehicle`` is a bundled name, the path of a YAML file, or ``module:attribute``. ``source`` finds the
-    place of a key in the scenario file: ``task.source.where("goal.center")``.
+    ``vehicle`` is a bundled name, the path of a YAML file, or ``module:attribute``. ``source`` has the position of each
+    key in the scenario file: ``task.source.where("goal.center")``.
     """
 
     name: str
@@ -56,12 +56,12 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Task):
-    """A task together with what is true and how it is observed, for the simulated world alone."""
+    """Task with the true world and the sensing, for the simulation alone."""
 
     truth: Truth = field(default_factory=Truth)
     sensing: Sensing = field(default_factory=Sensing)
     trial: Trial = field(default_factory=Trial)
 
     def task(self) -> Task:
-        """Return the part that the robot is told."""
+        """Part of the scenario that the robot knows."""
         return Task(**{f.name: getattr(self, f.name) for f in fields(Task)})

@@ -1,7 +1,7 @@
-"""Read occupancy maps as ROS's map_server writes them: a YAML file and a PGM or PNG image.
+"""Reader of occupancy maps in the format of ROS's map_server: a YAML file and a PGM or PNG image.
 
-A cell is free only if the map says so: unknown cells, cells between the two thresholds and transparent cells
-are occupied. ``origin``'s yaw (rad, as in ROS) is honoured.
+A cell is free only if its occupancy is below ``free_thresh``: unknown cells, cells between the thresholds and
+transparent cells are occupied. The yaw of ``origin`` (rad, as in ROS) is applied.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _BROKEN: Final = (
     zlib.error,
     OverflowError,
 )
-"""What Pillow raises for images that are truncated or corrupt."""
+"""Exceptions of Pillow for truncated or corrupt images."""
 
 
 def _as_flag(value: object) -> object:
@@ -74,7 +74,7 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
     """Read a map's YAML file and its image.
 
     Raises:
-        InputError: if either is missing or wrong; the image's problems point at the ``image`` line.
+        InputError: if either is missing or invalid; problems of the image are reported at the ``image`` key.
     """
     settings, document = read_model(path, MapServerFile)
     brightness, opaque = _read_image(path.parent / settings.image, document.source)
@@ -88,7 +88,7 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
 
 
 def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return brightness in [0, 1] and whether each pixel is opaque, both [rows, columns] from the top."""
+    """Brightness in [0, 1] and opacity of each pixel, both [rows, columns] from the top."""
 
     def wrong(problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
         return InputError([source.diagnostic("image", problem, expected, code=code)])
@@ -110,7 +110,7 @@ def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArra
         raise wrong(f"{path} is neither PGM nor PNG", "expected a PGM or PNG file", Code.SYNTAX) from error
     except _BROKEN as error:
         problem = f"the image {path} cannot be read ({error})"
-        raise wrong(problem, "expected a whole PGM or PNG file", Code.UNREADABLE) from error
+        raise wrong(problem, "expected a complete PGM or PNG file", Code.UNREADABLE) from error
 
 
 def _brightness(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -1,4 +1,4 @@
-"""How to plan: the `planning` section of a scenario."""
+"""Settings of the planner: the `planning` section of a scenario."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Planning(StrictModel):
         return self
 
     def with_budget(self, *, iterations: int | None = None, time: float | None = None) -> Planning:
-        """Return the same settings with another budget: iterations, or time in s.
+        """Same settings with another budget: iterations, or time in s.
 
         Raises:
             InputError: if the budget is not positive and finite, or both are given.
@@ -102,5 +102,5 @@ class Planning(StrictModel):
 
     @property
     def iteration_budget(self) -> int | None:
-        """Number of iterations to plan for, or None when the budget is `time`."""
+        """Budget in iterations, or None if the budget is `time`."""
         return self.iterations if self.iterations is not None or self.time is not None else DEFAULT_ITERATIONS

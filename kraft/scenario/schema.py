@@ -1,4 +1,4 @@
-"""What a scenario file may say. `kraft.scenario.model` holds what it means."""
+"""Schema of a scenario file; `kraft.scenario.model` has the result."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Bounds(StrictModel):
     """[low, high], m"""
 
     def outside(self, x: float, y: float) -> str | None:
-        """Return which coordinate of a point lies outside (``x`` or ``y``), or None."""
+        """Coordinate of a point that lies outside (``x`` or ``y``), or None."""
         for axis, value, (low, high) in (("x", x, self.x), ("y", y, self.y)):
             if not low <= value <= high:
                 return axis
@@ -76,7 +76,7 @@ def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
     if np.linalg.matrix_rank(array - array[0]) < 2:
         raise refuse("the polygon has no area", "expected vertices that are not on one line", code=Code.GEOMETRY)
     if crossing := crossing_edges(array):
-        problem = f"the polygon meets itself: edge {crossing[0]} and edge {crossing[1]}"
+        problem = f"the polygon intersects itself: edge {crossing[0]} and edge {crossing[1]}"
         raise refuse(problem, "expected a simple polygon (edge i runs from vertex i to the next)", code=Code.GEOMETRY)
     return vertices
 
@@ -164,7 +164,7 @@ class GoalFile(StrictModel):
 
 
 class ScenarioFile(StrictModel):
-    """A scene, what to do in it, and what the planner is not told."""
+    """Scene with start and goal, and the true world that the planner does not know."""
 
     name: Name
     """short name of letters, digits, - and _"""

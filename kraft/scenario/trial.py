@@ -1,4 +1,4 @@
-"""How a trial is observed and when it ends: the `sensing` and `trial` sections of a scenario."""
+"""Sensing and time limits of a trial: the `sensing` and `trial` sections of a scenario."""
 
 from __future__ import annotations
 

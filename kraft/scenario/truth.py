@@ -1,7 +1,7 @@
-"""What is true and the planner does not know: the `truth` section of a scenario.
+"""True world, unknown to the planner: the `truth` section of a scenario.
 
-Only the simulated world may read it. Code on the planner's side takes a `kraft.scenario.Task`, which has no
-``truth``, so the type checker refuses a planner that peeks.
+Only the simulation reads it. Code of the planner takes a `kraft.scenario.Task`, which has no ``truth``, so that the
+type checker refuses a planner that reads it.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Truth(StrictModel):
     """how the true car differs from its model"""
 
     def in_words(self) -> tuple[str, ...]:
-        """What a planner does not know of: a phrase for each kind of thing, none for a flat floor with good grip."""
+        """Phrase for each kind of feature unknown to the planner; none for a flat floor with good grip."""
         found = []
         if self.floor_friction != 1.0:
             found.append(f"a floor with friction {self.floor_friction:g}")

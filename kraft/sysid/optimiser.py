@@ -12,6 +12,7 @@ from typing import Protocol
 import gtsam
 import numpy as np
 
+from kraft.errors import NegativeResult
 from kraft.sysid.problem import Point, Problem
 from ompl_ext.arrays import Bools, Floats, Matrix
 
@@ -155,7 +156,11 @@ def bounded_step(factors: RhoFactors, damping: float, low: Floats, high: Floats,
 
 
 def _solve(factors: RhoFactors, damping: float, free: Bools, fixed: Floats) -> Floats:
-    """Change of the free components, the others changing by `fixed`: GTSAM solves the graph on rho."""
+    """Change of the free components, the others changing by `fixed`: GTSAM solves the graph on rho.
+
+    Raises:
+        NegativeResult: if the information of the free components is singular.
+    """
     shift = np.where(free, 0.0, fixed)
     graph = gtsam.GaussianFactorGraph()
     for information, gradient in zip(factors.information, factors.gradient, strict=True):
@@ -163,5 +168,11 @@ def _solve(factors: RhoFactors, damping: float, free: Bools, fixed: Floats) -> F
         graph.add(gtsam.HessianFactor(RHO, information[np.ix_(free, free)], -slope[free], 0.0))
     prior = factors.prior_information + damping * np.diag(factors.total_information)
     graph.add(gtsam.HessianFactor(RHO, np.diag(prior[free]), -factors.prior_gradient[free], 0.0))
-    solution: Floats = graph.optimize().at(RHO)
+    try:
+        solution: Floats = graph.optimize().at(RHO)
+    except RuntimeError:  # GTSAM's IndeterminantLinearSystemException
+        raise NegativeResult(
+            "the logs do not determine the parameters: the linear system of the optimiser is singular; "
+            "check the units and scales of the commands"
+        ) from None
     return solution

@@ -1,1 +1,1 @@
-"""Vehicle models, each a derivative over tuples; their parameters come from `configs/vehicles/`."""
+"""Vehicle models, each a derivative over tuples, and their loading; parameters are in `configs/vehicles/`."""

@@ -1,4 +1,4 @@
-"""The vehicle on which planners are compared: fixed constants, so that costs stay comparable over the years."""
+"""Vehicle for comparing planners: its constants are fixed, so that costs stay comparable between versions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check a vehicle's functions before anything is planned with them: do they compile, and return what they should."""
+"""Checks of the functions of a vehicle before planning: each compiles and returns the right values."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.kernels.specialise import is_cached
 from ompl_ext.vehicle import Vehicle
 
-_LINE_MAX = 160  # characters of numba's explanation that are worth repeating
+_LINE_MAX = 160  # longest part of a message of numba to repeat, characters
 
 
 def check_functions(vehicle: Vehicle, reference: str) -> None:
-    """Compile each function by itself and try it; does nothing for a vehicle whose kernels are in the cache.
+    """Compile and call each function alone; does nothing for a vehicle whose kernels are in the cache.
 
     Raises:
-        InputError: with every problem of every function, `reference` being what it is sentence of.
+        InputError: with every problem of every function, each naming `reference`.
     """
     if is_cached(vehicle):
         return
@@ -40,7 +40,7 @@ def check_functions(vehicle: Vehicle, reference: str) -> None:
 
 
 def _functions(vehicle: Vehicle) -> Iterator[tuple[Callable[..., Any], tuple[Any, ...], int, str]]:
-    """Each function with arguments to try it on, the number of values it must return, and what it is called."""
+    """Each function with arguments for a call, the required number of values, and its signature."""
     x = (0.0,) * len(vehicle.state)
     u = tuple(0.5 * (low + high) for low, high in vehicle.controls.values())
     p = tuple(float(value) for value in vehicle.parameter_array)
@@ -81,7 +81,7 @@ def _problems(
 def _not_finite(dispatcher: Any, arguments: tuple[Any, ...], label: str) -> Iterator[tuple[str, str]]:
     try:
         values = dispatcher(*arguments)
-    except ArithmeticError as error:  # a function that was compiled to raise
+    except ArithmeticError as error:  # a function compiled with error_model="python" raises
         yield f"{label} fails at rest: {error}", "expected finite numbers"
         return
     if not all(math.isfinite(value) for value in values):
@@ -90,15 +90,15 @@ def _not_finite(dispatcher: Any, arguments: tuple[Any, ...], label: str) -> Iter
 
 
 def _untyped(value: Any) -> Any:
-    """What the type checker shall not look into: numba is typed in part only."""
+    """The same value without a type: numba has annotations in part only."""
     return value
 
 
 def readable(error: Exception) -> str:
-    """One line of numba's explanation and the line of code it is about."""
+    """One line of numba's message, and the line of code that it is about."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     if "NRT required" in text:
-        return "it makes a list or an array, and kernels cannot allocate memory"
+        return "it creates a list or an array, but kernels cannot allocate memory"
     lines = [line.strip() for line in text.splitlines()]
     sentence = next((line for line in lines if line and not line.startswith(("Failed in", "- Resolution"))), text)
     place = re.search(r'File "(?P<file>[^"]+)", line (?P<line>\d+):', text)
@@ -111,7 +111,9 @@ def _named(returned: object) -> str:
         return "one number"
     if not isinstance(returned, types.BaseTuple):
         return str(returned)
-    kinds = [_untyped(types).unliteral(kind) for kind in _untyped(returned)]  # Pythons differ in what is a literal
+    kinds = [
+        _untyped(types).unliteral(kind) for kind in _untyped(returned)
+    ]  # versions of Python differ in which types are literal
     return "(" + ", ".join("text" if isinstance(kind, types.UnicodeType) else str(kind) for kind in kinds) + ")"
 
 

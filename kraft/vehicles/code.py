@@ -1,4 +1,4 @@
-"""Import the Python object that ``module:attribute`` or ``path/to/file.py:attribute`` names."""
+"""Import of vehicles from ``module:attribute`` or ``path/to/file.py:attribute``."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _PLANNER = Path(ompl_ext.__file__).parent
 
 
 def vehicle_of(reference: str, subject: str = "") -> Vehicle:
-    """The vehicle that a reference to code names; a relative path is relative to the working directory.
+    """Vehicle of a reference to code; a relative path is relative to the working directory.
 
-    `subject` is how errors name the reference, if not as it is.
+    Errors name `subject`, by default the reference.
 
     Raises:
-        InputError: if the module does not import, or what is named is not there or not a vehicle.
+        InputError: if the module cannot be imported, or the attribute is missing or not a vehicle.
     """
     subject = subject or reference
     code = split_file(reference)
@@ -44,12 +44,12 @@ def _import(name: str, subject: str) -> ModuleType:
         sys.path.insert(0, here)
     try:
         return importlib.import_module(name)
-    except (Exception, SystemExit) as error:  # whatever a stranger's module raises when it is executed
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
         raise _import_error(error, subject) from error
 
 
 def _import_file(file: Path, subject: str) -> ModuleType:
-    """Execute a file as a module, once, under a name that its path decides (compiled code is kept by that name)."""
+    """Execute a file once as a module, named after its path, because compiled code is cached by module name."""
     path = file.resolve()
     name = f"kraft_vehicle_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
     if name in sys.modules:
@@ -58,19 +58,19 @@ def _import_file(file: Path, subject: str) -> ModuleType:
     if spec is None or spec.loader is None or not path.is_file():
         raise InputError.of(subject, f"there is no file {file}", "expected the path of a Python file", Code.NOT_FOUND)
     module = importlib.util.module_from_spec(spec)
-    if str(path.parent) not in sys.path:  # so that it can import its neighbours, as a script can
+    if str(path.parent) not in sys.path:  # so that it can import modules of its folder, as a script can
         sys.path.append(str(path.parent))
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # whatever a stranger's file raises when it is executed
+    except (Exception, SystemExit) as error:  # a user's file may raise anything
         del sys.modules[name]
         raise _import_error(error, subject) from error
     return module
 
 
 def _import_error(error: BaseException, subject: str) -> InputError:
-    """Say what went wrong and where in the stranger's code."""
+    """Error with the exception and its line in the user's code."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
     files = [f for f in frames if not f.filename.startswith("<") and "importlib" not in f.filename]
     theirs = [f for f in files if not Path(f.filename).is_relative_to(_PLANNER)]

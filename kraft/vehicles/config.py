@@ -1,4 +1,4 @@
-"""A vehicle as configuration: which model it is, with which parameters, how large and how fast."""
+"""Schema of a vehicle file: model, parameters, footprint, top speed, and the record of their identification."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _model_reference(text: str) -> str:
 
 
 def _speed(value: object) -> float | str:
-    if isinstance(value, str):  # which parameters there are is checked on the whole file
+    if isinstance(value, str):  # `across_keys` checks that there is such a parameter
         return value
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 100:
         raise refuse(f"is {describe(value)}", _SPEED_EXPECTED)
@@ -50,7 +50,7 @@ _SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
 
 
 class VehicleConfig(StrictModel):
-    """A vehicle file. The order of the parameters is the order in which the model takes them."""
+    """Vehicle file. The parameters have the order of the model."""
 
     name: Name
     """short name of letters, digits, - and _"""
@@ -77,19 +77,19 @@ class VehicleConfig(StrictModel):
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """Whether the top speed is the name of a parameter, if it is a name."""
+        """Check that a top speed given by name is a parameter."""
         speed, parameters = content.get("top_speed"), content.get("parameters", {})
         if isinstance(speed, str) and isinstance(parameters, Mapping) and speed not in parameters:
             yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",), Code.UNKNOWN)
 
     @property
     def source(self) -> Source:
-        """Where each value was written."""
+        """Position of each value in the file."""
         return self._source
 
     @property
     def speed_limit(self) -> float:
-        """Speed that the vehicle never exceeds with the present parameters, m/s."""
+        """Speed that the vehicle never exceeds with its parameters, m/s."""
         return self.values[self.top_speed] if isinstance(self.top_speed, str) else self.top_speed
 
     @property
@@ -98,7 +98,7 @@ class VehicleConfig(StrictModel):
         return {name: parameter.value for name, parameter in self.parameters.items()}
 
     def with_values(self, values: Mapping[str, float]) -> VehicleConfig:
-        """Return the same vehicle with other nominal values of some parameters.
+        """Same vehicle with other nominal values of some parameters.
 
         Raises:
             InputError: for parameters that the vehicle does not have and values outside their limits.
@@ -130,12 +130,12 @@ def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
     """
     path = bundled.find("vehicle", name_or_path)
     config, document = read_model(path, VehicleConfig)
-    config._source = document.source  # frozen fields stay as they are; this is where they came from
+    config._source = document.source  # a private attribute, which a frozen model allows to set
     return config
 
 
 class Parameter(StrictModel):
-    """One number of a model, with what system identification may do to it."""
+    """Parameter of a model, with its limits and its prior for identification."""
 
     value: Quantity
     """nominal value, in the unit given"""
@@ -162,7 +162,7 @@ class Parameter(StrictModel):
 
 
 class Footprint(StrictModel):
-    """The rectangle that must not touch anything."""
+    """Rectangle that encloses the vehicle."""
 
     length: Length
     """extent along x, m"""

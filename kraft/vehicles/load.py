@@ -1,4 +1,4 @@
-"""Load a vehicle, whichever way it is named: model from code, numbers from a YAML file if there is one."""
+"""Loading of vehicles: the model from code, its numbers from a YAML file if there is one."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
     """Load a bundled vehicle (``mushr``), a YAML file, ``module:attribute`` or ``path/to/file.py:attribute``.
 
     Args:
-        reference: which vehicle; a path is relative to `folder`, by default the working directory.
-        folder: where the reference was written.
+        reference: name, path or code; a path is relative to `folder`.
+        folder: folder of the file that contains the reference, by default the working directory.
         parameters: values that replace those of the vehicle, in its units.
 
     Raises:
-        InputError: with everything that is wrong with the reference, the file, the code or the parameters.
+        InputError: with every problem of the reference, the file, the code or the parameters.
     """
     try:
         resolved = resolve_vehicle(reference, folder or Path.cwd())
@@ -39,7 +39,7 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
 
 
 def configured(config: VehicleConfig) -> Vehicle:
-    """The model of a vehicle file with the file's name, parameters, footprint and top speed.
+    """Model of a vehicle file with the name, parameters, footprint and top speed of the file.
 
     Raises:
         InputError: if the model does not load or lacks a parameter that the file sets.
@@ -71,10 +71,10 @@ def configured(config: VehicleConfig) -> Vehicle:
 
 
 def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:
-    """The same vehicle with other values of some parameters.
+    """Same vehicle with other values of some parameters.
 
     Raises:
-        InputError: for parameters that it does not have.
+        InputError: for parameters that the vehicle does not have.
     """
     unknown = [name for name in parameters if name not in vehicle.parameters]
     if unknown:
@@ -87,7 +87,7 @@ def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicl
 
 
 def _model(config: VehicleConfig) -> Vehicle:
-    """The code that the file names; a relative path is relative to the file."""
+    """Model that the file names; a relative path is relative to the file."""
     reference = config.model
     try:
         if split_file(reference) is not None:

@@ -1,4 +1,4 @@
-"""The MuSHR car as a kinematic bicycle about its centre: prompt, with a lag of the throttle, with a drive train.
+"""MuSHR car as a kinematic bicycle about its centre: with a prompt speed, with a lag, with a drive train.
 
 State [x, y, theta, v] of the point midway between the axles (m, rad, m/s); controls [throttle, steering] with the
 throttle in [0, 1] and the steering angle in rad.  Parameters are those of the paper: wheelbase L (m), steering angle
@@ -18,10 +18,10 @@ Values = tuple[float, ...]
 STEERING_MAX = 0.38
 """Limit of the steering joint, rad."""
 PROMPT_LAG = 0.1
-"""Time constant of a speed that follows the throttle almost at once, s: short beside a planning cycle, long enough
-for the integrator's steps of 0.1 s."""
+"""Time constant of the prompt speed, s: short compared to a planning cycle, long enough for integration steps of
+0.1 s."""
 BREAKAWAY = 0.03
-"""Speed over which friction rises from nothing, m/s: smooth, so that the integrator may step over standstill."""
+"""Speed over which friction rises from 0, m/s: smooth, so that integration steps may cross standstill."""
 REVERSE = -0.5
 """Throttle of fastest reverse."""
 BRAKING = 2.0
@@ -46,7 +46,7 @@ def bicycle(x: Values, u: Values, tau: float) -> Values:
 
 @derivative
 def prompt(x: Values, u: Values, p: Values) -> Values:
-    """Derivative of the car that follows the throttle almost at once."""
+    """Derivative of the car whose speed follows the throttle with the time constant PROMPT_LAG."""
     return bicycle(x, u, PROMPT_LAG)
 
 
@@ -78,7 +78,7 @@ def stop(x: Values, p: Values, k: int) -> Values:
 
 @derivative
 def brake(x: Values, p: Values, k: int) -> Values:
-    """The same with the motor against the motion, gently near standstill."""
+    """Throttle against the motion, in proportion to the speed near standstill; wheels as in `stop`."""
     proportional = -BRAKING * x[3]
     throttle = REVERSE if proportional < REVERSE else (-REVERSE if proportional > -REVERSE else proportional)
     return throttle, (0.0, 0.19, -0.19, 0.38, -0.38)[k]

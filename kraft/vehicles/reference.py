@@ -1,4 +1,4 @@
-"""The ways to say which vehicle: a bundled name, the path of a YAML file, or code.
+"""References to vehicles: a bundled name, the path of a YAML file, or code.
 
 Code is ``module:attribute``, ``path/to/file.py:attribute``, or ``path/to/file.py`` if it defines one vehicle.
 """
@@ -17,8 +17,8 @@ _ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
 _FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTALL)
 
 
-class VehicleProblem(ValueError):  # noqa: N818 - it becomes an InputError where the place is known
-    """A reference that names no vehicle."""
+class VehicleProblem(ValueError):  # noqa: N818 - callers that know the place convert it to an InputError
+    """Reference to no vehicle."""
 
     def __init__(self, problem: str, expected: str, code: Code) -> None:
         super().__init__(problem, expected, code)
@@ -39,12 +39,12 @@ def split_file(text: str) -> tuple[str, str] | None:
 
 
 def resolve_vehicle(reference: str, folder: Path) -> str:
-    """Check a reference; paths are relative to ``folder`` and come back absolute.
+    """Check a reference and make its path, relative to ``folder``, absolute.
 
     Modules are not imported and files are not read.
 
     Raises:
-        VehicleProblem: if there is no such name or file, or it is none of these.
+        VehicleProblem: if there is no such name or file, or the reference has none of the forms.
     """
     if code := split_file(reference):
         file, attribute = code

@@ -1,9 +1,9 @@
-"""A second-order unicycle: a robot with two driven wheels, commanded by its two accelerations.
+"""Second-order unicycle: a robot with two driven wheels, commanded by its two accelerations.
 
 State [x, y, theta, v, omega] of the point between the wheels (m, rad, m/s, rad/s); controls [acceleration,
 angular_acceleration] as fractions of the largest ones.  As in a motor controller, the speed saturates: it stays in
 [0, v_max], the turning rate in [-omega_max, omega_max], both approached with a short time constant.  The accelerations
-fade without a kink, which ten Runge-Kutta steps an edge would not follow.
+fade smoothly, because ten Runge-Kutta steps an edge would not follow a kink.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Values = tuple[float, ...]
 
 APPROACH = 6.0
 """Rate at which a saturating speed approaches its limit, 1/s."""
-TINY = 1e-300  # keeps 0 / 0 out where there is no acceleration
+TINY = 1e-300  # avoids 0 / 0 where the acceleration is 0
 
 
 @derivative
@@ -27,7 +27,7 @@ def clamped(value: float, low: float, high: float) -> float:
 
 @derivative
 def fading(acceleration: float, quarter: float, room: float) -> float:
-    """An acceleration that is not negative, faded where no more than `room` is left to the limit of its speed.
+    """Non-negative acceleration, faded where its speed is within `room` of the limit.
 
     Close to the limit it is APPROACH * room; a parabola leads over to it.  Beyond the limit it leads back.
     `quarter` is 1 / (4 acceleration).
@@ -39,7 +39,7 @@ def fading(acceleration: float, quarter: float, room: float) -> float:
 
 @derivative
 def actuation(u: Values, p: Values) -> Values:
-    """Fractions to acceleration (m/s^2), angular acceleration (rad/s^2), and what `fading` needs of them."""
+    """Fractions to acceleration (m/s^2), angular acceleration (rad/s^2), and their `quarter` for `fading`."""
     a, alpha = p[0] * u[0], p[1] * u[1]
     return a, alpha, 1.0 / (4.0 * abs(a) + TINY), 1.0 / (4.0 * abs(alpha) + TINY)
 

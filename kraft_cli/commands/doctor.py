@@ -1,4 +1,4 @@
-"""`kraft doctor`: say whether kraft can work on this machine."""
+"""`kraft doctor`: report whether this machine has everything that kraft needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kraft list`: show what can be named on the command line."""
+"""`kraft list`: list the names that the command line accepts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kraft plan`: plan a scenario once, and show, write and draw the result."""
+"""`kraft plan`: plan a scenario once; print, write and draw the result."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Parameters = Annotated[
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write plan.json into DIR.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the plan: FILE.png, .svg or .pdf.")]
 From = Annotated[
-    Path | None, typer.Option("--from", metavar="PLAN", help="Start from, and keep, what is left of a plan file.")
+    Path | None, typer.Option("--from", metavar="PLAN", help="Start from a plan file and retain its remaining edges.")
 ]
-After = Annotated[float, typer.Option(metavar="S", help="With --from: S seconds after the beginning of that plan.")]
+After = Annotated[float, typer.Option(metavar="S", help="With --from: S seconds after the start of that plan.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -44,7 +44,7 @@ def plan(
     after: After = 0.0,
     json: Json = False,
 ) -> ExitStatus:
-    """Plan a scenario and show the result; it ends with 1 if no plan reaches the goal."""
+    """Plan a scenario and print the result; the exit code is 1 if no plan reaches the goal."""
     from kraft_cli.tables import show_rows
     from kraft_cli.work.plan import PlanRequest, plan_json, run_plan, table_rows
 

@@ -23,7 +23,7 @@ def validate(
     ],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
-    """Check scenario, vehicle, method, map, log mapping and plan files and show every problem of each."""
+    """Check scenario, vehicle, method, map, log mapping and plan files and print every problem of each."""
     from kraft_cli.work.validate import check_file
 
     terminal: Terminal = context.obj
@@ -57,7 +57,7 @@ def _print_problems(terminal: Terminal, reports: Sequence[FileReport]) -> None:
 
 
 def _file_json(report: FileReport) -> dict[str, Any]:
-    """One file with its problems; `argument` is about options and never true of a file."""
+    """File with its problems, without `argument`, which is never true for a file."""
     problems = [{key: value for key, value in asdict(d).items() if key != "argument"} for d in report.problems]
     defect = None if report.defect is None else f"{type(report.defect).__name__}: {report.defect}"
     return {"file": report.file, "kind": report.kind, "problems": problems, "defect": defect, "valid": report.valid}

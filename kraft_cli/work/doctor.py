@@ -1,4 +1,4 @@
-"""Look at the machine kraft runs on, for `kraft doctor`."""
+"""Checks of the machine for `kraft doctor`."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ REQUIRED: Final[dict[str, str]] = {
     "pillow": "PIL",
     "pytest": "pytest",
 }
-"""Each package that kraft requires, and what to import to see that it loads."""
+"""Each required package, and the module whose import is tested."""
 
 OPTIONAL: Final[dict[str, tuple[str, str]]] = {
     "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
 }
-"""Each package that few need: what to import, and what for."""
+"""Each optional package: the module to import, and its purpose."""
 
 _GL_TRIAL: Final = "from kraft.video.gl import offscreen_context; offscreen_context(16, 16)"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at. ``note`` means that something optional is not there."""
+    """Result of one check. ``note`` means that something optional is missing."""
 
     subject: str
     state: State
@@ -59,7 +59,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Look at everything; takes a few seconds, because every package is loaded."""
+    """Run all checks; this takes a few seconds, because every package is imported."""
     findings = [_python(), Finding("kraft", "ok", VERSION), _files()]
     findings += [_package(name, module) for name, module in REQUIRED.items()]
     findings += [_extra(name, *use) for name, use in OPTIONAL.items()]
@@ -83,7 +83,7 @@ def _package(name: str, module: str) -> Finding:
     try:
         importlib.import_module(module)
         return Finding(name, "ok", importlib.metadata.version(name))
-    except Exception as error:  # a shared library that does not load, a setting that it does not know, ...
+    except Exception as error:  # a shared library that does not load, an invalid setting, ...
         return Finding(name, "missing", str(error))
 
 
@@ -98,7 +98,7 @@ def _processor() -> Finding:
 
 
 def _cache() -> Finding:
-    """Where compiled kernels are kept, and whether they can be."""
+    """Folder of the compiled kernels, and whether it can be written."""
     from ompl_ext.jit import cache_root
 
     folder = cache_root().absolute()
@@ -106,12 +106,12 @@ def _cache() -> Finding:
         check_writable(folder / "kernels" / "new")
         return Finding("kernel cache", "ok", str(folder))
     except InputError:
-        advice = "set KRAFT_CACHE_DIR to a folder that can"
+        advice = "set KRAFT_CACHE_DIR to a writable folder"
         return Finding("kernel cache", "missing", f"{folder} cannot be written; {advice}")
 
 
 def _rendering() -> Finding:
-    """Try, in another process, which of MuJoCo's ways to draw without a screen works here."""
+    """First of MuJoCo's offscreen backends that works here, tested in another process."""
     requested = os.environ.get("MUJOCO_GL")
     for backend in (requested,) if requested else BACKENDS:
         environment = {**os.environ, "MUJOCO_GL": backend}

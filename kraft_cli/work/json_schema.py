@@ -1,7 +1,7 @@
 """JSON Schemas of the configuration files, for editors.
 
-``python -m kraft_cli.work.json_schema`` writes them beside the bundled files; each of those names its schema in its
-first line, so that editors complete and check it while one types.
+``python -m kraft_cli.work.json_schema`` writes them into the folders of the bundled files; each bundled file
+names its schema in its first line, for completion and checks in editors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def files() -> dict[Path, type[BaseModel]]:
-    """Each schema file and the model it describes."""
+    """Each schema file and its model."""
     return {
         bundled.folder("scenario") / "scenario.schema.json": ScenarioFile,
         bundled.folder("vehicle") / "vehicle.schema.json": VehicleConfig,
@@ -32,7 +32,7 @@ def files() -> dict[Path, type[BaseModel]]:
 
 
 def text(model: type[BaseModel]) -> str:
-    """Return a schema as it is written."""
+    """JSON Schema of a model as text."""
     schema: dict[str, Any] = {"$schema": DIALECT, **model.model_json_schema()}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 

@@ -1,4 +1,4 @@
-"""`kraft plan` without a terminal: from what was asked, by names and paths, to a plan that is written and drawn."""
+"""`kraft plan` without a terminal: from names and paths to a plan that is written and drawn."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ompl_ext.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What was asked for, as it was written.
+    """Arguments of `kraft plan` as they were given.
 
     Attributes:
         scenario: bundled name or path.
@@ -54,7 +54,7 @@ class PlanRequest:
 
 @dataclass(frozen=True)
 class PlanOutcome:
-    """A request, what it was understood as, and what came of it; `plan_file` is None if none was written."""
+    """Request, its resolved task and vehicle, and the result; `plan_file` is None if none was written."""
 
     request: PlanRequest
     task: Task
@@ -66,13 +66,13 @@ class PlanOutcome:
 def run_plan(
     request: PlanRequest, report: Callable[[str], None], detail: Callable[[str], None] = discard_message
 ) -> PlanOutcome:
-    """Load, check, plan, write, draw; `say` is told what takes long or is strange, `detail` what -v asks for.
+    """Load, check, plan, write, draw; `report` gets progress and remarks, `detail` the messages of ``-v``.
 
-    Everything that can be wrong with the request is looked at before any planning.
+    The request is checked completely before planning.
 
     Raises:
-        InputError: with what is wrong with the request or the files it names.
-        Defect: if the plan found does not stand up to exact verification.
+        InputError: with the problems of the request or the files it names.
+        Defect: if a plan of DIRT fails verification.
     """
     timer = StageTimer(detail)
     task = _task(request)
@@ -98,7 +98,7 @@ def run_plan(
 
 
 def _check_places(target: Path | None, plot: Path | None) -> None:
-    """Check before the work that plan file and picture can be written."""
+    """Check before planning that plan file and picture can be written."""
     checks: list[Callable[[], object]] = []
     if target is not None:
         checks.append(partial(check_plan_target, target))
@@ -137,12 +137,12 @@ def _vehicle(request: PlanRequest, task: Task) -> Vehicle:
     named, folder = (request.vehicle, Path.cwd()) if request.vehicle else (task.vehicle, Path(task.source.file).parent)
     try:
         return load_vehicle(named, folder, parameters)
-    except InputError as error:  # without them nothing is wrong
+    except InputError as error:  # the vehicle is valid without them
         raise InputError(_at_parameter_option(d, parameters) for d in error.diagnostics) from error
 
 
 def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]) -> Diagnostic:
-    """The same problem, said of the option that causes it."""
+    """Same problem, reported at the option that causes it."""
     section, _, rest = diagnostic.path.partition(".")
     name = rest.partition(".")[0] if section == "parameters" else diagnostic.file
     where = f"--param {name}" if name in parameters else "--param"
@@ -171,7 +171,7 @@ def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:
 
 
 def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
-    """Content of the ``kraft.plan/1`` object; what does not exist is null, as is a clearance without obstacles."""
+    """Content of the ``kraft.plan/1`` object; missing values are null, as is a clearance without obstacles."""
     result, plan, progress = outcome.result, outcome.result.plan, outcome.result.progress
     first = progress.first_solution
     verification = result.verification
@@ -205,7 +205,7 @@ def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
 
 
 def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
-    """Label and value of each line of the table that a person reads."""
+    """Label and value of each line of the printed table."""
     result, plan, progress = outcome.result, outcome.result.plan, outcome.result.progress
     rows = [("scenario", outcome.task.name), ("vehicle", _vehicle_text(outcome))]
     rows.append(("result", _outcome(result)))
@@ -237,7 +237,7 @@ def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
 
 
 def notes(result: PlanResult) -> dict[str, str]:
-    """Key numbers for the picture; none depends on the clock, so that the same plan gives the same picture."""
+    """Key numbers for the picture; none depends on the clock, so that equal plans give equal pictures."""
     plan, verification = result.plan, result.verification
     if plan is None or verification is None:
         return {}

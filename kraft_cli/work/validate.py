@@ -1,4 +1,4 @@
-"""Check one configuration file of any kind, for `kraft validate`."""
+"""Checks of one file of any kind, for `kraft validate`."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from ompl_ext.cache_error import CacheError
 FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]
 
 _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
-    "scenario": ScenarioFile,  # first: what no key gives away is checked as a scenario
+    "scenario": ScenarioFile,  # first: a file without a known key is checked as a scenario
     "vehicle": VehicleConfig,
     "method": Method,
     "map": MapServerFile,
     "mapping": Mapping,
 }
 _WRITTEN: Final = "kraft."
-"""How the `schema` begins of files that kraft itself writes."""
+"""Prefix of the `schema` of files that kraft writes."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def check_file(name_or_path: str | Path) -> FileReport:
 
 
 def recognise(document: Document) -> FileKind:
-    """Tell from its top-level keys what a file is meant to be; among equals, misspelt keys decide."""
+    """Kind of a file by its top-level keys; misspelt keys decide between kinds with equally many known keys."""
     keys = set(document.data) if isinstance(document.data, dict) else set()
 
     def likeness(kind: FileKind) -> tuple[int, int]:
@@ -94,10 +94,10 @@ def recognise(document: Document) -> FileKind:
 
 
 def _schema(document: Document) -> str | None:
-    """What a file that kraft wrote says it is; None for what a person writes.
+    """Schema of a file that kraft wrote; None for other files.
 
     Raises:
-        InputError: if it is something that cannot be checked.
+        InputError: if files of this schema cannot be checked.
     """
     schema = document.data.get("schema") if isinstance(document.data, dict) else None
     if not isinstance(schema, str) or not schema.startswith(_WRITTEN):
@@ -147,7 +147,7 @@ def _validated(model: type[Model], document: Document) -> Model:
 
 
 def _check_vehicle(reference: str, document: Document, folder: Path) -> None:
-    """Load the vehicle that a method names; what is wrong with the reference is said at its line."""
+    """Load the vehicle that a method names; problems of the reference are reported at its line."""
     try:
         load_vehicle(reference, folder)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""What ``-v`` tells of a command: with what it works, and how long each stage of it took."""
+"""Messages of ``-v``: inputs of a command, and the duration of each stage."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from ompl_ext.vehicle import Vehicle
 
 
 class StageTimer:
-    """Tells how long each stage of a command took; the clock runs from the beginning on."""
+    """Reports the duration of each stage of a command, from the construction on."""
 
     def __init__(self, detail: Callable[[str], None]) -> None:
         self.detail = detail
         self._began = time.perf_counter()
 
     def report(self, what: str) -> None:
-        """A stage is over, in which `what` was done."""
+        """Report the duration since the last stage, whose work was `what`."""
         now = time.perf_counter()
         self.detail(f"{what} in {now - self._began:.3f} s")
         self._began = now
 
 
 def discard_message(_: str) -> None:
-    """For those who do not want to know."""
+    """Ignore a message."""
 
 
 def vehicle_details(vehicle: Vehicle) -> list[str]:
-    """The model with its parameters, and whether its kernels are there; before they are compiled."""
+    """Lines with parameters, footprint and kernels of a vehicle; to be called before its kernels are compiled."""
     values = ", ".join(f"{name} {value:g}" for name, value in vehicle.parameters.items()) or "no parameters"
     shape = vehicle.footprint
     size = f"{shape.length:g} m x {shape.width:g} m, its centre at {shape.offset:g} m"

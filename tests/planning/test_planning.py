@@ -194,7 +194,7 @@ NEAR = ("x: 0.5, y: 0.5, heading_deg: 0", "x: 1.2975, y: 2.0, heading_deg: 0")
                 room(),
                 planning=parse_scenario(SCENE + "planning: {safety: {delta: 0.4}}\n").planning,
             ),
-            "m of the clearance delta that its first cycle asks for",
+            "m of the clearance delta that its first cycle requires",
         ),
     ],
     ids=["unreachable", "near", "delta"],

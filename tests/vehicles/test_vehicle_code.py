@@ -109,7 +109,7 @@ def test_a_wrong_reference_is_explained(reference: str, expected: tuple[Code, st
         (RETURN, "x[3], x[7], u[1], u[0]", "derivative 'motion' does not compile: tuple index out of range ({file}:6)"),
         (RETURN, "x[3].speed, x[3], u[1], u[0]", "derivative 'motion' does not compile: Unknown attribute 'speed' of type float64 ({file}:6)"),
         (RETURN, "cosine(x[2]), x[3], u[1], u[0]", "derivative 'motion' does not compile: NameError: name 'cosine' is not defined"),
-        (RETURN, "[x[3], x[3], u[1], u[0]]", "derivative 'motion' does not compile: it makes a list or an array, and kernels cannot allocate memory"),
+        (RETURN, "[x[3], x[3], u[1], u[0]]", "derivative 'motion' does not compile: it creates a list or an array, but kernels cannot allocate memory"),
         ("(x, u, p)", "(x, u)", "derivative 'motion' does not compile: Signature mismatch: 3 argument types given, but function takes 2 arguments"),
         (RETURN, "x[3], x[3], u[1], u[0] / x[3]", "derivative 'motion' returns (0, 0, 0, nan) at rest"),
         ("@derivative\n", "", "derivative 'motion' is not compiled"),
