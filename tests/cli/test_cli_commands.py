@@ -27,15 +27,14 @@ goal: {center: [3, 3], radius: 1}
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "good.yaml").write_text(GOOD)
-    (tmp_path / "bad.yaml").write_text(GOOD.replace("radius: 1", "radius: 0") + "colour: red\n")
-    (tmp_path / "car.yaml").write_text("name: car\nmodel: x\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n")
-    return tmp_path
+def files(folder: Path) -> Path:
+    (folder / "good.yaml").write_text(GOOD)
+    (folder / "bad.yaml").write_text(GOOD.replace("radius: 1", "radius: 0") + "colour: red\n")
+    (folder / "car.yaml").write_text("name: car\nmodel: x\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n")
+    return folder
 
 
-def test_valid_files_are_said_to_be_what_they_are(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_valid_files_are_said_to_be_what_they_are(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "good.yaml", str(bundled.folder("vehicle") / "mushr.yaml")]) == 0
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == "good.yaml: valid scenario"
@@ -48,7 +47,7 @@ def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None
     assert capsys.readouterr().err == ""
 
 
-def test_all_problems_of_all_files_are_shown(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_problems_of_all_files_are_shown(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "bad.yaml", "good.yaml", "car.yaml", "none.yaml"]) == 2
     out, err = capsys.readouterr()
     assert out == "good.yaml: valid scenario\n"
@@ -73,21 +72,21 @@ def test_all_problems_of_all_files_are_shown(folder: Path, capsys: pytest.Captur
     ],
 )  # fmt: skip
 def test_messages_read_like_this(
-    argv: list[str], status: int, message: str, folder: Path, capsys: pytest.CaptureFixture[str]
+    argv: list[str], status: int, message: str, files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The golden messages of the command line; all other tests compare places and codes."""
     wall = "obstacles: [{box: {center: [2, 2], size: [0.2, 4]}}]\n"
-    (folder / "wall.yaml").write_text(GOOD + wall)
+    (files / "wall.yaml").write_text(GOOD + wall)
     assert main(argv) == status
     assert capsys.readouterr().err == message
 
 
-def test_quiet_leaves_only_the_problems(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_leaves_only_the_problems(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "-q", "bad.yaml"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
 
 
-def test_validate_prints_one_json_object(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_validate_prints_one_json_object(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "--json", "good.yaml", "bad.yaml"]) == 2
     out, err = capsys.readouterr()
     content = json.loads(out)
@@ -106,15 +105,15 @@ def test_validate_prints_one_json_object(folder: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("size", ["1e-308", "1e-9", "0.0009"])
-def test_a_length_below_a_millimetre_is_refused(size: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "tiny.yaml").write_text(GOOD + f"obstacles: [{{box: {{center: [2, 1], size: [{size}, 1]}}}}]\n")
+def test_a_length_below_a_millimetre_is_refused(size: str, files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (files / "tiny.yaml").write_text(GOOD + f"obstacles: [{{box: {{center: [2, 1], size: [{size}, 1]}}}}]\n")
     for command in ("validate", "plan"):
         assert main([command, "tiny.yaml"]) == 2
         assert capsys.readouterr().err.startswith("tiny.yaml:5:43: obstacles[0].box.size[0]: ")
 
 
 def test_a_defect_in_the_check_of_one_file_leaves_the_others_checked(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("division by zero")
@@ -161,10 +160,10 @@ def test_the_planners_listed_are_those_a_scenario_may_name() -> None:
     assert get_args(Planning.model_fields["planner"].annotation) == tuple(PLANNERS)
 
 
-def test_every_mistake_of_a_vehicle_file_comes_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_mistake_of_a_vehicle_file_comes_at_once(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (ROOT / "configs/vehicles/mushr.yaml").read_text()
     text = re.sub(r"L: \{value: [\d.]+", "L: {value: 9", text).replace("{length:", "{lenght:")
-    (folder / "car.yaml").write_text(text.replace("top_speed: v_delta", "top_speed: vdelta"))
+    (files / "car.yaml").write_text(text.replace("top_speed: v_delta", "top_speed: vdelta"))
     assert main(["validate", "car.yaml"]) == 2
     *problems, _ = capsys.readouterr().err.splitlines()
     keys = ["parameters.L.value", "footprint.lenght", "top_speed"]
@@ -172,17 +171,17 @@ def test_every_mistake_of_a_vehicle_file_comes_at_once(folder: Path, capsys: pyt
 
 
 def test_plan_files_are_checked_as_such_and_other_files_of_kraft_are_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["plan", "turns", "--iterations", "3000", "--out", "plans"]) == 0
     capsys.readouterr()
     assert main(["validate", "plans/plan.json"]) == 0
     assert capsys.readouterr().out == "plans/plan.json: valid plan\n"
-    content = json.loads((folder / "plans/plan.json").read_text())
-    (folder / "bad.json").write_text(json.dumps({**content, "durations": "long"}))
+    content = json.loads((files / "plans/plan.json").read_text())
+    (files / "bad.json").write_text(json.dumps({**content, "durations": "long"}))
     assert main(["validate", "bad.json"]) == 2
     assert re.match(r"bad\.json:1:\d+: durations: ", capsys.readouterr().err)
-    (folder / "manifest.json").write_text(json.dumps({"schema": "kraft.eval-manifest/1", "trials": 3}))
+    (files / "manifest.json").write_text(json.dumps({"schema": "kraft.eval-manifest/1", "trials": 3}))
     assert main(["validate", "manifest.json"]) == 2
     assert capsys.readouterr().err.startswith("manifest.json:1:12: schema: ")
 
