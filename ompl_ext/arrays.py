@@ -1,7 +1,6 @@
-"""Short names for the array types that cross module borders: vectors, and C-contiguous matrices.
+"""Array types used across modules: vectors and C-contiguous matrices.
 
-The two kinds are the same to numpy and to a type checker that knows no shapes; the names let a reader, and the kernel
-signatures made from them, tell them apart.
+numpy and type checkers do not distinguish the two kinds; readers and the kernel signatures made from the types do.
 """
 
 from __future__ import annotations
@@ -23,4 +22,4 @@ Matrix32 = np.ndarray[tuple[int, int], np.dtype[np.float32]]
 IntMatrix = np.ndarray[tuple[int, int], np.dtype[np.int64]]
 
 int64 = cast(Callable[[int], int], np.int64)
-"""Makes a number an int64 to numba where a literal would have every callee compiled once more for that literal."""
+"""Conversion to int64: numba compiles every callee once more for each literal argument."""

@@ -1,4 +1,4 @@
-"""What is wrong with the folder of compiled kernels; a module of its own that loads nothing."""
+"""Error of the kernel cache, in a module that imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class CacheError(OSError):
-    """Machine code cannot be kept in `folder`, because of `reason`."""
+    """The cache folder `folder` is not writable, because of `reason`."""
 
     def __init__(self, folder: Path, reason: str) -> None:
         super().__init__(f"{folder}: the kernel cache cannot be written: {reason}")

@@ -1,7 +1,7 @@
-"""DIRT over OMPL's callbacks: the source of `ompl_ext.kernels.dirt`, for any control space.
+"""DIRT over OMPL's callbacks: the algorithm of `ompl_ext.kernels.dirt` for any control space.
 
-States stay OMPL's own; the tree's arrays hold their numbers in a list.  The algorithm runs compiled and calls back for
-edges and SAFETY (`ompl_ext.kernels.callback_kernel`).
+States are OMPL's, kept in a list; the tree's arrays hold their indices (slots).  The algorithm runs compiled and calls
+back for edges and SAFETY (`ompl_ext.kernels.callback_kernel`).
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
 
 PRUNE_EVERY = 1024  # iterations
-TOP_SPEED_MARGIN = 1.01  # of the learned top speed over the fastest edge, so that it is seldom exceeded
+TOP_SPEED_MARGIN = 1.01  # factor of the learned top speed over the fastest edge, so that it rises rarely
 
 
 @dataclass(frozen=True)
 class CallbackSettings:
-    """Settings of DIRT for a space of callbacks; `cycle` 0 asks no SAFETY, `top_speed` 0 learns it."""
+    """Settings of DIRT over callbacks; `cycle` 0 disables SAFETY, with `top_speed` 0 the planner learns it."""
 
     blossom: int
     child_extension: bool
@@ -64,9 +64,9 @@ class CallbackSearch:
         self._control = ControlLayout(si.getControlSpace())
         self._lane_control = [si.allocControl() for _ in range(settings.blossom)]
         self._states: list[ob.State] = []
-        self._distance: list[float] = []  # of each state from the goal, in the goal's measure
-        self._is_region = isinstance(goal, ob.GoalRegion)  # whose distance alone decides
-        self._goal_distance = getattr(goal, "distanceGoal", lambda state: 0.0)  # of one that only says yes or no
+        self._distance: list[float] = []  # of each state to the goal region, as the goal measures it
+        self._is_region = isinstance(goal, ob.GoalRegion)  # the distance alone decides
+        self._goal_distance = getattr(goal, "distanceGoal", lambda state: 0.0)  # a goal without a distance
         self._threshold = 0.0
         self._step = si.getPropagationStepSize()
         self._top_speed, self._learns_top_speed = settings.top_speed, settings.top_speed == 0.0
@@ -75,8 +75,8 @@ class CallbackSearch:
         capacity = min(CAPACITY, settings.max_nodes)
         self._tree = new_tree(capacity, 1, self._control.dimension, bounds)
         self._work = make_lanes(1, self._control.dimension, 1, max_steps)
-        self._view: Any = Lanes._make(array.data for array in self._work)  # single numbers are quicker there
-        self._last = max_steps * LANE_WIDTH  # where the ends of edges stand in the trajectory
+        self._view: Any = Lanes._make(array.data for array in self._work)  # faster than numpy for single numbers
+        self._last = max_steps * LANE_WIDTH  # index of the edges' ends in the trajectory
         self._q = np.zeros(at.Q_DIM)
         self._no_edges = edges_to_retain([], np.zeros((0, self._control.dimension)), np.zeros(0))
         self._grow = callback_kernel.grow()
@@ -111,19 +111,19 @@ class CallbackSearch:
         )
 
     def count(self, which: int) -> int:
-        """A number of `ompl_ext.kernels.kernel_types.Tree.count`."""
+        """Entry of `ompl_ext.kernels.kernel_types.Tree.count`."""
         return int(self._tree.count[which])
 
     def infeasible(self) -> bool:
-        """Nothing is known of the way to the goal."""
+        """False: feasibility is unknown without a map."""
         return False
 
     def state_of(self, node: int) -> ob.State:
-        """OMPL's state of a node."""
+        """OMPL state of a node."""
         return self._states[int(self._tree.state[node, 0])]
 
     def view(self) -> TreeView:
-        """A copy of the tree."""
+        """Copy of the tree."""
         read, size = state_reader(self._si.getStateSpace()), self.count(at.SIZE)
         states = np.array([read(self.state_of(node)) for node in range(size)])
         return tree_view(self._tree, states.reshape(size, len(read(self._scratch))))
@@ -133,7 +133,7 @@ class CallbackSearch:
         reset(self._tree, self._tree.random)
 
     def add_root(self, state: ob.State) -> None:
-        """A state to begin at."""
+        """Add a start state."""
         slot = self._new_state()
         self._si.copyState(self._states[slot], state)
         self._work.source[0] = slot
@@ -143,16 +143,16 @@ class CallbackSearch:
         add_root(self._tree, self._work)
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
-        """Add edges of an earlier plan or tree that are valid and safe from the root; returns how many."""
+        """Add the edges of an earlier plan or tree that are valid and safe from the root; returns their number."""
         before = int(self._tree.count[at.SIZE])
         self._reserve(len(parents))
         self._run(edges_to_retain(parents, controls, durations), 0, lambda: False)
         return int(self._tree.count[at.SIZE]) - before
 
     def grow(self, stop: Callable[[], bool]) -> None:
-        """Visit nodes until `stop()` is true or `max_nodes` are in use; what a callback raises is raised here.
+        """Visit nodes until `stop()` is true or `max_nodes` are in use; an exception of a callback is raised here.
 
-        `stop` is asked in every visit, and at once where a better plan has been found.
+        `stop` is called in every visit, and at once when a better plan has been found.
         """
         stopped = bool(stop())
         while not stopped:
@@ -171,13 +171,13 @@ class CallbackSearch:
         self._tree = with_room(self._tree, nodes, self._settings.max_nodes)
 
     def _run(self, retained: Retained, iterations: int, stop: Callable[[], bool]) -> None:
-        """Run the kernel; no exception passes through compiled code, so the first is kept and ends the run."""
+        """Run the kernel.  Exceptions cannot pass compiled code: the first one ends the run and is raised after it."""
         errors: list[BaseException] = []
         self._stop[0] = 0
         self._read_threshold()
 
         def propagate(start_slot: int, lanes: int) -> None:
-            self._work.slack[:lanes] = -1.0  # until an edge is known to be valid
+            self._work.slack[:lanes] = -1.0  # invalid until propagated
             try:
                 if not errors:
                     self._propagate(start_slot, lanes)
@@ -202,13 +202,13 @@ class CallbackSearch:
             raise errors[0]
 
     def best(self) -> tuple[int, bool]:
-        """The node to end the plan at, -1 if there is none, and whether it is in the goal."""
+        """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
         if self._tree.count[at.BEST] >= 0:
             return int(self._tree.count[at.BEST]), True
         return int(self._tree.count[at.CLOSEST]), False
 
     def best_path(self) -> tuple[oc.PathControl | None, bool]:
-        """The path of the best plan, None if there is none, and whether it reaches the goal."""
+        """Path of the best plan, None without a plan, and whether it reaches the goal."""
         node, exact = self.best()
         if node < 0:
             return None, False
@@ -223,7 +223,7 @@ class CallbackSearch:
     # The three functions that the kernel calls.
 
     def _propagate(self, start_slot: int, lanes: int) -> None:
-        """Each stage for all lanes before the next: what a stage needs stays in the processor's caches."""
+        """Propagate a blossom, each stage for all lanes before the next: its data stay in the processor's caches."""
         self._replace_inserted_states()
         work, states, slots, controls = self._view, self._states, self._lane_slot, self._lane_control
         start, steps = states[start_slot], work.steps[:lanes].tolist()
@@ -243,21 +243,21 @@ class CallbackSearch:
             work.slack[lane] = 0.0
 
     def _safe(self, lane: int, start_time: float) -> int:
-        """SAFETY where an edge leaves the cycle: propagate up to there once more and ask the checker."""
+        """SAFETY where an edge crosses the end of the cycle: propagate to that time again and call the checker."""
         assert self._safety is not None
         steps = min(math.ceil((self._settings.cycle - start_time) / self._step - 1e-9), self._view.steps[lane])
         self._si.propagate(self._start, self._lane_control[lane], steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1
 
     def _measure(self, slot: int) -> None:
-        """Distance of a state from the goal region."""
+        """Store a state's distance to the goal region."""
         self._distance[slot] = self._goal_distance(self._states[slot]) - self._threshold
 
     def _learn_top_speed(self, start_slot: int, lanes: list[int]) -> None:
         """Raise the top speed to the fastest of some edges, and lower every cost-to-go of the tree with it.
 
-        A cost-to-go by an earlier, lower speed is no lower bound: nodes that can still improve the plan would be
-        passed over.
+        A cost-to-go computed with an earlier, lower speed is no lower bound: nodes that can still improve the plan
+        would be excluded.
         """
         work, distance, start = self._view, self._distance, self._distance[start_slot]
         speeds = [(start - distance[self._lane_slot[lane]]) / work.duration[lane] for lane in lanes]
@@ -271,14 +271,14 @@ class CallbackSearch:
         set_costs_to_go(self._tree, togo, self._settings.resolution, cycle)
 
     def _describe(self, lane: int, slot: int) -> None:
-        """Configuration, cost-to-go and goal of a measured state, as the end of a lane."""
+        """Write configuration, cost-to-go and goal of a state as the end of a lane; its distance is known."""
         state, work, distance = self._states[slot], self._view, self._distance[slot]
         work.end[lane], work.end[LANE_WIDTH + lane] = self._configuration(state)
         work.togo[lane] = distance / self._top_speed if distance > 0.0 and self._top_speed > 0.0 else 0.0
         work.at_goal[lane] = distance < 0.0 if self._is_region else self._goal.isSatisfied(state)
 
     def _read_threshold(self) -> None:
-        """The distance from which the goal is reached, as it now is."""
+        """Read the goal's threshold, which may have changed."""
         self._threshold = self._goal.getThreshold() if hasattr(self._goal, "getThreshold") else 0.0
 
     def _new_state(self) -> int:
@@ -287,7 +287,7 @@ class CallbackSearch:
         return len(self._states) - 1
 
     def _replace_inserted_states(self) -> None:
-        """Give a lane whose state has become a node's a new one."""
+        """Allocate a new state for each lane whose state has become a node's."""
         size = int(self._tree.count[at.SIZE])
         for slot in self._tree.state[self._inserted : size, 0].tolist():
             if slot in self._lane_slot:

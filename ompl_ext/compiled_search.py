@@ -1,4 +1,4 @@
-"""DIRT's compiled search behind the interface that the OMPL planner needs; `CallbackSearch` is the other one."""
+"""Compiled search with the interface that `DIRT` uses; `CallbackSearch` is the one over callbacks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BLOSSOM = 32
 
 
 class CompiledSearch:
-    """A `DirtSolver` behind the interface that `DIRT` needs."""
+    """Adapter of a `DirtSolver` for `DIRT`."""
 
     def __init__(
         self,
@@ -56,12 +56,12 @@ class CompiledSearch:
         self.dirt.clear()
 
     def restart(self, seed: int) -> None:
-        """Empty the tree, and draw from another seed."""
+        """Empty the tree and set the seed of the next query."""
         self._seed = seed
         self.clear()
 
     def add_root(self, state: ob.State) -> None:
-        """A state to begin at."""
+        """Add a start state."""
         values = np.array([state[k] for k in range(len(self.dirt.vehicle.state))])
         if self._roots == 0:
             self.dirt.start(values, self._seed)
@@ -70,11 +70,11 @@ class CompiledSearch:
         self._roots += 1
 
     def infeasible(self) -> bool:
-        """Whether there is no way to the goal."""
+        """Whether no path leads to the goal."""
         return self.dirt.unreachable
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
-        """Add edges of an earlier plan or tree that are free and safe; returns how many."""
+        """Add the edges of an earlier plan or tree that are free and safe; returns their number."""
         return self.dirt.retain_edges(parents, controls, durations)
 
     def grow(self, stop: Callable[[], bool]) -> None:
@@ -82,25 +82,25 @@ class CompiledSearch:
         self.dirt.grow(stop=stop)
 
     def count(self, which: int) -> int:
-        """A number of `ompl_ext.kernels.kernel_types.Tree.count`."""
+        """Entry of `ompl_ext.kernels.kernel_types.Tree.count`."""
         return int(self.dirt.tree_arrays.count[which])
 
     def best(self) -> tuple[int, bool]:
-        """The node to end the plan at, -1 if there is none, and whether it is in the goal."""
+        """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
         return self.dirt.best_node()
 
     def state_of(self, node: int) -> ob.State:
-        """A node's state in the OMPL space."""
+        """OMPL state of a node."""
         state = self._si.allocState()
         _write(self.dirt.tree_arrays.state[node], state)
         return state
 
     def view(self) -> TreeView:
-        """A copy of the tree."""
+        """Copy of the tree."""
         return self.dirt.tree()
 
     def best_path(self) -> tuple[oc.PathControl | None, bool]:
-        """The path of the best plan, None if there is none, and whether it reaches the goal."""
+        """Path of the best plan, None without a plan, and whether it reaches the goal."""
         plan = self.dirt.plan()
         if plan is None:
             return None, False

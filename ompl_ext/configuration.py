@@ -1,4 +1,4 @@
-"""OMPL's states and controls as numbers: the plane of DIRT's regions, and rows of floats."""
+"""Conversion of OMPL's states and controls to numbers: the plane of DIRT's regions, and rows of floats."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Bounds = tuple[tuple[float, float], tuple[float, float]]
 
 
 def default_configuration(space: ob.StateSpace) -> tuple[Configuration, Bounds]:
-    """First two components of a real-vector space, x and y of SE(2), or those of a compound's first such part.
+    """First two components of a real-vector space, x and y of SE(2), or those of a compound's first such subspace.
 
     Raises:
-        TypeError: there is no such part; give the planner a configuration of your own.
+        TypeError: there is no such subspace; pass a configuration to the planner.
     """
     if isinstance(space, ob.RealVectorStateSpace):
         box = space.getBounds()
@@ -37,12 +37,12 @@ def default_configuration(space: ob.StateSpace) -> tuple[Configuration, Bounds]:
                 continue
             return (lambda state, k=k, inner=inner: inner(state[k])), bounds
     raise TypeError(
-        f"{type(space).__name__} has no plane that DIRT knows of; pass DIRT(si, configuration=..., bounds=...)"
+        f"{type(space).__name__} has no plane for the regions of DIRT; pass DIRT(si, configuration=..., bounds=...)"
     )
 
 
 def goal_configuration(goal: ob.Goal, configuration: Configuration) -> tuple[float, float] | None:
-    """Where the goal is, if it says so: a state's configuration, or the centre of a `PlanarGoal`."""
+    """Configuration of a goal state, centre of a `PlanarGoal`, None for any other goal."""
     if isinstance(goal, ob.GoalState):
         return configuration(goal.getState())
     center = getattr(getattr(goal, "goal", None), "center", None)
@@ -50,10 +50,10 @@ def goal_configuration(goal: ob.Goal, configuration: Configuration) -> tuple[flo
 
 
 def state_reader(space: ob.StateSpace) -> Callable[[ob.State], list[float]]:
-    """A function from a state to its components, for real vectors, SE(2), SO(2) and compounds of them.
+    """Function from a state to its components, for real vectors, SE(2), SO(2) and compounds of them.
 
     Raises:
-        TypeError: a space of another kind.
+        TypeError: the space is of another kind.
     """
     if isinstance(space, ob.RealVectorStateSpace):
         count = space.getDimension()
@@ -69,7 +69,7 @@ def state_reader(space: ob.StateSpace) -> Callable[[ob.State], list[float]]:
 
 
 class ControlLayout:
-    """Controls of a real-vector space, or of a compound of such spaces, as rows of floats."""
+    """Layout of the controls of a real-vector space, or of a compound of such spaces, as rows of floats."""
 
     def __init__(self, space: oc.ControlSpace) -> None:
         self._leaves: list[tuple[tuple[int, ...], int]] = []
@@ -94,7 +94,7 @@ class ControlLayout:
 
     def write(self, values: list[float], control: oc.Control) -> None:
         """Write a row into OMPL's control."""
-        if self._is_vector:  # the common case, once for every edge
+        if self._is_vector:  # fast path, called once for every edge
             for k, value in enumerate(values):
                 control[k] = value
             return
@@ -108,7 +108,7 @@ class ControlLayout:
                 k += 1
 
     def read(self, control: oc.Control) -> list[float]:
-        """The row of OMPL's control."""
+        """Row of OMPL's control."""
         row = []
         for place, count in self._leaves:
             leaf = control

@@ -1,4 +1,4 @@
-"""Exact clearance with FCL: the judge of every plan, and the reference that the clearance field is tested against."""
+"""Exact clearance with FCL: verifies every plan, and is the reference for tests of the clearance field."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.triangulate import triangles
 from ompl_ext.vehicle import Footprint
 
-HEIGHT = 30.0  # of prisms around the plane z = 0; low ones mislead FCL's iteration where bodies are far apart
+HEIGHT = 30.0  # of prisms around the plane z = 0; with low prisms FCL's iteration fails where bodies are far apart
 
 
 class ExactClearance:
-    """Distance between a footprint and the obstacles of a workspace."""
+    """Exact distance between a footprint and the obstacles of a workspace."""
 
     def __init__(self, workspace: Workspace, footprint: Footprint) -> None:
         self._obstacles = [part for obstacle in workspace.obstacles for part in _prisms(obstacle)]
@@ -52,7 +52,7 @@ class ExactClearance:
 
 
 def _prisms(obstacle: Polygon | Circle | OccupancyGrid) -> list[fcl.CollisionObject]:
-    """Convex prisms that make up an obstacle."""
+    """Convex prisms that compose an obstacle."""
     if isinstance(obstacle, Circle):
         # A sphere around z = 0: its nearest point to an upright prism lies in that plane, and FCL is exact for it.
         place = fcl.Transform(np.array([*obstacle.center, 0.0]))
@@ -63,7 +63,7 @@ def _prisms(obstacle: Polygon | Circle | OccupancyGrid) -> list[fcl.CollisionObj
     c, s = math.cos(yaw), math.sin(yaw)
     turn = np.array([[c, -s], [s, c]])
     prisms = []
-    for row, column, rows, columns in obstacle.rectangles():  # not fcl.Box: two boxes side by side mislead FCL
+    for row, column, rows, columns in obstacle.rectangles():  # not fcl.Box: FCL fails for two boxes side by side
         cells = np.array([[column, row], [column + columns, row], [column + columns, row + rows], [column, row + rows]])
         prisms.append(_prism(cells * obstacle.resolution @ turn.T + np.array([x, y])))
     return prisms

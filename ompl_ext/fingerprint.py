@@ -1,7 +1,7 @@
-"""What a compiled function depends on, as text: its own source and everything that it refers to.
+"""Text of everything that a compiled function depends on: its own source and all that it refers to.
 
-A kernel kept on disk is stale when any of it changes: the function, a helper it calls, a constant that it reads from
-its module, another module, or an enclosing function.
+A cached kernel is stale when any of it changes: the function, a helper it calls, or a constant that it reads from its
+module, another module or an enclosing function.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-_COVERED = ("ompl_ext.", "numpy.", "math.", "numba.")  # this package's sources and numba's version are in every key
+_COVERED = ("ompl_ext.", "numpy.", "math.", "numba.")  # in every cache key by source or version
 
 
 def fingerprint(function: Callable[..., Any]) -> str:
-    """Text that differs whenever the machine code of `function` may.
+    """Text that differs whenever the machine code of `function` may differ.
 
     Raises:
-        OSError: there is no source, for a function defined at a prompt.
+        OSError: the function has no source, because it was defined at a prompt.
     """
     return "\n".join(_parts(function, set()))
 
@@ -42,7 +42,7 @@ def _parts(function: Callable[..., Any], visited: set[int]) -> Iterator[str]:
 def _value(name: str, value: Any, names: list[str], visited: set[int]) -> Iterator[str]:
     if isinstance(value, ModuleType):
         if not f"{value.__name__}.".startswith(_COVERED):
-            for attribute in names:  # module.attribute: which of them, the byte code does not say
+            for attribute in names:  # the byte code does not tell which module an attribute belongs to
                 if hasattr(value, attribute):
                     yield from _value(f"{name}.{attribute}", getattr(value, attribute), names, visited)
     elif hasattr(getattr(value, "py_func", value), "__code__"):

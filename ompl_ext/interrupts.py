@@ -1,8 +1,8 @@
-"""Ctrl-C while numba compiles: recorded, and raised where nothing can swallow it.
+"""Ctrl-C while numba compiles: recorded, and raised between two passes of the compiler.
 
-LLVM calls back into Python while it compiles and while it loads (llvmlite's object cache).  What is raised in there,
-a `KeyboardInterrupt` too, is printed and lost.  Between two passes of the compiler it is safe to raise; the longest
-pass over the planner's kernels takes about 2 s.
+LLVM calls back into Python while it compiles and while it loads (llvmlite's object cache).  An exception raised in such
+a callback, `KeyboardInterrupt` included, is printed and lost.  Between two passes it is safe to raise; the longest pass
+over the planner's kernels takes about 2 s.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from typing import Any
 
 from numba.core import event
 
-_event: Any = event  # its functions are not typed
+_event: Any = event  # numba has no types
 
 
 class _PendingInterrupt(event.Listener):
-    """Remembers that there was an interrupt; raises it when the next pass begins."""
+    """Record of an interrupt, raised when the next pass begins."""
 
     def __init__(self) -> None:
         self._pending = False
 
     def handle_signal(self, _: int, __: FrameType | None) -> None:
-        """As a signal handler."""
+        """Record the interrupt (signal handler)."""
         self._pending = True
 
     def raise_pending(self) -> None:
@@ -36,19 +36,19 @@ class _PendingInterrupt(event.Listener):
             raise KeyboardInterrupt
 
     def on_start(self, event: object) -> None:
-        """For numba: a pass begins."""
+        """Raise at the begin of a pass (called by numba)."""
         self.raise_pending()
 
     def on_end(self, event: object) -> None:
-        """For numba: a pass is over, and something may be on its way up that must not be replaced."""
+        """Do nothing at the end of a pass (called by numba): an exception of the pass must not be replaced."""
 
 
 @contextmanager
 def interrupts_between_passes() -> Iterator[Callable[[], None]]:
-    """Compile in here: interrupts are raised between two passes of numba, by the yielded function, or at the end.
+    """Context for compilation: interrupts are raised between passes of numba, by the yielded function, or at the end.
 
-    Does nothing where interrupts do not arrive as exceptions: in another thread than the main one, where they are
-    ignored, or within another such block, which then raises them.
+    It has no effect outside the main thread, where signals are ignored, and within another such context, which then
+    raises them.
     """
     before = signal.getsignal(signal.SIGINT)
     nested = isinstance(getattr(before, "__self__", None), _PendingInterrupt)

@@ -1,4 +1,4 @@
-"""numba as this package uses it: strict IEEE arithmetic and a cache that cannot go stale.
+"""Compilation with numba: strict IEEE arithmetic and a cache that cannot become stale.
 
 *Arithmetic.*  No `fastmath`: without reassociation or contraction every lane of a vectorised loop computes exactly
 what the scalar loop would, so results do not depend on the machine's vector width.  `error_model="numpy"` only
@@ -6,9 +6,9 @@ removes the zero-division branch that would keep a loop from vectorising.
 
 *Memory.*  `_nrt=False` compiles without numba's memory runtime: a kernel can neither allocate nor count references.
 
-*Cache.*  numba keys a cached kernel by its own source file and misses a change in a function it inlined.  Here the
-cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the vehicle's
-source), so an edit anywhere leads to a fresh folder and a stale kernel is impossible.
+*Cache.*  numba's key of a cached kernel is its own source file; a change of an inlined function goes unnoticed.  Here
+the cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the
+vehicle's source): after any edit a new folder is used, and a stale kernel is impossible.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from numba.core.registry import CPUDispatcher
 
 from ompl_ext.cache_error import CacheError
 
-_njit: Any = numba.njit  # its stubs know neither `_nrt` nor the configuration
+_njit: Any = numba.njit  # numba's stubs lack `_nrt` and the configuration
 _config: Any = numba.config
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -35,8 +35,8 @@ F = TypeVar("F", bound=Callable[..., object])
 def cache_root() -> Path:
     """Folder that holds all compiled kernels: `$KRAFT_CACHE_DIR`, else the user's cache folder.
 
-    Falls back to a per-user folder under the system's temporary directory where no home folder is writable (containers
-    with a read-only home), so that compilation is still paid only once per machine.
+    If no home folder is writable (containers with a read-only home), it is a folder of the user under the system's
+    temporary directory, so that kernels are still compiled only once per machine.
     """
     explicit = os.environ.get("KRAFT_CACHE_DIR")
     if explicit:
@@ -50,7 +50,7 @@ def cache_root() -> Path:
 
 @cache
 def source_hash() -> str:
-    """Hash over every source file of this package and the versions that shape the machine code."""
+    """Hash over every source file of this package and the versions of numba and Python."""
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
     package = Path(__file__).parent
     for path in sorted(package.rglob("*.py")):
@@ -59,15 +59,15 @@ def source_hash() -> str:
 
 
 def cache_folder(vehicle_hash: str = "") -> Path:
-    """Cache folder of the package's kernels, or of one vehicle's kernels when its hash is given."""
+    """Cache folder of the package's kernels, or of a vehicle's kernels if its hash is passed."""
     return cache_root() / "kernels" / source_hash() / (vehicle_hash or "core")
 
 
 def check_cache(folder: Path) -> None:
-    """Make a cache folder and try to write into it.
+    """Make a cache folder and check that it is writable.
 
     Raises:
-        CacheError: if that is not possible.
+        CacheError: the folder is not writable.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -78,12 +78,12 @@ def check_cache(folder: Path) -> None:
 
 
 def compiled(function: F, *, folder: Path | None = None, signature: object = None) -> F:
-    """Compile `function` with numba and keep the machine code in `folder` across processes.
+    """Compile `function` with numba and cache the machine code in `folder`.
 
     With a `signature` it is compiled, or loaded from the cache, at once; otherwise on its first call.
 
     Raises:
-        CacheError: if `folder` cannot be written.
+        CacheError: `folder` is not writable.
     """
     target = folder or cache_folder()
     check_cache(target)
@@ -97,10 +97,10 @@ def compiled(function: F, *, folder: Path | None = None, signature: object = Non
 
 
 class _Part(CPUDispatcher):
-    """A function within kernels, without the wrappers through which Python would call it.
+    """Function for use in kernels, compiled without the wrappers that Python calls.
 
-    For the tree's arrays these cost more to compile than the function.  Called from Python, as tests and curious people
-    do, it is compiled once more, with them.
+    For the tree's arrays the wrappers take longer to compile than the function.  When it is called from Python (tests,
+    experiments), it is compiled once more, with them.
     """
 
     @cached_property
@@ -126,5 +126,5 @@ def inlined(function: F) -> F:
 
 
 def part(function: F) -> F:
-    """Compile `function` as a part of the kernels that call it, leaving it to LLVM whether to inline it."""
+    """Compile `function` as a part of the kernels that call it; LLVM decides whether to inline it."""
     return _part(function)

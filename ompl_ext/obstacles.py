@@ -27,7 +27,7 @@ class Circle:
 
 @dataclass(frozen=True)
 class OccupancyGrid:
-    """Occupied cells of a map: `occupied[row, column]`, row 0 at the bottom, `origin` = x, y, yaw of cell (0, 0)."""
+    """Occupied cells of a map: `occupied[row, column]` row 0 at the bottom; `origin` is x, y, yaw of cell (0, 0)."""
 
     occupied: Bools
     resolution: float
@@ -43,9 +43,9 @@ class OccupancyGrid:
         return centres
 
     def rectangles(self) -> list[tuple[int, int, int, int]]:
-        """Cover of exactly the occupied cells: (row, column, rows, columns) of rectangles that do not overlap.
+        """Disjoint rectangles that cover exactly the occupied cells: (row, column, rows, columns) of each.
 
-        Each is a run of cells in a row, grown upwards while the next row repeats it.
+        A rectangle is a run of cells in a row, extended upwards while the next row has the same run.
         """
         done: list[tuple[int, int, int, int]] = []
         growing: dict[tuple[int, int], int] = {}  # (first column, past last column) -> first row
@@ -69,7 +69,7 @@ Obstacle = Polygon | Circle | OccupancyGrid
 
 
 def box(center: tuple[float, float], size: tuple[float, float], yaw: float = 0.0) -> Polygon:
-    """Rectangle of full `size` around `center`, turned by `yaw` rad."""
+    """Rectangle of full `size` around `center`, rotated by `yaw` rad."""
     half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
     turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
     return Polygon(half @ turn.T + np.array(center))
@@ -77,7 +77,7 @@ def box(center: tuple[float, float], size: tuple[float, float], yaw: float = 0.0
 
 @dataclass(frozen=True)
 class Workspace:
-    """Bounds of the body frame's position, ((x_low, x_high), (y_low, y_high)), and the obstacles in it."""
+    """Bounds of the body frame's position, ((x_low, x_high), (y_low, y_high)), and its obstacles."""
 
     bounds: tuple[tuple[float, float], tuple[float, float]]
     obstacles: tuple[Obstacle, ...] = ()

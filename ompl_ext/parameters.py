@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from ompl_ext.kernels.tree_memory import MAX_NODES
 
 Value = bool | int | float
+_EXPECTED: dict[type, str] = {bool: "true or false", int: "an integer", float: "a number"}
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter with its bounds and the range, first:step:last, that OMPL's tools suggest to a user."""
+    """Parameter with its bounds and the range, first:step:last, that OMPL's tools suggest."""
 
     name: str
     default: Value
@@ -26,20 +27,20 @@ class Parameter:
     doc: str
 
     def parse(self, text: str) -> Value:
-        """Value of `text`, which may also be a value already.
+        """Value of `text`, which may also be a value.
 
         Raises:
-            ValueError: not of the parameter's kind, or outside its bounds.
+            ValueError: the value is of another type or outside the bounds.
         """
         kind = type(self.default)
         words = {"true": 1.0, "false": 0.0}
         try:
             number = words[str(text).lower()] if str(text).lower() in words else float(text)
         except (TypeError, ValueError):
-            raise ValueError(f"{self.name} is {text!r}; expected a {kind.__name__} ({self.doc})") from None
+            raise ValueError(f"{self.name} is {text!r}; expected {_EXPECTED[kind]} ({self.doc})") from None
         if not self.low <= number <= self.high or (kind is not float and number != int(number)):
             raise ValueError(
-                f"{self.name} is {text}; expected a {kind.__name__} from {self.low:g} to {self.high:g} ({self.doc})"
+                f"{self.name} is {text}; expected {_EXPECTED[kind]} from {self.low:g} to {self.high:g} ({self.doc})"
             )
         return kind(number)
 
@@ -66,7 +67,7 @@ class ParamSet:
         return name in self._values
 
     def setParam(self, name: str, value: str) -> bool:  # noqa: N802 (OMPL's name)
-        """Set a parameter from text; false, as in OMPL, if there is none of that name or the value is refused."""
+        """Set a parameter from text; false, as in OMPL, if the name is unknown or the value is rejected."""
         try:
             self[name] = value
         except (KeyError, ValueError):
@@ -86,11 +87,11 @@ class ParamSet:
         return {name: str(value) for name, value in self._values.items()}
 
     def getRangeSuggestion(self, name: str) -> str:  # noqa: N802
-        """Range first:step:last that is worth trying."""
+        """Suggested range first:step:last."""
         return self._find(name).suggestion
 
     def describe(self, name: str) -> Parameter:
-        """Default, bounds and meaning."""
+        """Default, bounds and description."""
         return self._find(name)
 
     def _find(self, name: str) -> Parameter:
@@ -104,7 +105,7 @@ class ParamSet:
 DIRT_PARAMETERS = (
     Parameter("blossom", 0, 0, 32, "4:4:32", "candidate edges per visit; 0 takes 32 compiled and 4 with callbacks"),
     Parameter("child_extension", True, 0, 1, "0,1", "visit a child next if it is nearer to the goal than its parent"),
-    Parameter("cycle", 0.0, 0, 1e3, "0.:.1:2.", "planning cycle (s): SAFETY is asked where edges leave it; 0 is off"),
+    Parameter("cycle", 0.0, 0, 1e3, "0.:.1:2.", "planning cycle (s): SAFETY of edges that cross its end; 0: off"),
     Parameter("goal_bias", 0.05, 0, 1, "0.:.05:1.", "share of the samples at the goal"),
     Parameter(
         "control_bound_bias",
@@ -115,16 +116,16 @@ DIRT_PARAMETERS = (
         "share of sampled controls moved onto a bound, per bound",
     ),
     Parameter("max_nodes", MAX_NODES, 100, 100_000_000, "100000:100000:10000000", "nodes that memory may grow to"),
-    Parameter("pruning", False, 0, 1, "0,1", "forget nodes that cannot lead to a better plan"),
+    Parameter("pruning", False, 0, 1, "0,1", "remove nodes that cannot lead to a better plan"),
     Parameter("resolution", 0.01, 0, 10, "0.:.005:.1", "radius (m) below which a dominated region is closed"),
-    Parameter("seed", 1, 0, 2**53, "1:1:100", "of the planner's generator; clear() moves on to the next"),
+    Parameter("seed", 1, 0, 2**53, "1:1:100", "seed of the planner's generator; clear() selects the next one"),
     Parameter(
         "top_speed",
         0.0,
         0,
         1e6,
         "0.:.1:10.",
-        "goal distance per second at most; 0 learns it (callbacks only)",
+        "largest decrease of the goal distance per second; 0: learned (callbacks only)",
     ),
-    Parameter("use_callbacks", False, 0, 1, "0,1", "go through OMPL's callbacks even for a compiled vehicle"),
+    Parameter("use_callbacks", False, 0, 1, "0,1", "use OMPL's callbacks even for a compiled vehicle"),
 )

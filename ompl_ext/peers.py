@@ -1,4 +1,4 @@
-"""OMPL's own control planners on the same query, over the callbacks of `ompl_ext.system`."""
+"""OMPL's control planners on the same query, over the callbacks of `ompl_ext.system`."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ STEP = 0.05  # propagation and validity checking (s)
 
 @dataclass(frozen=True)
 class PeerResult:
-    """A peer's plan, None without one, and its effort; the peers stop at their first solution.
+    """Plan of an OMPL planner, None without one, and its effort; OMPL's planners stop at their first solution.
 
-    `nodes` counts the vertices of the peer's planner data, 0 where its wheel gives none.
+    `nodes` is the number of vertices of the planner data, 0 where OMPL's wheel returns none.
     """
 
     plan: Plan | None
@@ -50,16 +50,16 @@ def plan_with_ompl(
     seconds: float | None = None,
     seed: int = 1,
 ) -> PeerResult:
-    """Plan with OMPL's `rrt`, `est` or `kpiece1`; they ask the termination condition once an iteration.
+    """Plan with OMPL's `rrt`, `est` or `kpiece1`; they evaluate the termination condition once an iteration.
 
     Raises:
-        KeyError: a planner that is not among `PEERS`.
-        ValueError: neither a number of iterations nor of seconds.
+        KeyError: the planner is not in `PEERS`.
+        ValueError: neither iterations nor seconds are given.
     """
     if iterations is None and seconds is None:
         raise ValueError("a planner needs a budget: iterations or seconds")
     planner_class = PEERS[name]
-    ou.setLogLevel(ou.LOG_NONE)  # OMPL reports an error when it is seeded again, and yet obeys
+    ou.setLogLevel(ou.LOG_NONE)  # OMPL logs an error when it is seeded again, although it takes the seed
     ou.RNG.setSeed(seed % 2**31 + 1)  # 0 would mean a seed from the clock
     ou.setLogLevel(ou.LOG_WARN)
     setup = simple_setup(vehicle, workspace, start, goal, safety, STEP, (settings.shortest, settings.longest))
@@ -124,7 +124,7 @@ def _roll_out(vehicle: Vehicle, root: Floats, controls: Matrix, durations: Float
 
 
 def _contingency(setup: SimpleSetup, times: Floats, trajectory: Matrix, safety: Safety) -> Contingency | None:
-    """SAFETY at the end of the cycle: the peers plan without it, so there may be none."""
+    """Contingency at the end of the cycle; None is possible because OMPL's planners do not use SAFETY."""
     checker = setup.getStateValidityChecker()
     assert isinstance(checker, SafetyValidityChecker)
     k = min(int(np.searchsorted(times, safety.cycle - 1e-9)), len(times) - 1)

@@ -1,4 +1,4 @@
-"""What the planner returns."""
+"""Results of the planner: plan, contingency, copy of the tree."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ompl_ext.kernels.kernel_types import Tree
 
 @dataclass(frozen=True)
 class Contingency:
-    """A braking manoeuvre that is safe where the plan's first cycle ends.
+    """Braking manoeuvre that is safe at the end of the plan's first cycle.
 
     `times` (m,) count from the plan's start; `states` (m, nx) end at standstill.  `spare` is the smallest spare
     clearance beyond delta(v) along it (m), a lower bound.
@@ -25,11 +25,11 @@ class Contingency:
 
 @dataclass(frozen=True)
 class Plan:
-    """Piecewise constant controls and the trajectory they are predicted to cause.
+    """Piecewise constant controls and their predicted trajectory.
 
-    `controls` (n, nu) are held for `durations` (n,) s; `states` (n + 1, nx) stand where they change.  `trajectory`
-    (m, nx) at `times` (m,) has every integration step.  `cost` is the duration; `cost_to_go` is the heuristic at the
-    end, 0 inside the goal region.
+    `controls` (n, nu) are held for `durations` (n,) s; `states` (n + 1, nx) are those where they change.
+    `trajectory` (m, nx) at `times` (m,) has every integration step.  `cost` is the duration; `cost_to_go` is the
+    heuristic at the end, 0 inside the goal region.
     """
 
     states: Matrix
@@ -45,7 +45,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class TreeView:
-    """A copy of the tree: `states` (n, nx), `parents` (n,) with -1 for the root, and the edges that lead to each node.
+    """Copy of the tree: `states` (n, nx), `parents` (n,) with -1 for the root, and the edge to each node.
 
     `controls` (n, nu) and `durations` (n,) of the root are zero; `costs` and `costs_to_go` (n,) in s.
     """

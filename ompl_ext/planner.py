@@ -1,7 +1,7 @@
 """DIRT as an OMPL planner.
 
 Z. Littlefield and K. E. Bekris, Efficient and asymptotically optimal kinodynamic motion planning via
-dominance-informed regions, IROS 2018; retainment, SAFETY and the best-heuristic fallback as in Algorithm 1 of KRAFT.
+dominance-informed regions, IROS 2018; retainment, SAFETY and the best-heuristic fallback by Algorithm 1 of KRAFT.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ompl_ext.query import remaining_edges
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
-Termination: TypeAlias = Any  # a termination condition, seconds, or a function that says when to stop
+Termination: TypeAlias = Any  # a termination condition, seconds, or a function that returns true to stop
 CALLBACK_BLOSSOM = 4
 
 
@@ -41,13 +41,13 @@ class _Retained:
 class DIRT(ob.Planner):
     """Dominance-Informed Region Trees for any control `SpaceInformation`.
 
-    With a `SafetyValidityChecker` and a `PlanarGoal` (see `ompl_ext.system`) the whole search runs compiled; with any
-    other checker, propagator and goal it runs over their callbacks.  `params()` lists the parameters.
+    With a `SafetyValidityChecker` and a `PlanarGoal` (see `ompl_ext.system`) the whole search is compiled; with any
+    other checker, propagator and goal it uses their callbacks.  `params()` lists the parameters.
 
     Args:
-        si: the space information.
-        configuration: maps a state to the plane of the regions (callbacks only; default by the kind of space).
-        bounds: of that plane, ((low, high), (low, high)).
+        si: space information.
+        configuration: map of a state to the plane of the regions (callbacks only; default by the kind of space).
+        bounds: bounds of that plane, ((low, high), (low, high)).
         parameters: initial values, as by `params()[name] = value`.
     """
 
@@ -68,18 +68,18 @@ class DIRT(ob.Planner):
         self._cleared = False
         self._retained: _Retained | None = None
         self._clears = 0
-        # OMPL's wrapper hands PlannerData over by copy, which it forbids: a class-level override would abort the
-        # process.  Calling the base once pins "not overridden" for this instance; the attribute serves Python callers.
+        # OMPL's wrapper passes PlannerData by copy, which OMPL forbids: an override in the class would abort the
+        # process.  One call of the base makes the wrapper cache "not overridden"; Python callers use the attribute.
         ob.Planner.getPlannerData(self, ob.PlannerData(si))
         me = weakref.ref(self)
         self.getPlannerData = lambda data: _fill_planner_data(me(), data)
 
     def params(self) -> ParamSet:
-        """Parameters in OMPL's style; a change takes effect at the next `clear()` or before the first `solve`."""
+        """Parameters in OMPL's style; changes take effect before the first `solve` and after `clear()`."""
         return self._params
 
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
-        """Begin the next query with what is left of `path` after `elapsed` s, propagated from the new start."""
+        """Begin the next query with the rest of `path` after `elapsed` s, propagated from the new start."""
         layout = ControlLayout(self.getSpaceInformation().getControlSpace())
         controls = np.array([layout.read(path.getControl(k)) for k in range(path.getControlCount())])
         self._retained = _Retained(*remaining_edges(controls, np.array(path.getControlDurations()), elapsed))
@@ -96,9 +96,10 @@ class DIRT(ob.Planner):
         solveTime: float | None = None,
         terminationConditionFn: Callable[[], bool] | None = None,
     ) -> ob.PlannerStatus:
-        """Grow the tree until the condition holds; called again, it continues.
+        """Grow the tree until the condition holds; a repeated call continues.
 
-        Takes what OMPL's `solve` takes: seconds, a function with an optional interval, or a termination condition.
+        The arguments are those of OMPL's `solve`: seconds, a function with an optional interval, or a termination
+        condition.
         """
         limit = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
         condition = _condition(limit, checkInterval)
@@ -128,34 +129,34 @@ class DIRT(ob.Planner):
         return self._report(definition, goal)
 
     def clear(self) -> None:
-        """Empty the tree; the next query draws from the next seed."""
+        """Empty the tree; the next query uses the next seed."""
         ob.Planner.clear(self)
         if self._search is not None:
             self._search.clear()
             self._cleared = True
 
     def setup(self) -> None:
-        """Take up the space information's settings; with a goal, also make the maps that the search reads."""
+        """Read the space information's settings; with a goal, also compute the maps of the search."""
         ob.Planner.setup(self)
         definition = self.getProblemDefinition()
         if definition is not None and definition.getGoal() is not None:
             self._prepare(definition.getGoal())
 
     def tree(self) -> TreeView:
-        """A copy of the tree with controls and durations, which OMPL's `PlannerData` cannot carry from Python."""
+        """Copy of the tree with controls and durations, which OMPL's `PlannerData` cannot carry in Python."""
         if self._search is None:
             raise RuntimeError("DIRT: there is no tree before solve()")
         return self._search.view()
 
     def plan(self) -> Plan | None:
-        """The best plan with its contingency (compiled search only)."""
+        """Best plan with its contingency (compiled search only)."""
         if not isinstance(self._search, CompiledSearch):
-            raise RuntimeError("DIRT: plan() belongs to the compiled search; use the problem definition's path")
+            raise RuntimeError("DIRT: plan() exists for the compiled search only; use the problem definition's path")
         return self._search.dirt.plan()
 
     @property
     def compiled(self) -> bool:
-        """Whether the search runs compiled rather than over callbacks; known after `solve`."""
+        """Whether the search is compiled rather than over callbacks; known after `solve`."""
         return isinstance(self._search, CompiledSearch)
 
     @property
@@ -175,7 +176,7 @@ class DIRT(ob.Planner):
         return search.count(at.SIZE) > 0
 
     def _prepare(self, goal: ob.Goal) -> None:
-        """Have a search for this goal: the one there is, emptied if it was cleared, or a new one."""
+        """Make the search for this goal, or restart the existing one after `clear()`."""
         checker = self.getSpaceInformation().getStateValidityChecker()
         key = (goal, checker, *self._params.getParams().items())
         if self._search is not None and not self._cleared:
@@ -244,7 +245,7 @@ def _condition(limit: Termination, interval: float) -> ob.PlannerTerminationCond
 
 
 def _fill_planner_data(planner: DIRT | None, data: ob.PlannerData) -> None:
-    """The tree as planner data: a vertex's tag is the node's place in `tree()`, an edge's weight its duration."""
+    """Write the tree to planner data: a vertex's tag is the node's index in `tree()`, an edge's weight its duration."""
     if planner is None or planner._search is None:
         return
     view, search = planner._search.view(), planner._search

@@ -1,4 +1,4 @@
-"""What the planner is asked, and the arrays that the kernels read it from."""
+"""Query of the planner (goal, SAFETY, settings), and the kernels' arrays of it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, L
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
-MAX_STEPS = 100_000  # of an edge or a manoeuvre
+MAX_STEPS = 100_000  # integration steps of an edge or a manoeuvre
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Goal:
 class Safety:
     """Clearance delta(v) = `delta` + `delta_per_speed` |v| (m) inside the first cycle and of contingencies.
 
-    With `enabled`, SAFETY (Alg. 2) is asked of every edge that crosses the end of the cycle.  A vehicle stands when
-    every component it names as resting is below `rest_speed`; a manoeuvre that has not stopped it within `horizon` s
-    is not safe.
+    With `enabled`, every edge that crosses the end of the cycle must pass SAFETY (Alg. 2).  A vehicle is at standstill
+    when each of its `rest` components is below `rest_speed`; a manoeuvre without standstill within `horizon` s is not
+    safe.
     """
 
     enabled: bool = True
@@ -46,10 +46,10 @@ class Safety:
     horizon: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse settings without a meaning.
+        """Check the settings.
 
         Raises:
-            ValueError: a negative or non-finite number, or more steps than memory is meant for.
+            ValueError: a number is negative or not finite, or a manoeuvre has too many steps.
         """
         numbers = (self.cycle, self.delta, self.delta_per_speed, self.rest_speed, self.step, self.horizon)
         if not all(math.isfinite(value) and value >= 0 for value in numbers) or self.step == 0:
@@ -68,7 +68,7 @@ class Settings:
     pruning: bool = False
     goal_bias: float = 0.05
     exploration: float = 0.1
-    beyond: float = 1.0  # OMPL parameter control_bound_bias; plan files have it under this name
+    beyond: float = 1.0  # OMPL parameter control_bound_bias; this is the name in plan files
     shortest: float = 0.5
     longest: float = 1.0
     steps: int = 10
@@ -79,10 +79,10 @@ class Settings:
     cell: float = 0.02
 
     def __post_init__(self) -> None:
-        """Refuse what the kernels' arrays cannot hold.
+        """Check that the kernels' arrays can hold the settings.
 
         Raises:
-            ValueError: all that is wrong.
+            ValueError: names every invalid setting.
         """
         longest = math.floor(self.longest / self.quantum + 0.5) if self.quantum > 0 else self.steps
         rules = {
@@ -115,9 +115,9 @@ class Settings:
 def make_problem(
     vehicle: Vehicle, workspace: Workspace, goal: Goal | None, safety: Safety, settings: Settings
 ) -> Problem:
-    """Arrays of a query: the clearance field and the cost-to-go are computed here, once per goal and map.
+    """Arrays of a query; computes the clearance field and the cost-to-go, once per goal and map.
 
-    Without a goal there is no cost-to-go: enough to check edges and to ask for SAFETY, not to grow a tree.
+    Without a goal there is no cost-to-go: edges and SAFETY can be checked, a tree cannot grow.
     """
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
@@ -183,10 +183,10 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
 
 
 def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tuple[list[int], Floats, Floats]:
-    """Parents, controls and durations of the edges that are left of a path after `elapsed` s.
+    """Parents, controls and durations of the edges that remain of a path after `elapsed` s.
 
-    `controls` has shape (edges, nu), `durations` (edges,).  Of the edge in progress the rest is left.  The parents
-    are indices of edges, -1 for the root.
+    `controls` has shape (edges, nu), `durations` (edges,).  The edge in progress remains in part.  Parents are indices
+    of edges, -1 for the root.
     """
     ends = np.cumsum(durations)
     left = ends > elapsed + 1e-9
@@ -195,6 +195,6 @@ def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tupl
 
 
 def edges_to_retain(parent: list[int], controls: Floats, durations: Floats) -> Retained:
-    """Edges for `grow` to begin with; `controls` has shape (edges, nu), `durations` (edges,)."""
+    """Initial edges for the kernel `grow`; `controls` has shape (edges, nu), `durations` (edges,)."""
     edge = np.ascontiguousarray(np.column_stack([controls, durations]), dtype=float)
     return Retained(np.array(parent, np.int64), edge, np.full(len(parent), -1))

@@ -1,4 +1,4 @@
-"""DIRT for a compiled vehicle: one object that holds the memory, asked query after query."""
+"""DIRT for a compiled vehicle: one solver holds the memory for many queries."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
 from ompl_ext.vehicle import Vehicle
 
-FIRST_CHUNK = 16  # iterations between looks at the clock until a solution is found
+FIRST_CHUNK = 16  # iterations between readings of the clock until a solution is found
 PRUNE_EVERY = 4096  # iterations
-LONGEST_CHUNK = 0.002  # seconds between looks at the clock afterwards
+LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How a query went.  `history` holds (seconds, cost) of each better solution, as seen at looks at the clock."""
+    """Progress of a query.  `history` has (seconds, cost) of each better solution, at readings of the clock."""
 
     seconds: float = 0.0
     iterations: int = 0
@@ -54,19 +54,19 @@ class Progress:
 
     @property
     def first_solution(self) -> tuple[float, float] | None:
-        """Seconds until, and cost of, the first solution."""
+        """Time until the first solution (s) and its cost (s), None without a solution."""
         return self.history[0] if self.history else None
 
 
 class DirtSolver:
     """Algorithm 1 for one vehicle in one workspace towards one goal.
 
-    Use: `start`, then `retain` if there is an earlier plan, then `grow` as often as wanted, and `plan` at any time.
-    The clearance field, the cost-to-go and the tree's memory are made once, here.  Without a goal it can only check:
-    `edge`, `contingency`, `exact`.
+    Use: `start`, then `retain` if there is an earlier plan, then `grow` any number of times, and `plan` at any time.
+    The constructor computes the clearance field and the cost-to-go, and allocates the tree's memory.  Without a goal
+    the solver only checks: `edge`, `contingency`, `exact`.
 
-    A budget of iterations has memory for `capacity` nodes; any other budget doubles the memory where needed, up to
-    `max_nodes`.  When that is full, the tree is pruned, and the search ends if less than a tenth is free then.
+    A budget of iterations uses memory for `capacity` nodes; for any other budget the memory is doubled when needed, up
+    to `max_nodes`.  When the memory is full, the tree is pruned; if then less than a tenth is free, the search ends.
     """
 
     def __init__(
@@ -100,55 +100,55 @@ class DirtSolver:
 
     @property
     def problem(self) -> Problem:
-        """The arrays that the kernels read."""
+        """Arrays that the kernels read."""
         return self._problem
 
     @property
     def tree_arrays(self) -> at.Tree:
-        """The tree's own arrays, until the next call that starts a query or adds nodes."""
+        """Arrays of the tree, not copied; valid until the next call that starts a query or adds nodes."""
         return self._tree
 
     @property
     def unreachable(self) -> bool:
-        """Whether no path of the inscribed disc leads from any root to the goal: then there is no plan either."""
+        """Whether no path of the inscribed disc leads from any root to the goal; then no plan exists."""
         roots = self._tree.link[: self._tree.count[at.SIZE], at.PARENT] < 0
         togo: Floats = self._tree.value[: self._tree.count[at.SIZE], at.TOGO][roots]
         return bool(np.all(togo >= UNREACHABLE))
 
     @property
     def progress(self) -> Progress:
-        """How the query has gone since `start`."""
+        """Progress of the query since `start`."""
         return self._progress
 
     def start(self, state: Floats, seed: int = 0) -> float:
-        """Begin a query at `state` (nx,), m, rad, m/s.  Returns its spare clearance, negative if it may collide.
+        """Begin a query at `state` (nx,), m, rad, m/s.  Returns its spare clearance (m), negative if it may collide.
 
-        A state without clearance becomes the root all the same; no edge leaves it.
+        A state without clearance becomes the root too, but no edge leaves it.
         """
         self.clear(seed)
         return self.add_root(state)
 
     def clear(self, seed: int = 0) -> None:
-        """Empty the tree; memory that it has grown to is kept for later."""
+        """Empty the tree; memory allocated since is kept for later queries."""
         self._tree = first_nodes(self._memory, self._capacity)
         reset(self._tree, generator(seed))
         self._progress = Progress()
 
     def add_root(self, state: Floats) -> float:
-        """Another state from which the query may begin; returns its spare clearance like `start`."""
+        """Add a start state; returns its spare clearance as `start` does."""
         slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
         add_root(self._tree, self._work)
         return slack
 
     def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
-        """Add what is left of an earlier plan after `elapsed` s, propagated from the new root; returns edges added.
+        """Add the rest of an earlier plan after `elapsed` s, propagated from the new root; returns the edges added.
 
-        The edge in progress is kept in part.  What collides or is not safe is left out, with all that follows it.
+        The edge in progress is kept in part.  An edge that collides or is not safe is omitted, with all after it.
         """
         return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
 
     def retain_edges(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
-        """Add edges of an earlier tree, parents before children, -1 for the root; returns how many were added."""
+        """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added."""
         before = int(self._tree.count[at.RETAINED])
         self._reserve(len(parents))
         began = time.perf_counter()
@@ -164,7 +164,10 @@ class DirtSolver:
     ) -> Progress:
         """Grow the tree until a budget is used up or `stop()` is true, and return the progress since `start`.
 
-        With `iterations` the result depends on the seed alone; looks at the clock do not change it.
+        With `iterations` the result depends on the seed alone, not on the clock.
+
+        Raises:
+            ValueError: there is no budget or no goal.
         """
         if iterations is None and seconds is None and stop is None:
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
@@ -187,31 +190,31 @@ class DirtSolver:
                 memory = len(self._tree.state)
                 is_last = iterations is not None or memory == self._max_nodes
                 if is_last and memory - self._tree.count[at.SIZE] < memory // 10:
-                    break  # what is left is needed: this is as good as it gets in this memory
+                    break  # the remaining nodes are needed, and there is no memory for better ones
             if self._progress.history:
                 chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
         return self._progress
 
     def _reserve(self, nodes: int) -> None:
-        """Have memory for so many more nodes, as far as `max_nodes` allows."""
+        """Reserve memory for so many more nodes, as far as `max_nodes` allows."""
         if len(self._tree.state) - int(self._tree.count[at.SIZE]) < nodes:
             self._memory = with_room(self._memory, nodes, self._max_nodes)
             self._tree = self._memory
 
     def _prunes_now(self) -> bool:
-        """At fixed iterations, so that looks at the clock change nothing."""
+        """Whether to prune: at fixed iterations, so that readings of the clock do not matter."""
         return self.settings.pruning and self._tree.count[at.ITERATIONS] % PRUNE_EVERY == 0
 
     def best_node(self) -> tuple[int, bool]:
-        """The node to end the plan at, -1 if there is none, and whether it is in the goal."""
+        """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
         if self._tree.count[at.BEST] >= 0:
             return int(self._tree.count[at.BEST]), True
         return int(self._tree.count[at.CLOSEST]), False
 
     def plan(self) -> Plan | None:
-        """The best plan so far; without one that reaches the goal, the one that ends closest to it; None if neither.
+        """Best plan so far, or the plan that ends closest to the goal if none reaches it, or None.
 
-        Every plan that is returned has a contingency if SAFETY is enabled.
+        With SAFETY enabled every plan has a contingency.
         """
         tree, (node, reaches_goal) = self._tree, self.best_node()
         if node < 0 or (tree.link[node, at.PARENT] < 0 and not reaches_goal):
@@ -233,12 +236,12 @@ class DirtSolver:
         )
 
     def contingency(self, state: Floats, after: float = 0.0) -> Contingency | None:
-        """SAFETY (Alg. 2) of a state: a manoeuvre that is safe until standstill, or None.  Times begin at `after` s."""
+        """SAFETY (Alg. 2) of a state: a manoeuvre that is safe until standstill, or None; times begin at `after` s."""
         self._brake.source[:] = state
         return self._first_safe_manoeuvre(math.inf, after)
 
     def tree(self) -> TreeView:
-        """A copy of the tree."""
+        """Copy of the tree."""
         return tree_view(self._tree, self._tree.state[: self._tree.count[at.SIZE]].copy())
 
     def edge(
@@ -246,19 +249,19 @@ class DirtSolver:
     ) -> tuple[Matrix, float]:
         """Trajectory (steps + 1, nx) of one edge and its spare clearance (m), negative if it may collide.
 
-        Before the end of the cycle, by `start_time` s, delta(v) is asked for too.
+        The edge begins at `start_time` s; before the end of the cycle it must also keep delta(v).
         """
         slack = self._propagate(np.asarray(state, dtype=float), control, duration, start_time)
         steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
         return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
 
     def set_delta(self, delta: float) -> None:
-        """From now on ask for another clearance at rest, `delta` m, within the first cycle and of contingencies."""
+        """Set the clearance at rest, `delta` m, within the first cycle and along contingencies."""
         self.safety = replace(self.safety, delta=delta)
         self._problem.scalar[at.DELTA] = delta
 
     def set_goal_radius(self, radius: float) -> None:
-        """From now on plan to a smaller region around the goal's centre, `radius` m; the cost-to-go stays as it is."""
+        """Set the radius of the goal region, m; the cost-to-go stays that of the initial radius."""
         if self.goal is None:
             raise ValueError("there is no goal to aim for")
         self.goal = replace(self.goal, radius=radius)
@@ -269,7 +272,7 @@ class DirtSolver:
         return self._kernels.pose(*self._maps, x, y, theta)
 
     def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
-        """States (samples + 1, nx) at equal times along a control held for `duration` s, without any check."""
+        """States (samples + 1, nx) at equal intervals along a control held for `duration` s, unchecked."""
         states, state = [np.asarray(state, dtype=float)], np.asarray(state, dtype=float)
         for _ in range(samples):
             self._propagate(state, control, duration / samples, steps=1)
@@ -279,7 +282,7 @@ class DirtSolver:
 
     @cached_property
     def exact(self) -> ExactClearance:
-        """Exact clearance of the vehicle in the workspace."""
+        """Exact clearance of the vehicle's footprint in the workspace."""
         return ExactClearance(self.workspace, self.vehicle.footprint)
 
     def _end_state(self) -> Floats:
@@ -311,7 +314,7 @@ class DirtSolver:
         return np.concatenate(times), np.vstack(states)
 
     def _contingency_of(self, states: Matrix, controls: Matrix, durations: Floats) -> Contingency | None:
-        """The contingency where the plan leaves the cycle, or where it ends if that is earlier."""
+        """Contingency at the end of the cycle, or at the end of the plan if that is earlier."""
         if len(durations) == 0:  # the start is in the goal
             return self.contingency(states[0])
         ends = np.cumsum(durations)
@@ -322,7 +325,7 @@ class DirtSolver:
         return self._first_safe_manoeuvre(begins, leaves)
 
     def _first_safe_manoeuvre(self, edge_begins: float, brakes_at: float) -> Contingency | None:
-        """SAFETY where the edge in lane 0 leaves the cycle, or of the braking lanes' source if no edge begins."""
+        """SAFETY where the edge in lane 0 crosses the end of the cycle, or of `source` if `edge_begins` is infinite."""
         number = self._kernels.brake(self._problem, self._work, self._brake, edge_begins)
         if number < 0:
             return None
@@ -335,7 +338,7 @@ class DirtSolver:
         self._kernels.grow(self._tree, self._problem, self._work, self._brake, self._q, retained, iterations)
 
     def _update_progress(self, seconds: float) -> None:
-        """Bring the progress up to date after a call of the kernel."""
+        """Update the progress after a call of the kernel."""
         count, cost, history = self._tree.count, float(self._tree.best[0]), self._progress.history
         if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
             history = (*history, (seconds, cost))
@@ -353,6 +356,6 @@ class DirtSolver:
 
 
 def _next_chunk(count: int, seconds: float, remaining: float | None) -> int:
-    """Iterations until the next look at the clock: about LONGEST_CHUNK seconds, less when the budget nears its end."""
+    """Iterations until the next reading of the clock: about LONGEST_CHUNK s, fewer near the end of the budget."""
     target = LONGEST_CHUNK if remaining is None else min(LONGEST_CHUNK, max(remaining, 0.0))
     return max(1, min(2 * count, int(count * target / max(seconds, 1e-9))))

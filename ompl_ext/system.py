@@ -1,7 +1,7 @@
 """A compiled vehicle as an OMPL control space, for any OMPL planner.
 
-Planners that only know OMPL's contract use the propagator and the validity checker as callbacks; `DIRT` recognises the
-checker and runs compiled.
+OMPL's planners use the propagator and the validity checker as callbacks; `DIRT` recognises the checker and uses the
+compiled search.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from ompl_ext.query import Goal, Safety
 from ompl_ext.validity import SafetyValidityChecker
 from ompl_ext.vehicle import Vehicle
 
-DEFAULT_BOUND = math.pi  # bound of what has neither a limit nor a known range: a turning rate, an angle (SI)
+DEFAULT_BOUND = math.pi  # of components without a limit or a known range: a turning rate, an angle (SI)
 
 
 class Propagator:
-    """OMPL's callback: one RK4 step of the vehicle's compiled derivative, counting its calls."""
+    """State propagator for OMPL: one RK4 step of the vehicle's compiled derivative; counts its calls."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._advance, self._parameters = kernels(vehicle).advance, vehicle.parameter_array
         nx, nu = len(vehicle.state), len(vehicle.controls)
         self._arrays = np.zeros(nx), np.zeros(nu), np.zeros(nx)
-        self._x, self._u, self._y = (array.data for array in self._arrays)  # single numbers are quicker there
+        self._x, self._u, self._y = (array.data for array in self._arrays)  # faster than numpy for single numbers
         self._states, self._controls = range(nx), range(nu)
         self.calls = 0
 
@@ -47,9 +47,9 @@ class Propagator:
 
 
 class SimpleSetup(oc.SimpleSetup):
-    """OMPL's, whose `getPlannerData` also reaches planners written in Python.
+    """OMPL's `SimpleSetup` whose `getPlannerData` also supports planners written in Python.
 
-    `propagator` is the callback given to the space information, which counts its calls.
+    `propagator` is the callback of the space information; it counts its calls.
     """
 
     def __init__(self, si: oc.SpaceInformation, propagator: Propagator) -> None:
@@ -58,21 +58,21 @@ class SimpleSetup(oc.SimpleSetup):
 
     @property
     def steps(self) -> int:
-        """Propagation steps that planners have asked of the callback."""
+        """Propagation steps that planners have made through the callback."""
         return self.propagator.calls
 
     def setStartState(self, state: ob.State) -> None:  # noqa: N802 (OMPL's name)
-        """Start at `state`, also where it is outside the range that states are sampled in."""
+        """Set the start state, which may lie outside the range in which states are sampled."""
         self._widen_bounds(state)
         super().setStartState(state)
 
     def addStartState(self, state: ob.State) -> None:  # noqa: N802
-        """Start also at `state`."""
+        """Add a start state, which may lie outside the range in which states are sampled."""
         self._widen_bounds(state)
         super().addStartState(state)
 
     def _widen_bounds(self, state: ob.State) -> None:
-        """A heading that has gone on beyond pi is no reason to refuse a start; what is invalid the checker says."""
+        """Widen the sampling range to a start, such as a heading above pi; the checker decides what is valid."""
         space = self.getStateSpace()
         if isinstance(space, ob.RealVectorStateSpace) and not space.satisfiesBounds(state):
             bounds = space.getBounds()
@@ -101,7 +101,7 @@ class PlanarGoal(ob.GoalRegion):
         self.setThreshold(goal.radius)
 
     def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
-        """Distance to the centre (m); with a wrong heading at least the radius, so that it is no goal."""
+        """Distance to the centre (m); above the radius if the heading is outside its tolerance."""
         x, y = self._center
         distance = math.hypot(state[self._x] - x, state[self._y] - y)
         if self._has_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
@@ -110,11 +110,12 @@ class PlanarGoal(ob.GoalRegion):
 
 
 def sampling_range(vehicle: Vehicle, workspace: Workspace) -> Floats:
-    """Low and high of each state component that OMPL's planners sample, shape (nx, 2): no wider than states are.
+    """Range in which OMPL's planners sample each state component, shape (nx, 2): low and high.
 
-    These are the workspace, the vehicle's limits, and where it has none: any heading, speeds up to the top speed, and
-    +-`DEFAULT_BOUND`.  In a wider range most samples are nowhere near a state that the vehicle can have, and RRT's
-    nearest neighbours mean nothing.  Nothing keeps states inside: a heading may go on beyond pi.
+    It is the workspace for x and y and otherwise the vehicle's limits.  Components without limits have these ranges:
+    +-pi for the heading, the top speed for the speed, +-`DEFAULT_BOUND` for the rest.  In wider ranges most samples
+    would be far from every state that the vehicle can reach, and RRT's nearest neighbours would be meaningless.
+    Propagated states may leave the range: a heading may exceed pi.
     """
     free = np.full(len(vehicle.state), DEFAULT_BOUND)
     if vehicle.rest_indices:
@@ -139,8 +140,8 @@ def space_information(
 ) -> oc.SpaceInformation:
     """Space information for `vehicle` in `workspace`: bounds, propagator (RK4), validity with clearance and SAFETY.
 
-    `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of it.  The bounds are
-    `sampling_range`; OMPL refuses a start outside them, which `SimpleSetup` widens for its starts.
+    `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of the step.  The bounds
+    are `sampling_range`; OMPL rejects a start outside them, and `SimpleSetup` widens them for its starts.
     """
     space = ob.RealVectorStateSpace(len(vehicle.state))
     space.setBounds(_bounds(sampling_range(vehicle, workspace)))

@@ -1,4 +1,4 @@
-"""Cut a simple polygon into convex pieces: itself if it is convex, else the triangles of ear clipping."""
+"""Decomposition of a simple polygon: itself if it is convex, else the triangles of ear clipping."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from ompl_ext.arrays import Floats, Matrix
 
 
 def triangles(vertices: Matrix) -> list[Matrix]:
-    """Convex pieces, each with counter-clockwise corners, that make up the simple polygon `vertices` (n, 2).
+    """Convex pieces, each with counter-clockwise corners, of the simple polygon `vertices` (n, 2).
 
     Raises:
-        ValueError: the polygon has no area or is not simple, so that no ear can be found.
+        ValueError: the polygon has no area or is not simple.
     """
     points = np.asarray(vertices, dtype=float)
-    points = points[np.any(points != np.roll(points, -1, axis=0), axis=1)]  # a vertex given twice counts once
+    points = points[np.any(points != np.roll(points, -1, axis=0), axis=1)]  # drop repeated vertices
     x, y = points[:, 0], points[:, 1]
     area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
     if area == 0.0:
@@ -37,7 +37,7 @@ def triangles(vertices: Matrix) -> list[Matrix]:
 
 
 def _turning(points: Matrix) -> tuple[Floats, float]:
-    """Cross products of successive sides, and by how much the sides turn in all (rad)."""
+    """Cross products of successive sides, and the total turning angle (rad)."""
     sides = np.roll(points, -1, axis=0) - points
     following = np.roll(sides, -1, axis=0)
     cross = sides[:, 0] * following[:, 1] - sides[:, 1] * following[:, 0]

@@ -1,8 +1,8 @@
 """Branch-free trigonometric functions for vehicle derivatives.
 
-The C library's functions are opaque calls that keep LLVM from vectorising the loop over lanes.  These are
-polynomials without branches or table look-ups, so sixteen candidate edges are integrated together; being plain IEEE
-arithmetic they also give the same bits on every machine.  Absolute error is below 1e-11 for |x| < 1000 rad
+Calls of the C library keep LLVM from vectorising the loop over lanes.  These functions are polynomials without branches
+or tables, so that candidate edges are integrated together as vector lanes; being plain IEEE arithmetic they give the
+same bits on every machine.  Absolute error is below 1e-11 for |x| < 1000 rad
 (`sin`, `cos`) and below 1e-9 (`atan`); `tests/ompl_ext/test_kernel_trigonometry.py` measures it.
 """
 

@@ -15,10 +15,10 @@ from ompl_ext.vehicle import Vehicle
 
 
 class SafetyValidityChecker(ob.StateValidityChecker):
-    """Checker for a compiled vehicle on a real-vector state space with the vehicle's components in their order.
+    """Validity checker of a compiled vehicle on a real-vector state space of the vehicle's components in their order.
 
-    `isValid` and `clearance` are exact (FCL decides wherever the distance field cannot), so any OMPL planner can use
-    them; `safety` answers Algorithm 2.
+    `isValid` and `clearance` are exact (FCL decides where the clearance field cannot), so that any OMPL planner can use
+    them; `safety` is Algorithm 2.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class SafetyValidityChecker(ob.StateValidityChecker):
         return self._solver.exact.distance(*self._pose(state))
 
     def delta(self, state: ob.State) -> float:
-        """Clearance (m) that SAFETY asks for at the state's speed."""
+        """Clearance (m) that SAFETY requires at the state's speed."""
         rest = self.vehicle.rest_indices
         speed = abs(state[rest[0]]) if rest else 0.0
         return self.safety_settings.delta + self.safety_settings.delta_per_speed * speed
@@ -51,12 +51,12 @@ class SafetyValidityChecker(ob.StateValidityChecker):
     def safety(self, state: ob.State) -> Contingency | None:
         """SAFETY (Alg. 2): the first contingency manoeuvre that keeps delta(v) until standstill, or None.
 
-        The result names the manoeuvre, holds its trajectory, and its smallest spare clearance beyond delta(v).
+        The result has the manoeuvre's name, trajectory and smallest spare clearance beyond delta(v).
         """
         return self.safety_from(self._array(state))
 
     def safety_from(self, state: Floats, after: float = 0.0) -> Contingency | None:
-        """SAFETY of a state given as an array (nx,); the contingency's times begin at `after` s."""
+        """SAFETY of a state as an array (nx,); the contingency's times begin at `after` s."""
         return self._solver.contingency(state, after)
 
     def _array(self, state: ob.State) -> Floats:

@@ -1,4 +1,4 @@
-"""A vehicle as the planner sees it: a derivative function, its bounds, its shape, and how it stops."""
+"""Vehicle model of the planner: derivative function, bounds, footprint, stopping manoeuvres."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ompl_ext.arrays import Floats
 from ompl_ext.fingerprint import fingerprint
 from ompl_ext.jit import inlined
 
-MAX_MANOEUVRES = 32  # they are rolled out together as lanes
-derivative = inlined  # the decorator that a vehicle's functions carry
+MAX_MANOEUVRES = 32  # they are simulated together as lanes
+derivative = inlined  # decorator of a vehicle's functions
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Rectangle that the vehicle occupies, centred `offset` m ahead of the body frame."""
+    """Rectangle of the vehicle in the plane, its centre `offset` m ahead of the body frame."""
 
     length: float
     width: float
@@ -49,15 +49,15 @@ class Footprint:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Everything the planner needs to know of a vehicle.
+    """Vehicle model: functions, names and bounds of its components, footprint, parameters.
 
     The functions are decorated with `@derivative` and written over plain tuples of floats, with `sin`, `cos`, `tan`,
-    `atan` from `ompl_ext.trigonometry`:
+    `atan` from `ompl_ext`:
 
     - `derivative(x, u, p)` returns dx/dt for state `x`, control `u`, parameters `p`.
-    - `actuation(u, p)`, optional, maps the control to what `derivative` then receives in its place.  Controls are
-      constant along an edge, so what depends on them alone is computed once per edge instead of at every stage.
-      `inputs` names what it returns.
+    - `actuation(u, p)`, optional, maps the control to the inputs that `derivative` receives instead.  Controls are
+      constant along an edge, so that what depends on them alone is computed once per edge instead of at every stage.
+      `inputs` are the names of its results.
     - `stop(x, p, k)`, optional, is contingency manoeuvre number k as a control law, for k in range(len(manoeuvres)).
       By default the one manoeuvre is the zero control.
 
@@ -84,28 +84,32 @@ class Vehicle:
             raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
 
     def with_parameters(self, values: Mapping[str, float]) -> Vehicle:
-        """The same vehicle with some parameters replaced; unknown names are a `KeyError`."""
+        """Vehicle with some parameters replaced.
+
+        Raises:
+            KeyError: a name is not a parameter.
+        """
         unknown = sorted(set(values) - set(self.parameters))
         if unknown:
             raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}; it has {', '.join(self.parameters)}")
         return replace(self, parameters={**self.parameters, **values})
 
     def index(self, component: str) -> int:
-        """Index of a state component by name, -1 if the vehicle has none of that name."""
+        """Index of a state component, -1 if the vehicle has none of that name."""
         return self.state.index(component) if component in self.state else -1
 
     @cached_property
     def source(self) -> str:
-        """Everything that the functions depend on, as text; empty if there is no source (functions from a prompt)."""
+        """Text of everything that the functions depend on; empty without source (functions from a prompt)."""
         functions = [f for f in (self.derivative, self.actuation, self.stop) if f is not None]
         try:
             return "\n".join(fingerprint(function) for function in functions)
-        except OSError:  # compiled afresh, never cached
+        except OSError:  # compiled in every process, never cached
             return ""
 
     @property
     def hash(self) -> str:
-        """Hash over what the compiled kernels depend on; parameter values and bounds are not among it."""
+        """Hash over everything that the compiled kernels depend on, which excludes parameter values and bounds."""
         shape = (self.state, tuple(self.controls), tuple(self.parameters), self.inputs, self.manoeuvres, self.rest,
                  tuple(self.limits))  # fmt: skip
         names = [getattr(f, "__qualname__", None) for f in (self.derivative, self.actuation, self.stop)]
@@ -118,7 +122,7 @@ class Vehicle:
 
     @property
     def state_limits(self) -> Floats:
-        """Lower and upper limits of each state component, infinite where there is none, shape (states, 2)."""
+        """Lower and upper limits of each state component, infinite without a limit, shape (states, 2)."""
         free = (-math.inf, math.inf)
         return np.array([self.limits.get(name, free) for name in self.state])
 

@@ -1,4 +1,4 @@
-"""The judgement on a finished plan: exact, at every time, and independent of the field that the search used."""
+"""Exact verification of a finished plan at every time, independent of the clearance field of the search."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
-TOLERANCE = 1e-6  # of FCL's distances (m)
-FINE = 16  # parts that a step between samples is divided into
+TOLERANCE = 1e-6  # tolerance of FCL's distances (m)
+FINE = 16  # subdivisions of a step between samples
 
 
 class Requirement(StrEnum):
@@ -83,7 +83,7 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
 
 
 def _poses(dirt: DirtSolver, states: Matrix) -> Matrix:
-    """Columns x, y, theta of states."""
+    """Columns x, y, theta of states (n, nx)."""
     x, y, theta = (dirt.vehicle.index(name) for name in ("x", "y", "theta"))
     heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
     return np.column_stack([states[:, x], states[:, y], heading])
@@ -96,19 +96,19 @@ def _within_cycle(dirt: DirtSolver, plan: Plan) -> Bools:
 def _clearance_violations(
     dirt: DirtSolver, what: str, times: Floats, states: Matrix, clearance: Floats, required: Bools
 ) -> list[Violation]:
-    """Samples nearer to an obstacle than delta(v)."""
+    """Violation at the sample that violates delta(v) most, if any does."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
     delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
     worst = np.where(required, clearance - delta, math.inf)
     k = int(np.argmin(worst))
     if worst[k] >= -TOLERANCE:
         return []
-    text = f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta asks for {delta[k]:.4f} m"
+    text = f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta requires {delta[k]:.4f} m"
     return [Violation(Requirement.CLEARANCE, text)]
 
 
 def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: Floats) -> list[Violation]:
-    """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is halved."""
+    """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is sampled."""
     problems = []
     ends = np.cumsum(plan.durations)
     for k in range(len(plan.times) - 1):

@@ -1,1 +1,1 @@
-"""What numba compiles, and how: Algorithm 1, the tree, propagation and checks in lanes, clearance, cost-to-go."""
+"""Kernels compiled by numba: Algorithm 1, the tree, propagation and checks in lanes, clearance, cost-to-go."""

@@ -1,7 +1,7 @@
-"""The kernel of DIRT over callbacks: `dirt` compiled with three functions that call back into Python.
+"""Kernel of DIRT over callbacks: `dirt` compiled with functions that call back into Python.
 
-A ctypes function is to numba a pointer that compiled code can call.  Python is then entered once for a blossom instead
-of once for every step of the algorithm, each of which would have to unpack the tree's arrays.
+numba treats a ctypes function as a pointer that compiled code can call.  Python is called once per blossom and once per
+SAFETY check instead of at every step of the algorithm, which would have to unpack the tree's arrays each time.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ompl_ext.jit import compiled, part
 from ompl_ext.kernels import dirt
 from ompl_ext.kernels.kernel_types import FULL, LANES, PROBLEM, RETAINED_EDGES, TREE, Lanes, Problem, Retained, Tree
 
-PROPAGATE = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64)  # from a state's place, so many lanes
-SAFE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_double)  # a lane whose edge begins at a time (s)
+PROPAGATE = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64)  # slot of the start state, number of lanes
+SAFE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_double)  # lane, start time of its edge (s)
 
-_namedtuple: Any = collections.namedtuple  # mypy wants the names of fields written out
-CallbackLanes = _namedtuple("CallbackLanes", (*Lanes._fields, "propagate", "safe", "stop"))  # stop[0]: 1 to end
+_namedtuple: Any = collections.namedtuple  # mypy requires literal field names
+CallbackLanes = _namedtuple("CallbackLanes", (*Lanes._fields, "propagate", "safe", "stop"))  # stop[0] = 1 ends a run
 
-_typeof: Any = numba.typeof  # without types of their own
+_typeof: Any = numba.typeof  # numba has no types
 _types: Any = types
 _CALLBACKS = [_typeof(kind()) for kind in (PROPAGATE, SAFE)]
 _CALLBACK_LANES = _types.NamedTuple([*LANES.types, *_CALLBACKS, types.int64[::1]], CallbackLanes)
@@ -62,7 +62,7 @@ def _grow(tree: Tree, problem: Problem, work: Any, q: Floats, retained: Retained
 
 @cache
 def grow() -> Grow:
-    """The kernel: retain edges, then visit nodes until told to stop or a better plan is found.
+    """Kernel that retains edges, then visits nodes until `stop` is set or a better plan is found.
 
     Compiled, or loaded from the cache, on the first call.
     """

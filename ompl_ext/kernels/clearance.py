@@ -1,8 +1,8 @@
-"""A distance field that never overestimates, and the footprint's clearance from it.
+"""Distance field that never overestimates, and the footprint's clearance by it.
 
 Each cell stores a lower bound of the distance from *any* point of the cell to the nearest obstacle: the exact distance
 of its centre minus half a cell diagonal (the distance function is 1-Lipschitz).  The footprint is covered by discs, so
-field(centre of disc) - radius is a lower bound of the footprint's clearance and what the field accepts is free.
+the smallest field(centre of disc) - radius is a lower bound of the footprint's clearance: an accepted pose is free.
 `ompl_ext.exact` computes the exact clearance.
 """
 
@@ -23,7 +23,7 @@ MAX_CELLS = 4_000_000
 
 
 class ClearanceField(NamedTuple):
-    """`values[row, column]` in m; cell (0, 0) has its lower left corner at `origin`."""
+    """Clearance field: `values[row, column]` in m; `origin` is the lower left corner of cell (0, 0)."""
 
     values: Floats32
     origin: tuple[float, float]
@@ -38,23 +38,23 @@ class ClearanceField(NamedTuple):
 
 
 class DiscCover(NamedTuple):
-    """Discs of equal `radius` whose union contains the footprint, centred on the body axis at `centres` (m)."""
+    """Discs of equal `radius` whose union contains the footprint; `centres` are along the body axis (m)."""
 
     centres: Floats
     radius: float
 
 
 def cover(footprint: Footprint, discs: int = 4) -> DiscCover:
-    """Cover the footprint with equal discs: each takes an equal slice of its length."""
+    """Cover of the footprint by equal discs, one for each slice of equal length."""
     slice_length = footprint.length / discs
     centres: Floats = footprint.offset + (np.arange(discs, dtype=float) + 0.5) * slice_length - footprint.length / 2
     return DiscCover(centres, math.hypot(slice_length / 2, footprint.width / 2))
 
 
 def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> ClearanceField:
-    """Field over the workspace's bounds widened by `margin` m, so that a footprint inside the bounds can be looked up.
+    """Clearance field over the workspace's bounds widened by `margin` m, which covers a footprint inside the bounds.
 
-    The cell grows where `cell` m would need more than `MAX_CELLS` cells.
+    The cell is enlarged if cells of `cell` m would be more than `MAX_CELLS`.
     """
     (x_low, x_high), (y_low, y_high) = workspace.bounds
     width, height = x_high - x_low + 2 * margin, y_high - y_low + 2 * margin
@@ -77,11 +77,11 @@ def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> 
 
 
 def _distance_to_map(grid: OccupancyGrid, xs: Floats, ys: Floats) -> Floats:
-    """Lower bound of the distance to the occupied cells: to the nearest centre, less half a map cell's diagonal."""
+    """Lower bound of the distance to the occupied cells: that to the nearest centre minus half a cell's diagonal."""
     centres = grid.cell_centres()
     if not len(centres):
         return np.full((len(ys), len(xs)), math.inf)
-    from scipy.spatial import cKDTree  # slow to import, and only maps need it
+    from scipy.spatial import cKDTree  # a slow import, needed for maps only
 
     points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
     nearest, _ = cKDTree(centres).query(points)
@@ -113,9 +113,9 @@ def _lower_to_polygon(distance: Floats, xs: Floats, ys: Floats, vertices: Floats
 
 @inlined
 def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, required: float) -> float:
-    """Lower bound of the footprint's clearance at a pose minus `required`; exact enough only where it is small.
+    """Lower bound of the footprint's clearance at a pose minus `required`; tight only where it is small.
 
-    One look-up decides for most poses: far from obstacles the disc around the whole body is free.
+    One cell decides for most poses: far from obstacles the disc around the whole body is free.
     """
     field, scalar = problem.field, problem.scalar
     ox, oy, inverse = scalar[GRID_X], scalar[GRID_Y], scalar[GRID_INVERSE]

@@ -1,4 +1,4 @@
-"""Geodesic cost-to-go: how long the shortest way around the obstacles takes at top speed.
+"""Geodesic cost-to-go: duration of the shortest path around the obstacles at top speed.
 
 Solves the eikonal equation |grad d| = 1 over the free workspace by fast marching (Sethian, A fast marching level set
 method for monotonically advancing fronts, 1996), second order where the stencil allows.  Cells that the body's
@@ -21,7 +21,7 @@ UNREACHABLE = 1e9  # seconds; finite, so that interpolation and sorting stay wel
 
 
 class CostToGo(NamedTuple):
-    """`seconds[row, column]` at cell centres; cell (0, 0) has its lower left corner at `origin`."""
+    """Cost-to-go `seconds[row, column]` at cell centres; `origin` is the lower left corner of cell (0, 0)."""
 
     seconds: Floats32
     origin: tuple[float, float]
@@ -36,9 +36,9 @@ def cost_to_go(
     top_speed: float,
     bounds: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> CostToGo:
-    """Geodesic distance to the goal region over `top_speed`, on the clearance field's cells.
+    """Geodesic distance to the goal region divided by `top_speed`, on the clearance field's cells.
 
-    A cell is blocked where even its best point is nearer to an obstacle than the `inscribed` radius (m), or lies
+    A cell is blocked if each of its points is nearer to an obstacle than the `inscribed` radius (m), or if it lies
     outside the workspace's `bounds`.
     """
     best_in_cell = field.values + np.float32(field.cell * math.sqrt(2.0))
@@ -142,7 +142,7 @@ def _march(
     heap: Ints32,
     heap_index: Ints32,
 ) -> None:
-    """Fill `distance` in cells; within `exact` cells of the goal it is set to the straight distance."""
+    """Compute `distance`, in cells; within `exact` cells of the goal it is the straight distance."""
     rows, columns = distance.shape
     flat = distance.reshape(rows * columns)
     size = 0
@@ -174,7 +174,7 @@ def _march(
 
 @compiled
 def _extend(distance: Floats, blocked: Bools) -> None:
-    """Give blocked cells beside free ones their best free neighbour's value, so that interpolation stays finite."""
+    """Set blocked cells beside free ones to their best free neighbour's value, for finite interpolation."""
     rows, columns = distance.shape
     for row in range(rows):
         for column in range(columns):
@@ -189,7 +189,7 @@ def _extend(distance: Floats, blocked: Bools) -> None:
 
 @inlined
 def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
-    """Bilinear interpolation of the cost-to-go at (x, y) (s); callers keep (x, y) inside the workspace."""
+    """Bilinear interpolation of the cost-to-go at (x, y) (s); (x, y) must be inside the workspace."""
     togo, scalar = problem.togo, problem.scalar
     u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
     v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5

@@ -1,8 +1,8 @@
-"""DIRT, the tree planner of Algorithm 1, over the arrays of `ompl_ext.kernels.kernel_types`.
+"""DIRT, the tree planner of Algorithm 1, on the arrays of `ompl_ext.kernels.kernel_types`.
 
 Littlefield and Bekris, Efficient and asymptotically optimal kinodynamic motion planning via dominance-informed
-regions, IROS 2018.  The vehicle comes in as three functions (propagate, check, safe): a compiled vehicle's
-(`ompl_ext.kernels.lanes`), or ones that call back into Python (`ompl_ext.kernels.callback_kernel`).
+regions, IROS 2018.  The vehicle is represented by three functions (propagate, check, safe): those of a
+compiled vehicle (`ompl_ext.kernels.lanes`) or callbacks into Python (`ompl_ext.kernels.callback_kernel`).
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
 
 @part
 def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> bool:
-    """Sample the workspace uniformly, the goal with the probability of the goal bias, and any heading.
+    """Sample the workspace uniformly, or the goal with the probability of the goal bias, and a uniform heading.
 
     Returns whether the visit explores: whether it adds any free candidates instead of the best one.
     """
@@ -87,7 +87,7 @@ def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> bool:
 
 @inlined
 def set_duration(problem: Problem, work: Lanes, lane: int, duration: float) -> None:
-    """Duration and integration steps of a lane; with a quantum, both become multiples of it."""
+    """Set duration and integration steps of a lane; with a quantum the duration is rounded to a multiple of it."""
     quantum = problem.scalar[QUANTUM]
     work.duration[lane], work.steps[lane] = duration, problem.option[STEPS]
     if quantum > 0.0:
@@ -97,7 +97,7 @@ def set_duration(problem: Problem, work: Lanes, lane: int, duration: float) -> N
 
 @part
 def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
-    """Controls and durations of a blossom.  A share of the controls lies on a bound, where time-optimal ones are."""
+    """Sample the controls and durations of a blossom; a share of the controls is on a bound, as time-optimal ones."""
     bias = problem.scalar[CONTROL_BOUND_BIAS]
     shortest, longest = problem.scalar[SHORTEST], problem.scalar[LONGEST]
     for i in range(lanes):
@@ -110,9 +110,9 @@ def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
 
 @part
 def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
-    """The free lane with the smallest cost + cost-to-go at its end, if that is below `bound`; -1 if there is none.
+    """Free lane with the smallest f at its end, if that is below `bound`; -1 if there is none.
 
-    The bound is tested with the end point's own cost-to-go, which is what makes it a bound on plans through it.
+    f uses the cost-to-go of the end point, so that it is a lower bound of the cost of plans through the edge.
     """
     best, lane = bound, -1
     for i in range(lanes):
@@ -124,7 +124,7 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
 
 @part
 def exploration_lane(tree: Tree, node: int, work: Lanes, lanes: int, start: float, added: int) -> int:
-    """Alternately the free lane that ends farthest from the node and a uniformly random one; -1 if there is none."""
+    """Free lane that ends farthest from the node, or, in turn, a uniformly random one; -1 if there is none."""
     chosen, candidates, farthest = -1, 0, -1.0
     for i in range(lanes):
         f = start + work.duration[i] + work.togo[i]
@@ -150,7 +150,7 @@ def is_visited_next(tree: Tree, node: int, child: int, exploring: bool) -> bool:
 
 @part
 def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) -> int:
-    """Add the end of an edge as a node, give it its region, and keep the best solution; -1 if the tree is full."""
+    """Add the end of an edge as a node with its region, and update the best solution; -1 if the tree is full."""
     node = tree.count[SIZE]
     if node == len(tree.state):
         tree.count[FULL] = 1
@@ -179,7 +179,7 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
         tree.best[0] = tree.value[node, COST]
         tree.count[BEST] = node
     beyond_cycle = problem.option[REQUIRE_SAFETY] == 0 or tree.value[node, COST] >= problem.scalar[CYCLE]
-    if beyond_cycle and tree.value[node, TOGO] < tree.best[1]:  # Alg. 1, l. 24, among what SAFETY has been asked of
+    if beyond_cycle and tree.value[node, TOGO] < tree.best[1]:  # Alg. 1, l. 24, among the nodes checked by SAFETY
         tree.best[1] = tree.value[node, TOGO]
         tree.count[CLOSEST] = node
     return node
@@ -187,7 +187,7 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
 
 @part
 def requires_safety(problem: Problem, start: float, lane: int, work: Lanes) -> bool:
-    """Whether SAFETY is asked of an edge: it leaves the cycle (Alg. 1, l. 7, 18) or ends a plan before its end."""
+    """Whether SAFETY is required: the edge crosses the cycle's end (Alg. 1, l. 7, 18) or ends a plan before it."""
     inside = start + work.duration[lane] < problem.scalar[CYCLE] and work.at_goal[lane] == 0
     return problem.option[REQUIRE_SAFETY] == 1 and start < problem.scalar[CYCLE] and not inside
 
@@ -196,7 +196,7 @@ def requires_safety(problem: Problem, start: float, lane: int, work: Lanes) -> b
 def visit(
     tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, propagate: Propagate, check: Check, safe: Safe
 ) -> None:
-    """One iteration: select a node, propagate a blossom from it, add the best candidate that passes every check.
+    """One iteration: select a node, propagate a blossom from it, add the best candidate that passes all checks.
 
     A visit *explores* if no candidate comes nearer to the goal, and with a small probability if its node was visited
     before: it adds a few candidates that are not the best, and with probability 1/2 the first of them is visited next.
@@ -250,9 +250,9 @@ def retain(
     check: Check,
     safe: Safe,
 ) -> None:
-    """Begin with the free and safe part of an earlier plan or tree, propagated anew from the root (Alg. 1, l. 2-8)."""
+    """Add the free and safe part of an earlier plan or tree, propagated from the root (Alg. 1, l. 2-8)."""
     nu = tree.edge.shape[1] - 1
-    lane, lanes = int64(0), int64(1)  # not literals, which numba would compile the callees anew for
+    lane, lanes = int64(0), int64(1)  # not literals: numba compiles the callees once more for each
     for k in range(len(retained.parent)):
         parent = 0 if retained.parent[k] < 0 else retained.node[retained.parent[k]]
         retained.node[k] = -1

@@ -1,7 +1,7 @@
-"""The arrays that kernels share.
+"""Arrays that the kernels share.
 
-A kernel receives a few named tuples of arrays; numbers stand in arrays too, at places that have names here.  (A named
-tuple's fields are what numba compiles against, so few arrays with named places compile faster than many arrays.)
+A kernel receives a few named tuples of arrays; single numbers are entries of arrays, with the indices named here.  (Few
+arrays with named indices compile faster than many fields.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Q_DIM = 4  # components of a configuration in the tree's metric: x, y, weighted 
 
 
 class Problem(NamedTuple):
-    """What a query asks and where, constant while the tree grows."""
+    """Query and maps, constant while the tree grows."""
 
     parameters: Floats  # of the vehicle
     controls: Matrix  # (nu, 2) bounds
@@ -31,18 +31,18 @@ class Problem(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """The part of a problem that decides whether a pose is free."""
+    """Part of a problem that determines whether a pose is free."""
 
     discs: Floats
     field: Matrix32
     scalar: Floats
 
 
-# Places in Problem.scalar
+# Indices of Problem.scalar
 SHORTEST, LONGEST, QUANTUM = 0, 1, 2  # edge durations; multiples of QUANTUM if it is positive (s)
 HEADING_WEIGHT, RESOLUTION = 3, 4  # of the tree's metric (m)
 CYCLE, DELTA, DELTA_PER_SPEED = 5, 6, 7  # planning cycle (s); clearance DELTA + DELTA_PER_SPEED |v| (m, s)
-REST_SPEED, BRAKE_STEP = 8, 9  # below which the vehicle stands (SI); integration step of a manoeuvre (s)
+REST_SPEED, BRAKE_STEP = 8, 9  # speed of standstill (SI); integration step of a manoeuvre (s)
 REACH, DISC_RADIUS, LENGTH = 10, 11, 12  # of the footprint (m)
 GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
 X_LOW, X_HIGH, Y_LOW, Y_HIGH = 16, 17, 18, 19  # workspace bounds (m)
@@ -61,7 +61,7 @@ GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
 )  # tolerance as its cosine
 SCALARS = 29
 
-# Places in Problem.option
+# Indices of Problem.option
 STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre
 BLOSSOM, INSERTIONS, CHILD_EXTENSION, REQUIRE_SAFETY = 2, 3, 4, 5
 OPTIONS = 6
@@ -84,11 +84,11 @@ class Lanes(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """The tree as a struct of arrays, with the indices that make selection and dominance sublinear."""
+    """Tree as a struct of arrays, with the two spatial indices of `ompl_ext.kernels.tree`."""
 
     state: Matrix  # (capacity, nx)
     edge: Matrix  # (capacity, nu + 1) control and duration of the edge from the parent
-    value: Matrix  # (capacity, 8) what searches read, one cache line a node
+    value: Matrix  # (capacity, 8) what the search reads of a node, one cache line each
     link: IntMatrix  # (capacity, 7)
     region_head: Ints32  # first node of each cell, level after level
     level: IntMatrix  # (levels, 4)
@@ -98,7 +98,7 @@ class Tree(NamedTuple):
     block_best: Floats  # smallest f in each block of cells
     block_shape: Ints  # columns, rows of blocks
     frame: Floats  # lower left corner and cell size of the cells (m)
-    count: Ints  # type: ignore[assignment]  # a tuple's own method of that name is not needed here
+    count: Ints  # type: ignore[assignment]  # hides the method of tuples, which is not needed
     best: Floats  # cost of the best goal node, smallest cost-to-go of any node (s)
     random: Words  # generator state
 
@@ -114,23 +114,23 @@ F, RADIUS, COST, TOGO = (
 # Columns of Tree.link
 PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS = range(7)
 
-# Columns of Tree.level: where the level starts in region_head, its columns and rows, the nodes on it
+# Columns of Tree.level: first index in region_head, columns and rows, number of nodes
 LEVEL_START, LEVEL_COLUMNS, LEVEL_ROWS, LEVEL_COUNT = range(4)
 
-# Places in Tree.count
+# Indices of Tree.count
 SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL, RETAINED, PRUNED = range(11)
 COUNTS = 11
 
 
 class Retained(NamedTuple):
-    """Edges of an earlier plan or tree to begin a query with, parents before children."""
+    """Edges of an earlier plan or tree for the begin of a query, parents before children."""
 
-    parent: Ints  # index of the edge that ends where this one starts, -1 for the root
+    parent: Ints  # index of the parent edge, -1 at the root
     edge: Matrix  # (edges, nu + 1) control and duration
-    node: Ints  # where each edge's end came to stand in the tree, -1 if it was left out
+    node: Ints  # node of each edge's end in the tree, -1 if the edge was omitted
 
 
-_types: Any = numba.types  # without types of their own
+_types: Any = numba.types  # numba has no types
 _typeof: Any = numba.typeof
 
 

@@ -1,8 +1,8 @@
-"""Integrate a batch of candidate edges as vector lanes, and check them: the planner's innermost loop.
+"""Integration and checks of a batch of candidate edges as vector lanes: the planner's innermost loop.
 
-`specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported by
-itself.  Lane i of component c stands at index c * WIDTH + i of a flat array: constant strides inside one array
-are what lets LLVM prove the lanes independent and vectorise the loop over them.
+`specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported directly.
+Lane i of component c has index c * WIDTH + i of a flat array: with constant strides in one array LLVM can prove the
+lanes independent and vectorise the loop over them.
 """
 
 from __future__ import annotations
@@ -103,10 +103,10 @@ def swept_margin(
 ) -> float:
     """Clearance (m) needed at both ends of a step so that no point of the body hits anything in between.
 
-    The body moves `along` its axis, sideways and turns.  Moving along its axis by no more than its length it stays
-    inside the union of its two end positions; `off`, what it moves otherwise, can carry its front or rear corners out
-    of that union by at most off (along + off) / (along + 2 off).  This is for a motion at constant rates; see
-    docs/planner.md for the derivation, and `integrate_lanes` for what changing rates add.
+    The body moves `along` its axis, sideways, and turns.  In a motion along its axis by no more than its length it
+    stays inside the union of its two end positions.  `off` bounds all other motion; it moves the corners out of that
+    union by at most off (along + off) / (along + 2 off).  This holds for constant rates; docs/planner.md has the
+    derivation, `integrate_lanes` adds the effect of changing rates.
     """
     side0 = abs(dy * c0 - dx * s0)
     side1 = abs(dy * c1 - dx * s1)
@@ -121,9 +121,9 @@ def swept_margin(
 def integrate_lanes(
     block: Floats, lanes: int, p: Values, low: Values, high: Values, reach: float, length: float
 ) -> None:
-    """Advance every lane of the working block by its own step; this loop vectorises.
+    """Advance every lane of the working block by its step; this loop vectorises.
 
-    Where a rate changes by d within a step of h, the motion strays from the even one between its ends by up to h d / 8.
+    If a rate changes by d within a step of h s, the motion deviates from one at a constant rate by up to h d / 8.
     """
     for i in range(lanes):
         x, h = load_state(block, 0, i), block[AT_STEP + i]
@@ -157,7 +157,7 @@ def record_lanes(work: Lanes, step: int, lanes: int) -> None:
 
 @inlined
 def load_source(source: Floats, work: Lanes, lanes: int, low: Values, high: Values) -> None:
-    """Start every lane from one state."""
+    """Set every lane to one start state."""
     block = work.block
     c, s = 1.0, 0.0
     if THETA >= 0:
@@ -182,14 +182,14 @@ def in_goal(scalar: Floats, x: float, y: float, c: float, s: float) -> bool:
 
 @part
 def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None:
-    """Integrate `lanes` candidate edges from `source` and describe their ends: configuration, cost-to-go, goal."""
+    """Integrate `lanes` candidate edges from `source`, and compute configuration, cost-to-go and goal of their ends."""
     scalar, steps = problem.scalar, problem.option[STEPS]
     p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
     load_source(source, work, lanes, low, high)
     for i in range(lanes):
         store_input(work.block, AT_INPUT, i, actuation(load_control(work.control, 0, i), p))
     for step in range(1, steps + 1):
-        for i in range(lanes):  # a lane with fewer steps than the others waits at its end
+        for i in range(lanes):  # a lane with fewer steps than the others stays at its end
             work.block[AT_STEP + i] = work.duration[i] / work.steps[i] if step <= work.steps[i] else 0.0
         integrate_lanes(work.block, lanes, p, low, high, scalar[REACH], scalar[LENGTH])
         record_lanes(work, step, lanes)
@@ -198,9 +198,9 @@ def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None
         c, s = work.block[AT_COS + i], work.block[AT_SIN + i]
         work.end[i] = x
         work.end[WIDTH + i] = y
-        work.end[2 * WIDTH + i] = scalar[HEADING_WEIGHT] * c  # a heading as a point on a circle needs no wrapping
+        work.end[2 * WIDTH + i] = scalar[HEADING_WEIGHT] * c  # a heading as a point on a circle does not wrap
         work.end[3 * WIDTH + i] = scalar[HEADING_WEIGHT] * s
-        inside = work.block[AT_OUTSIDE + i] == 0.0  # only there is (x, y) surely on the grids
+        inside = work.block[AT_OUTSIDE + i] == 0.0  # guarantees that (x, y) is on the grids
         work.slack[i] = 0.0 if inside else -1.0
         work.togo[i] = seconds_to_goal(problem, x, y) if inside else UNREACHABLE
         work.at_goal[i] = 1 if inside and in_goal(scalar, x, y, c, s) else 0
@@ -208,7 +208,7 @@ def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None
 
 @inlined
 def margin_at(work: Lanes, step: int, steps: int, lane: int) -> float:
-    """Clearance that the motion before and after a sample asks for (m)."""
+    """Clearance that the motion before and after a sample requires (m)."""
     before = work.pose[(step * 3 + 2) * WIDTH + lane]
     after = work.pose[((step + 1) * 3 + 2) * WIDTH + lane] if step < steps else 0.0
     return before if before > after else after
@@ -224,7 +224,7 @@ def sample_slack(work: Lanes, step: int, lane: int, required: float, problem: Pr
 
 @inlined
 def delta(work: Lanes, step: int, lane: int, problem: Problem) -> float:
-    """Clearance (m) that the model gap asks for at a sample."""
+    """Clearance that the model gap requires at a sample (m)."""
     speed = 0.0
     if SPEED >= 0:
         speed = abs(work.trajectory[(step * NX + SPEED) * WIDTH + lane])
@@ -239,7 +239,7 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
     steps = work.steps[lane]
     h = work.duration[lane] / steps
     smallest = math.inf
-    for step in range(steps, -1, -1):  # the far end first: it collides most often
+    for step in range(steps, -1, -1):  # from the end, which collides most often
         required = margin_at(work, step, steps, lane)
         if start_time + (step - 1) * h < problem.scalar[CYCLE]:
             required += delta(work, step, lane, problem)
@@ -252,7 +252,7 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
 
 @inlined
 def at_rest(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
-    """Whether the vehicle stands at a sample."""
+    """Whether the vehicle is at standstill at a sample."""
     resting = True
     for k in REST:
         resting = resting and abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
@@ -293,9 +293,9 @@ def state_at_cycle_end(lane: int, start_time: float, problem: Problem, work: Lan
 def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
     """SAFETY (Alg. 2): number of the first contingency manoeuvre that is safe from `source`, -1 if there is none.
 
-    The manoeuvres' trajectories stay in `brake`, with the spare clearance of the safe one in its lane's slack.
+    Afterwards `brake` has the manoeuvres' trajectories and, in its lane's slack, the spare clearance of the safe one.
     """
-    manoeuvres = int64(MANOEUVRES)  # not a literal, which numba would compile the callees anew for
+    manoeuvres = int64(MANOEUVRES)  # not a literal: numba compiles the callees once more for each
     p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
     load_source(source, brake, manoeuvres, low, high)
     for i in range(manoeuvres):
@@ -322,7 +322,7 @@ def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
 
 @part
 def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lanes) -> int:
-    """SAFETY where edge `lane` leaves the cycle."""
+    """SAFETY where edge `lane` crosses the end of the cycle."""
     state_at_cycle_end(lane, start_time, problem, work, brake.source)
     return brake_from(brake.source, problem, brake)
 
@@ -357,7 +357,7 @@ def _advance(state: Floats, control: Floats, parameters: Floats, h: float, resul
 
 
 def _pose(field: Matrix32, discs: Floats, scalar: Floats, x: float, y: float, theta: float) -> float:
-    maps = Maps(discs, field, scalar)  # three arrays are handed over from Python in half the time that a Problem takes
+    maps = Maps(discs, field, scalar)  # passing three arrays from Python takes half the time of a Problem
     return pose_slack(maps, x, y, cos(theta), sin(theta), 0.0)
 
 

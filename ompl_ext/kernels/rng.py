@@ -1,4 +1,4 @@
-"""A seeded random generator that lives in an array, so that a plan depends on its seed alone.
+"""Seeded random generator with its state in an array: a plan depends on its seed alone.
 
 SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014): a counter through a mixing
 function.

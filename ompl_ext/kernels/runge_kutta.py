@@ -1,4 +1,4 @@
-"""One classical Runge-Kutta step over tuples of floats, for a vehicle's derivative."""
+"""Classical Runge-Kutta step over tuples of floats, for a vehicle's derivative."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from ompl_ext.kernels.unroll import per_component
 
 
 def runge_kutta_4(derivative: Callable[..., Any], count: int) -> Callable[..., Any]:
-    """A compiled `step(x, u, p, h)` of h seconds for `count` state components.
+    """Compiled function `step(x, u, p, h)` of h s for `count` state components.
 
-    It returns the state after the step and the derivatives of the first and last stage.
+    It returns the state after the step, and the derivatives of the first and last stage.
     """
     axpy = per_component("a, k, x", "x[{k}] + a * k[{k}]", count)
     combine = per_component(

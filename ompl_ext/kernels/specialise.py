@@ -1,6 +1,6 @@
-"""Make the compiled kernels of a vehicle: a module executed with the vehicle's functions as its globals.
+"""Compiled kernels of a vehicle: a module is executed with the vehicle's functions as its globals.
 
-The planner's kernels are those of `lanes`; `steps` has the model's steps alone, for identification.
+`lanes` has the planner's kernels; `steps` has only the model's steps, for identification.
 """
 
 from __future__ import annotations
@@ -45,27 +45,27 @@ class StepKernels:
 
 
 def vehicle_being_compiled() -> Vehicle:
-    """The vehicle that a module is being executed for."""
+    """Vehicle for which a module is being executed."""
     if not _being_compiled:
         raise ImportError("this module is executed once per vehicle; call ompl_ext.kernels.specialise.kernels(vehicle)")
     return _being_compiled[-1]
 
 
 def is_cached(vehicle: Vehicle) -> bool:
-    """Whether `kernels(vehicle)` will load machine code instead of compiling it."""
+    """Whether `kernels(vehicle)` loads machine code instead of compiling it."""
     return bool(vehicle.source) and _done_marker(vehicle).exists()
 
 
 def are_steps_cached(vehicle: Vehicle) -> bool:
-    """Whether `step_kernels(vehicle)` will load machine code, or has it, instead of compiling it."""
+    """Whether `step_kernels(vehicle)` has or loads machine code instead of compiling it."""
     return _key(vehicle) in _steps or (bool(vehicle.source) and _done_marker(vehicle, "steps-complete").exists())
 
 
 def kernels(vehicle: Vehicle) -> VehicleKernels:
-    """Compiled kernels of `vehicle`: from this process, else from the on-disk cache, else compiled now (seconds).
+    """Compiled kernels of `vehicle`: from this process, else from the cache on disk, else compiled now (seconds).
 
     Raises:
-        VehicleError: the derivative or another function of the vehicle does not compile or returns the wrong shape.
+        numba.core.errors.NumbaError: a function of the vehicle does not compile or returns the wrong shape.
     """
     key = _key(vehicle)
     if key not in _kernels:
@@ -77,10 +77,10 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
 
 
 def step_kernels(vehicle: Vehicle) -> StepKernels:
-    """Compiled steps of the model of `vehicle`: from this process, else from the on-disk cache, else compiled now.
+    """Compiled model steps of `vehicle`: from this process, else from the cache on disk, else compiled now.
 
     Raises:
-        VehicleError: the derivative does not compile or returns the wrong shape.
+        numba.core.errors.NumbaError: the derivative does not compile or returns the wrong shape.
     """
     key = _key(vehicle)
     if key not in _steps:
@@ -96,7 +96,7 @@ def _key(vehicle: Vehicle) -> str:
 
 
 def vehicle_cache_folder(vehicle: Vehicle) -> Path:
-    """Folder for the vehicle's machine code; one that goes with the process for a vehicle without a source file."""
+    """Folder of the vehicle's machine code; a temporary one of this process for a vehicle without a source file."""
     if vehicle.source:
         return cache_folder(vehicle.hash)
     return _process_folder()
@@ -116,7 +116,7 @@ def _process_folder() -> Path:
 
 
 def _execute(vehicle: Vehicle, source: str) -> ModuleType:
-    """Execute a file as a module of its own: numba's machine-code symbols carry the module's name."""
+    """Execute a file as a separate module: numba's symbols of machine code contain the module's name."""
     name = f"ompl_ext.{source}_{_key(vehicle).replace('-', '_')}"
     spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{source}.py"))
     assert spec is not None

@@ -1,8 +1,8 @@
-"""Many steps of a vehicle's model at once, with or without their derivatives: for identifying and predicting.
+"""Many steps of a vehicle's model at once, with or without their derivatives, for identification and prediction.
 
-`specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported by
-itself.  As in `lanes`, lane i of component c stands at index c * WIDTH + i of a flat working block, so that LLVM
-vectorises the loop over lanes; here every lane has a state, a control, parameters and a step of its own.
+`specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported directly.
+As in `lanes`, lane i of component c has index c * WIDTH + i of a flat working block, so that LLVM vectorises the loop
+over lanes; here every lane has its own state, control, parameters and step.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ store_next = store_components(NX, WIDTH)
 
 @part
 def step_lanes(block: Floats, lanes: int) -> None:
-    """Advance every lane of the working block by its own step; this loop vectorises."""
+    """Advance every lane of the working block by its step; this loop vectorises."""
     for i in range(lanes):
         p = load_parameters(block, i)
         u = actuation(load_control(block, i), p)
@@ -62,7 +62,7 @@ def load_lanes(first: int, lanes: int, x: Matrix, u: Matrix, p: Floats, h: Float
 
 @part
 def add_change(first: int, lanes: int, j: int, change: float, factor: float, block: Floats, jacobian: Floats) -> None:
-    """Step with component j changed, and add the states after it, times `factor`, to column j of the derivatives."""
+    """Step with component j changed, and add `factor` times the states after it to column j of the derivatives."""
     for i in range(lanes):
         block[j * WIDTH + i] += change
     step_lanes(block, lanes)
@@ -77,7 +77,7 @@ def _linearise(
     """States (n, nx) after steps `h` (n,) from `x` (n, nx) with controls `u` (n, nu), and their derivatives.
 
     `jacobian` (n, nx, changes), zeros, receives central differences by `change` in state, control and parameters, in
-    this order; with no changes only the states are computed.
+    this order; without changes only the states are computed.
     """
     for first in range(0, len(h), WIDTH):
         lanes = min(WIDTH, len(h) - first)

@@ -1,13 +1,13 @@
-"""The tree's two spatial indices: which dominance-informed regions hold a point, and which node near it is better.
+"""The tree's two spatial indices: dominance-informed regions that contain a point, and the nearest better node.
 
 *Regions.*  A node is listed on the level whose cell size is the smallest power of two above its region's radius, so
-the regions that hold a point are found in 3 x 3 cells a level.  A better node inside a region shrinks it, hence no
-two nodes of one level are much closer than its cell size and a cell lists a bounded number: a query costs the number
-of levels, not of nodes.
+that the regions that contain a point are found in 3 x 3 cells per level.  A better node inside a region shrinks it;
+hence no two nodes of a level are much closer than its cell size, and a cell lists a bounded number of nodes: the cost
+of a query grows with the number of levels, not of nodes.
 
-*Cells.*  A uniform grid in blocks of 8 x 8 cells; blocks and cells keep the smallest f = cost-to-come + cost-to-go
-they hold.  A search for the nearest better node walks outward over rings of blocks and skips every block and cell
-that holds none.
+*Cells.*  A uniform grid in blocks of 8 x 8 cells; blocks and cells store the smallest f = cost-to-come + cost-to-go of
+their nodes.  A search for the nearest better node proceeds outward over rings of blocks and skips every block and cell
+without a better node.
 
 *Closed nodes.*  A node whose region has shrunk below the tree's resolution has a better node right beside it.  It stays
 in the tree but leaves both indices, which keeps their lists short, and its radius becomes 0.  In large trees the
@@ -43,7 +43,7 @@ NODES_AT_FULL_RESOLUTION = 100_000.0
 
 @inlined
 def clamp(value: int, count: int) -> int:
-    """The nearest of 0 .. count - 1."""
+    """Nearest of 0 .. count - 1."""
     return min(max(value, 0), count - 1)
 
 
@@ -59,7 +59,7 @@ def distance_squared(tree: Tree, node: int, q: Floats) -> float:
 
 @inlined
 def region_cell(tree: Tree, level: int, node: int) -> int:
-    """Place in region_head of the cell that a node's position lies in."""
+    """Index in region_head of the cell that contains a node's position."""
     size, columns, rows = (
         tree.level_cell[level],
         tree.level[level, LEVEL_COLUMNS],
@@ -89,7 +89,7 @@ def list_region(tree: Tree, node: int) -> None:
 
 @inlined
 def unlist_region(tree: Tree, node: int) -> None:
-    """Take a node off its level's list."""
+    """Remove a node from its level's list."""
     level, before, after = (
         tree.link[node, REGION_LEVEL], tree.link[node, REGION_PREVIOUS], tree.link[node, REGION_NEXT],
     )  # fmt: skip
@@ -117,7 +117,7 @@ def level_window(tree: Tree, level: int, q: Floats) -> tuple[int, int, int, int]
 
 @inlined
 def shrink_worse(tree: Tree, node: int, closed: float) -> None:
-    """Shrink the region of every worse node that `node` lies in; below radius `closed` that node is closed."""
+    """Shrink the region of every worse node whose region contains `node`; below radius `closed`, close that node."""
     for level in range(len(tree.level_cell)):
         if tree.level[level, LEVEL_COUNT] == 0:
             continue
@@ -140,9 +140,9 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
 
 @part
 def select(tree: Tree, q: Floats) -> int:
-    """The least visited node whose region holds `q`, ties at random; the nearest node if there is none.
+    """Least visited node whose region contains `q`, ties at random; the nearest node if there is none, else -1.
 
-    Nodes that cannot lead to a better plan any more are taken off the index on the way; -1 if no others are left.
+    Nodes that can no longer lead to a better plan are removed from the index of regions.
     """
     chosen, ties, fewest_visits = int64(-1), 0, int64(2**62)
     for level in range(len(tree.level_cell)):
@@ -183,7 +183,7 @@ def gap_squared(x: float, y: float, left: float, bottom: float, size: float) -> 
 def nearest_better_in_cell(
     tree: Tree, cell: int, q: Floats, f: float, node: int, best2: float, closed: float
 ) -> tuple[int, float]:
-    """Improve (node, squared distance) by the nodes of one cell; nodes closed since they were listed are taken off."""
+    """Update (node, squared distance) with the nodes of a cell; remove nodes closed since they were listed."""
     before, other = int64(-1), int64(tree.cell_head[cell])
     while other >= 0 and best2 >= closed * closed:
         following = tree.link[other, CELL_NEXT]
@@ -204,9 +204,9 @@ def nearest_better_in_cell(
 
 @inlined
 def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float) -> tuple[int, float]:
-    """The nearest listed node with f below `f` within `limit` m, and its distance; -1 and `limit` if there is none.
+    """Nearest listed node with f below `f` within `limit` m, and its distance; -1 and `limit` if there is none.
 
-    A distance below `closed` need not be the smallest: it decides that the node is closed, whatever it is.
+    A distance below `closed` need not be the smallest: any such distance closes the node.
     """
     columns, rows = tree.block_shape[0], tree.block_shape[1]
     cell_size, size = tree.frame[2], BLOCK * tree.frame[2]
@@ -251,14 +251,14 @@ def list_position(tree: Tree, node: int) -> None:
 
 @compiled
 def list_node(tree: Tree, node: int) -> None:
-    """Put a node into both indices."""
+    """Add a node to both indices."""
     list_region(tree, node)
     list_position(tree, node)
 
 
 @inlined
 def add_to_indices(tree: Tree, node: int, limit: float, closed: float) -> None:
-    """Give a node its region: up to `limit` or the nearest better node; worse nodes' regions shrink to it."""
+    """Set a node's region, up to `limit` or to the nearest better node, and shrink the regions of worse nodes to it."""
     _, tree.value[node, RADIUS] = nearest_better(tree, tree.value[node], tree.value[node, F], limit, closed)
     shrink_worse(tree, node, closed)
     if tree.value[node, RADIUS] >= closed:

@@ -1,4 +1,4 @@
-"""The tree's memory: made once, emptied for a new query, pruned when it is full, read as paths."""
+"""The tree's memory: allocation, growth, reset for a new query, pruning, paths."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from ompl_ext.kernels.tree import BLOCK, add_to_indices, closed_radius, distance
 
 REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)
-CAPACITY = 200_000  # nodes that memory is reserved for at first
-MAX_NODES = 10_000_000  # that memory grows to: about 2 GB, minutes of a search without callbacks
-MAX_CELLS = 250_000  # in either index: larger workspaces get larger cells
+CAPACITY = 200_000  # nodes in the initial memory
+MAX_NODES = 10_000_000  # limit of the growth: about 2 GB, minutes of a compiled search
+MAX_CELLS = 250_000  # of each index; larger workspaces have larger cells
 _PER_NODE = ("state", "edge", "value", "link")
 
 
@@ -80,9 +80,9 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
 
 
 def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:
-    """The tree with memory for so many more nodes, doubled as often as needed; at most for `max_nodes` in all.
+    """Tree with memory for `nodes` more nodes, doubled as often as needed, for at most `max_nodes` in total.
 
-    Returns the tree itself if there is room; otherwise the nodes are copied, and everything else is shared.
+    It is `tree` itself if there is room; otherwise the nodes are copied, and the other arrays are shared.
     """
     size, capacity = int(tree.count[SIZE]), len(tree.state)
     while capacity - size < nodes and capacity < max_nodes:
@@ -98,12 +98,12 @@ def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:
 
 
 def first_nodes(tree: Tree, capacity: int) -> Tree:
-    """The tree with the first `capacity` nodes of its memory."""
+    """Tree restricted to the first `capacity` nodes of its memory."""
     return tree._replace(**{name: getattr(tree, name)[:capacity] for name in _PER_NODE})
 
 
 def reset(tree: Tree, random: Words) -> None:
-    """Empty the tree for a new query; its memory is reused."""
+    """Empty the tree for a new query and reuse its memory."""
     tree.count[:] = 0
     tree.count[[BEST, CLOSEST, NEXT]] = -1
     tree.best[:] = math.inf
@@ -122,7 +122,7 @@ def reset_indices(tree: Tree) -> None:
 
 @compiled
 def relist(tree: Tree) -> None:
-    """List every open node anew, after nodes have moved in memory; regions keep their radii."""
+    """List every open node again, after nodes have moved in memory; regions keep their radii."""
     for node in range(tree.count[SIZE]):
         if tree.value[node, RADIUS] > 0.0:
             list_node(tree, node)
@@ -130,7 +130,7 @@ def relist(tree: Tree) -> None:
 
 @compiled
 def _reindex(tree: Tree, closed: float) -> None:
-    """Give every node its region anew, as if the nodes were inserted once more; roots stand first."""
+    """Compute every region again, as if the nodes were inserted in their order; roots come first."""
     for node in range(tree.count[SIZE]):
         if tree.link[node, PARENT] < 0:
             tree.value[node, RADIUS] = math.inf
@@ -141,9 +141,9 @@ def _reindex(tree: Tree, closed: float) -> None:
 
 
 def set_costs_to_go(tree: Tree, togo: Floats, resolution: float, cycle: float) -> None:
-    """Give every node another cost-to-go, `togo` (nodes,) in s; f, regions, indices and the closest node follow.
+    """Set the cost-to-go of every node, `togo` (nodes,) in s, and update f, regions, indices and the closest node.
 
-    A plan without a solution ends no earlier than `cycle` s after the start.
+    The closest node, where a plan ends that does not reach the goal, is at least `cycle` s after the start.
     """
     size = int(tree.count[SIZE])
     cost, parent = tree.value[:size, COST], tree.link[:size, PARENT]
@@ -158,7 +158,7 @@ def set_costs_to_go(tree: Tree, togo: Floats, resolution: float, cycle: float) -
 
 
 def add_root(tree: Tree, work: Lanes) -> None:
-    """Make the end of lane 0, which starts and ends in `work.source`, a root; its region is the whole workspace."""
+    """Add the end of lane 0, which starts and ends in `work.source`, as a root; its region is the whole workspace."""
     node = int(tree.count[SIZE])
     tree.state[node] = work.source
     tree.edge[node] = 0.0
@@ -176,8 +176,8 @@ def add_root(tree: Tree, work: Lanes) -> None:
 def prune(tree: Tree, bound: int = F) -> int:
     """Remove the nodes that can neither be selected again nor lead to a better plan, and return how many.
 
-    These are the closed ones and those whose lower bound of the cost of plans through them is at or above the best
-    cost, unless they lead to a node that is kept.  The bound is f, or another column of the values: `COST` where the
+    These are closed nodes, and nodes whose lower bound of the cost of plans through them is at or above the best cost,
+    unless they are ancestors of a node that is kept.  `bound` is the column of the lower bound: f, or `COST` if the
     cost-to-go may still fall.
     """
     size = int(tree.count[SIZE])
@@ -207,7 +207,7 @@ def prune(tree: Tree, bound: int = F) -> int:
 
 @compiled
 def _keep_ancestors(keep: Bools, parent: Ints) -> None:
-    for node in range(len(keep) - 1, 0, -1):  # children stand behind their parents
+    for node in range(len(keep) - 1, 0, -1):  # children come after their parents
         if keep[node] and parent[node] >= 0:
             keep[parent[node]] = True
 

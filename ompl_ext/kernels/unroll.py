@@ -1,7 +1,7 @@
 """Functions over tuples with every component written out.
 
-A loop over a tuple's components hides the values from LLVM's vectoriser; straight-line code does not.  The number of
-components is known once the vehicle is, so the lines are written out here instead of by hand for each vehicle.
+LLVM vectorises straight-line code but not a loop over a tuple's components.  The number of components depends on the
+vehicle, so the source is generated for each vehicle.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ompl_ext.jit import inlined
 
 
 def per_component(arguments: str, item: str, count: int) -> Callable[..., Any]:
-    """A compiled function of `arguments` returning the tuple of `item`, `{k}` standing for the component."""
+    """Compiled function of `arguments` that returns the tuple of `item` with `{k}` replaced by each component."""
     items = "".join(item.replace("{k}", str(k)) + ", " for k in range(count))
     namespace: dict[str, Callable[..., Any]] = {}
     exec(f"def unrolled({arguments}):\n    return ({items})\n", namespace)
@@ -21,7 +21,7 @@ def per_component(arguments: str, item: str, count: int) -> Callable[..., Any]:
 
 
 def total_of_components(arguments: str, item: str, components: list[int]) -> Callable[..., Any]:
-    """A compiled function of `arguments` returning the sum of `item` over some components."""
+    """Compiled function of `arguments` that returns the sum of `item` over some components."""
     items = " + ".join("(" + item.replace("{k}", str(k)) + ")" for k in components)
     namespace: dict[str, Callable[..., Any]] = {}
     exec(f"def total({arguments}):\n    return {items}\n", namespace)
@@ -29,7 +29,7 @@ def total_of_components(arguments: str, item: str, components: list[int]) -> Cal
 
 
 def store_components(count: int, width: int) -> Callable[..., Any]:
-    """A compiled `store(array, start, lane, values)` writing component k at `start + k * width + lane`."""
+    """Compiled `store(array, start, lane, values)` that writes component k at `start + k * width + lane`."""
     lines = "".join(f"    array[start + lane + {k * width}] = values[{k}]\n" for k in range(count))
     namespace: dict[str, Callable[..., Any]] = {}
     exec(f"def store(array, start, lane, values):\n{lines or '    pass'}\n", namespace)

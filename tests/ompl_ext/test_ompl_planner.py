@@ -208,9 +208,9 @@ def test_parameters_have_ranges_refuse_what_is_outside_and_suggest_names() -> No
     assert params.setParam("goal_bias", "0.2")
     assert params["goal_bias"] == 0.2
     assert not params.setParam("goal_bias", "2")
-    with pytest.raises(ValueError, match="goal_bias is nan; expected a float from 0 to 1"):
+    with pytest.raises(ValueError, match="goal_bias is nan"):
         params["goal_bias"] = math.nan
-    with pytest.raises(ValueError, match=r"blossom is 3\.5; expected a int"):
+    with pytest.raises(ValueError, match=r"blossom is 3\.5"):
         params["blossom"] = 3.5
     with pytest.raises(KeyError, match="did you mean goal_bias"):
         params["goalbias"] = 1
