@@ -108,7 +108,7 @@ def _clearance_violations(
 
 
 def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: Floats) -> list[Violation]:
-    """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m; else it is sampled."""
+    """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m, else sampled."""
     problems = []
     ends = np.cumsum(plan.durations)
     for k in range(len(plan.times) - 1):
