@@ -34,7 +34,7 @@ def check_writable(path: Path) -> None:
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".kraft-"):
             pass
     except OSError as error:
-        problem = f"cannot be written: no file can be created in {folder} ({error.strerror})"
+        problem = f"cannot be written: nothing can be made in {folder} ({error.strerror})"
         raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from None
 
 

@@ -157,7 +157,7 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
 
 def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) -> Diagnostic:
     if discriminator:
-        path, expected = (*path, discriminator), "expected the kind"
+        path, expected = (*path, discriminator), "expected which one it is"
     elif isinstance(path[-1], int):  # an item of a list of fixed length
         about = f" ({known.description})" if known.description else ""
         return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
