@@ -14,7 +14,7 @@ from kraft.config import bundled
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 
-SCRIPT = ROOT / "examples" / "identify_mushr.py"
+SCRIPT = ROOT / "examples" / "07_bundled_vehicles.py"
 MODELS = ("mushr", "mushr-lag", "mushr-drive")
 
 

@@ -45,4 +45,4 @@ def test_the_vehicle_of_the_example_plans(capsys: pytest.CaptureFixture[str]) ->
 
 def test_every_numbered_example_is_run() -> None:
     numbered = {path.name for path in (ROOT / "examples").glob("[0-9]*.py")}
-    assert numbered == {*EXAMPLES, "05_vehicle.py"}
+    assert numbered == {*EXAMPLES, "05_vehicle.py", "07_bundled_vehicles.py"}  # the last: test_example_identify.py

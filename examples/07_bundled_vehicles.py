@@ -1,7 +1,7 @@
 """Make the numbers of the bundled MuSHR cars: record training logs in simulation, and identify each model from them.
 
-    python examples/identify_mushr.py --out identified            # logs, vehicle files and pages in a new folder
-    python examples/identify_mushr.py --out identified --write    # and the bundled vehicle files anew
+    python examples/07_bundled_vehicles.py --out identified            # logs, vehicle files and pages in a new folder
+    python examples/07_bundled_vehicles.py --out identified --write    # and the bundled vehicle files anew
 
 It does what these commands do, for each of the models:
 
