@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kraft.errors import Code, Diagnostic, InputError
 
-EXPECTED = "expected a writable place with enough space"
+EXPECTED = "expected a place that can be written and has enough space"
 
 
 def check_writable(path: Path) -> None:
