@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from kraft.errors import Code, Diagnostic, InputError
 
-EXPECTED = "expected a writable place with enough space"
+EXPECTED = "expected a place that can be written and has enough space"
 
 
 def check_writable(path: Path) -> None:

@@ -65,7 +65,7 @@ class VehicleConfig(StrictModel):
     top_speed: Annotated[float | str, PlainValidator(_speed, json_schema_input_type=_SpeedSchema)]
     """speed that the vehicle never exceeds, m/s, or the parameter that is that speed"""
     identification: IdentificationRecord | None = None
-    """where the parameters come from, as `kraft sysid --out` writes it"""
+    """where the parameters come from, as `kraft sysid` writes it"""
 
     _source: Source = PrivateAttr(default_factory=Source)
 
