@@ -82,7 +82,7 @@ class Progress(Observer):
         if self._bars is not None:
             self._bars.console.print(text)
         else:
-            self._terminal.say(text)
+            self._terminal.info(text)
 
     def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
         """Count the finished trials, and start the bars."""
@@ -93,7 +93,7 @@ class Progress(Observer):
             self._counts[row.key[:2]][row.outcome] += 1
         self._done = len(rows)
         there = f", {self._done} of them finished already" if rows else ""
-        self._terminal.say(f"{counted(self._total, 'trial')}{there}; results in {folder}")
+        self._terminal.info(f"{counted(self._total, 'trial')}{there}; results in {folder}")
         if self._terminal.interactive and not self._terminal.quiet:
             self._bars = self._new_bars()
 
@@ -104,7 +104,7 @@ class Progress(Observer):
         counts = self._counts[key]
         counts[row.outcome] += 1
         if self._bars is None:
-            self._terminal.say(
+            self._terminal.info(
                 f"{self._done}/{self._total}  {row.scenario} {row.method} seed {row.seed}: {_result(row)}"
             )
         else:

@@ -49,7 +49,7 @@ class Terminal:
             line = "  ".join(cells).rstrip()
             self.data(_styled(line, "1", self.out) if number == 0 else line)
 
-    def say(self, text: str) -> None:
+    def info(self, text: str) -> None:
         """Print a message, unless ``-q`` is given."""
         if not self.quiet:
             print(text, file=self.err)

@@ -78,7 +78,7 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
         terminal.json(SCHEMA, content)
     else:
         show_tables(terminal, evaluation.summary)
-        terminal.say(f"results in {evaluation.folder}; page: {evaluation.folder}/report.html")
+        terminal.info(f"results in {evaluation.folder}; page: {evaluation.folder}/report.html")
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:
         terminal.problem(f"{row.scenario}, {row.method}, seed {row.seed}: failed: {row.error}")

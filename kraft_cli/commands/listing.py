@@ -25,7 +25,7 @@ def list_(
     elif described:
         terminal.table(("NAME", "DESCRIPTION"), list(described.items()))
     else:
-        terminal.say(f"there are no {what}")
+        terminal.info(f"there are no {what}")
 
 
 def _described(what: str) -> dict[str, str]:

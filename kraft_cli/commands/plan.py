@@ -52,7 +52,7 @@ def plan(
     request = PlanRequest(
         scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after
     )
-    outcome = run_plan(request, terminal.say, terminal.detail)
+    outcome = run_plan(request, terminal.info, terminal.detail)
     if json:
         terminal.json("kraft.plan/1", plan_json(outcome))
     else:

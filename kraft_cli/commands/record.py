@@ -39,10 +39,10 @@ def record(
         done.append(run)
         note = f"; {run.note}" if run.note else ""
         poses = counted(run.poses, "pose")
-        terminal.say(f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
+        terminal.info(f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
     try:
-        record_logs(RecordRequest(scenario, out, runs, seed), terminal.say, ended)
+        record_logs(RecordRequest(scenario, out, runs, seed), terminal.info, ended)
     except KeyboardInterrupt:
         kept = f"; {len(done)} of {counted(runs, 'run')} kept in {out}" if done else " before the first run ended"
         terminal.problem(f"stopped{kept}")

@@ -25,5 +25,5 @@ def report(context: typer.Context, results: Folder, out: Out = None) -> ExitStat
     terminal.data(str(path))
     missing = found.expected - len(found.rows)
     if missing:
-        terminal.say(f"{missing} of {counted(found.expected, 'trial')} not run yet")
+        terminal.info(f"{missing} of {counted(found.expected, 'trial')} not run yet")
     return ExitStatus.DONE

@@ -43,7 +43,7 @@ def run(
 
     terminal: Terminal = context.obj
     request = RunRequest(scenario, method, vehicle, seed, out, OutputOptions(video, view, plot))
-    driven = run_scenario(request, terminal.say, lambda cycle: terminal.say(cycle_line(cycle)), terminal.detail)
+    driven = run_scenario(request, terminal.info, lambda cycle: terminal.info(cycle_line(cycle)), terminal.detail)
     success = driven.result.outcome is Outcome.SUCCESS
     if json:
         terminal.json(SCHEMA, run_json(driven))

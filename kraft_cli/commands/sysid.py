@@ -79,7 +79,7 @@ def sysid(
         pose_noise=pose_noise,
         param=tuple(param or ()),
     )
-    result = run_sysid(request, terminal.say, terminal.problem, terminal.detail)
+    result = run_sysid(request, terminal.info, terminal.problem, terminal.detail)
     _report_details(terminal, result)
     if json:
         terminal.json(SCHEMA, sysid_json(result))
