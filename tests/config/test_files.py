@@ -10,7 +10,7 @@ import pytest
 
 from kraft import files
 from kraft.errors import InputError
-from kraft.files import replacing, write_whole
+from kraft.files import Replacement, write_whole
 
 
 def full_disk(_: int) -> None:
@@ -29,10 +29,11 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_library_writes_beside_the_file_that_it_replaces(tmp_path: Path) -> None:
     path = tmp_path / "new" / "film.mp4"
-    with replacing(path) as temporary:
-        assert temporary.parent == path.parent
+    with Replacement(path) as new:
+        assert new.temporary.parent == path.parent
         assert not path.exists()
-        temporary.write_bytes(b"film")
+        new.temporary.write_bytes(b"film")
+        new.commit()
     assert path.read_bytes() == b"film"
     assert list(path.parent.iterdir()) == [path]
     assert path.stat().st_mode & 0o777 == files.file_mode()
@@ -44,8 +45,8 @@ def test_an_error_of_the_library_leaves_what_was_there(error: BaseException, tmp
     write_whole(path, b"before")
 
     def interrupted_halfway() -> None:
-        with replacing(path) as temporary:
-            temporary.write_bytes(b"half")
+        with Replacement(path) as new:
+            new.temporary.write_bytes(b"half")
             raise error
 
     with pytest.raises(type(error)):
