@@ -7,7 +7,7 @@ import kraft
 from kraft.evaluation import markdown
 
 if __name__ == "__main__":  # worker processes import this file
-    found = kraft.evaluate(["turns", "slip"], ["oneshot-geometric", "kraft"], trials=3, seed=1000)
+    found = kraft.evaluate(["turns"], ["oneshot-geometric", "kraft"], trials=3, seed=1000)
     print(markdown(found.summary))
     for row in found.rows:
         if row.outcome != "success":

@@ -1,6 +1,6 @@
 """Damaged files end every command with a documented exit code and a message, never with a defect.
 
-``KRAFT_MUTATIONS=5000`` damages that many files instead of a few hundred.
+``KRAFT_MUTATIONS=5000`` damages that many files instead of 120.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import os
 import pytest
 from support.mutations import INPUTS, outcomes
 
-COUNT = int(os.environ.get("KRAFT_MUTATIONS", "270"))
+COUNT = int(os.environ.get("KRAFT_MUTATIONS", "120"))
 SLOW = {"log": 10, "mapping": 4}
 """Kinds whose commands take seconds: that many times fewer files."""
 
