@@ -105,7 +105,7 @@ class Progress(Observer):
         counts[row.outcome] += 1
         if self._bars is None:
             self._terminal.info(
-                f"{self._done}/{self._total}  {row.scenario} {row.method} seed {row.seed}: {_result(row)}"
+                f"{self._done}/{self._total}  {row.key[0]} {row.method} seed {row.seed}: {_result(row)}"
             )
         else:
             self._advance(self._bars, key, counts)

@@ -211,6 +211,15 @@ class DirtSolver:
             return int(self._tree.count[at.BEST]), True
         return int(self._tree.count[at.CLOSEST]), False
 
+    @property
+    def best_cost(self) -> float:
+        """Cost of the best plan plus the cost-to-go from its end (s); infinite without a plan."""
+        node, reaches_goal = self.best_node()
+        if node < 0:
+            return math.inf
+        cost, to_go = self._tree.value[node, [at.COST, at.TOGO]]
+        return float(cost) if reaches_goal else float(cost + to_go)
+
     def plan(self) -> Plan | None:
         """Best plan so far, or the plan that ends closest to the goal if none reaches it, or None.
 

@@ -1,4 +1,4 @@
-"""Bundled scenarios, vehicles and methods by name."""
+"""Bundled scenarios, vehicles, methods and suites by name."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError, MissingAsset
 from kraft.text import nearest, suggestion
 
-Kind: TypeAlias = Literal["scenario", "vehicle", "method"]
+Kind: TypeAlias = Literal["scenario", "vehicle", "method", "suite"]
 
 _FOLDERS: Final[dict[Kind, str]] = {
     "scenario": "scenarios",
     "vehicle": "configs/vehicles",
     "method": "configs/methods",
+    "suite": "configs/suites",
 }
 _SUFFIXES: Final = (".yaml", ".yml")
 

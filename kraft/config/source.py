@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TypeAlias
 
 from kraft.errors import Code, Diagnostic
@@ -41,8 +42,26 @@ def parse_path(text: str) -> KeyPath:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Place where the value of an override was given: an argument, or a position in another file.
+
+    Relative paths in the value begin at `folder`, by default the working directory.
+    """
+
+    file: str
+    position: Position | None = None
+    argument: bool = False
+    folder: Path | None = None
+
+    def diagnostic(self, key: str, problem: str, expected: str, code: Code = Code.VALUE) -> Diagnostic:
+        """Diagnostic at this place about a dotted key."""
+        line, column = (self.position.line, self.position.column) if self.position else (None, None)
+        return Diagnostic(self.file, problem, expected, line, column, key, code, self.argument)
+
+
+@dataclass(frozen=True)
 class Source:
-    """Positions of the values and keys of one file.
+    """Positions of the values and keys of one file, and the places of values that replace those of the file.
 
     A scenario that was built in code has an empty source, which has no positions.
     """
@@ -50,6 +69,7 @@ class Source:
     file: str = "<built in code>"
     values: Mapping[KeyPath, Position] = field(default_factory=dict, repr=False)
     keys: Mapping[KeyPath, Position] = field(default_factory=dict, repr=False)
+    replaced: Mapping[KeyPath, Place] = field(default_factory=dict, repr=False)
 
     def where(self, path: KeyPath | str) -> Position | None:
         """Position of the value at ``path``.
@@ -64,11 +84,17 @@ class Source:
                     return table[parts[:end]]
         return None
 
+    def replacement(self, path: KeyPath) -> Place | None:
+        """Place of the override that the value at `path` comes from; None if it comes from the file."""
+        return next((self.replaced[path[:end]] for end in range(len(path) + 1) if path[:end] in self.replaced), None)
+
     def diagnostic(
         self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False, code: Code = Code.VALUE
     ) -> Diagnostic:
         """Diagnostic at the value of ``path``, or at the key itself if the key is wrong."""
         parts = parse_path(path) if isinstance(path, str) else path
+        if (place := self.replacement(parts)) is not None:
+            return place.diagnostic(format_path(parts), problem, expected, code)
         position = self.keys.get(parts) if at_key else None
         position = position or self.where(parts)
         line, column = (position.line, position.column) if position else (None, None)

@@ -26,6 +26,15 @@ class Observation:
 
 
 @dataclass(frozen=True)
+class PoseBelief:
+    """Mean (3,) and covariance (3, 3) of the pose at the `time` of an observation, after it is processed; m, rad."""
+
+    time: float
+    mean: Floats
+    covariance: Matrix
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Estimated state (nx,) at `time`.
 
@@ -42,6 +51,30 @@ class ReferenceKind(StrEnum):
 
     PLAN = "plan"
     CONTINGENCY = "contingency"
+
+
+class ContingencyOrigin(StrEnum):
+    """Origin of a committed contingency."""
+
+    SAFE = "safe"
+    """verified from the predicted start of the cycle"""
+    IN_HAND = "in hand"
+    """verified by an earlier cycle, whose assumptions still hold"""
+    EMERGENCY = "emergency"
+    """verified by nothing"""
+
+
+class PlanLoss(StrEnum):
+    """Reason for which the rest of a plan was not retained."""
+
+    NONE = "none"
+    """it was retained"""
+    ESTIMATE = "estimate moved"
+    """from the state that the plan predicted it could have been retained"""
+    COLLISION = "edge in collision"
+    """an edge has less than the required distance to obstacles"""
+    UNSAFE = "unsafe"
+    """an edge lacks clearance within the coming cycle, or a safe contingency"""
 
 
 @dataclass(frozen=True)
@@ -96,11 +129,13 @@ class PredictedMotion:
     """Predicted states (n + 1, nx) at `times` (n + 1,) s.
 
     `slack` is a lower bound of the clearance minus the required clearance (m), negative if the motion may violate it.
+    `delta` (n + 1,) is the clearance delta(v) that the method asks of each state (m); None if it asks for none.
     """
 
     times: Floats
     states: Matrix
     slack: float
+    delta: Floats | None = None
 
     @property
     def final_state(self) -> Floats:
@@ -116,8 +151,9 @@ class Cycle:
     `time` is the start of the cycle (s), from which on the controller tracks `reference`.  `cost_to_goal` is the
     predicted time to the goal (s): that of the committed plan, plus the cost-to-go from its end if the plan does not
     reach the goal; without a plan it is infinite.  `predicted` is the predicted motion within the cycle and `clearance`
-    its smallest distance to an obstacle (m).  `planning_ms` is measured; all other fields are reproducible.  `tree` is
-    None unless trees are kept.
+    its smallest distance to an obstacle (m).  `lost` is why the rest of the last plan was not retained when this plan
+    was made.  `contingency_origin` is None if a plan is committed.  `planning_ms` is measured; all other fields are
+    reproducible.  `tree` is None unless trees are kept.
     """
 
     number: int
@@ -135,4 +171,6 @@ class Cycle:
     reference: Reference
     contingency: Reference | None
     predicted: PredictedMotion
+    lost: PlanLoss = PlanLoss.NONE
+    contingency_origin: ContingencyOrigin | None = None
     tree: TreeView | None = None

@@ -155,7 +155,14 @@ class Filter(StrictModel):
     """an observation that is farther off than this share of them is given less weight"""
 
 
-EstimatorSettings = Annotated[Latest | Filter, Field(discriminator="kind")]
+class Oracle(StrictModel):
+    """The truth: true state, true car, known delay of commands.  It shows what is possible; no robot has it."""
+
+    kind: Literal["oracle"]
+    """which estimator"""
+
+
+EstimatorSettings = Annotated[Latest | Filter | Oracle, Field(discriminator="kind")]
 
 
 class Method(StrictModel):

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
+from kraft.driving.retainment import retain
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
@@ -30,7 +32,10 @@ MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 
 @dataclass(frozen=True)
 class Proposal:
-    """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search."""
+    """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search.
+
+    `lost` is why the rest of the plan that is being executed was not retained.
+    """
 
     plan: Plan | None
     reason: str = ""
@@ -39,6 +44,7 @@ class Proposal:
     retained: int = 0
     seconds: float = 0.0
     missed: bool = False
+    lost: PlanLoss = PlanLoss.NONE
     tree: TreeView | None = None
 
 
@@ -155,15 +161,16 @@ class Proposer:
             return Proposal(None, "the predicted start of the cycle is in collision")
         if self._slack(dirt, root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
+        lost = PlanLoss.NONE
         if previous is not None and previous.cost > self._settings.cycle:
-            dirt.retain(previous, self._settings.cycle)  # ll. 1-8
+            lost = retain(dirt, root, previous, self._settings.cycle)  # ll. 1-8
         progress = self._grow(dirt, began, share)
         plan = dirt.plan()
         if plan is not None:
             self._verify(number, dirt, plan)
         reason = "" if plan is not None else _failure_reason(progress)
         tree = dirt.tree() if self._keep_trees else None
-        return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, tree=tree)
+        return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, lost=lost, tree=tree)
 
     def _grow(self, dirt: DirtSolver, began: float, share: float) -> Progress:
         """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan."""

@@ -9,17 +9,17 @@ end of cycle k; and plans from this state for cycle k + 1.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kraft.driving.control import Controller
-from kraft.driving.messages import Cycle, Estimate, PredictedMotion, Reference, ReferenceKind
+from kraft.driving.messages import ContingencyOrigin, Cycle, Estimate, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.method import PlannerSettings
 from kraft.driving.proposer import Proposal, Proposer, Solvers
 from kraft.driving.stopping import ClosedLoopPredictor, contingency_reference, emergency_reference, plan_reference
 from kraft.planning.workspace import pose_of
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Plan
 
 
@@ -27,7 +27,8 @@ from ompl_ext.plan import Plan
 class Decision:
     """Reference committed for a cycle, and the reason if it is a contingency; `plan` is None then.
 
-    `predicted` is the predicted motion over the cycle and `contingency` the manoeuvre that stops the vehicle after it.
+    `predicted` is the predicted motion over the cycle and `contingency` the manoeuvre that stops the vehicle after it;
+    `origin` is that of a committed contingency.
     """
 
     reference: Reference
@@ -35,6 +36,7 @@ class Decision:
     reason: str
     plan: Plan | None = None
     contingency: Reference | None = None
+    origin: ContingencyOrigin | None = None
 
 
 class Replanner:
@@ -149,13 +151,13 @@ class Replanner:
         safe = self.dirt.contingency(root, cycle_start)
         stored = current if current.kind is ReferenceKind.CONTINGENCY else self._contingency
         if safe is not None:
-            reference = contingency_reference(self.dirt.vehicle, safe)
+            reference, origin = contingency_reference(self.dirt.vehicle, safe), ContingencyOrigin.SAFE
         elif stored is not None and self._is_near(root, stored.state_at(cycle_start)):
-            reference = stored
+            reference, origin = stored, ContingencyOrigin.IN_HAND
         else:
-            reference = emergency_reference(self.dirt, root, cycle_start)
+            reference, origin = emergency_reference(self.dirt, root, cycle_start), ContingencyOrigin.EMERGENCY
         predicted = self._predict(root, cycle_start, cycle_end, reference)
-        return Decision(reference, predicted, reason, contingency=reference)
+        return Decision(reference, predicted, reason, contingency=reference, origin=origin)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
         """Whether no point of the vehicle is farther than 2 delta(v) from the state that a manoeuvre was verified for.
@@ -188,6 +190,14 @@ class Replanner:
         (x0, x1), (y0, y1) = self.dirt.workspace.bounds
         return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= 0.0
 
+    def _delta_at(self, states: Matrix) -> Floats | None:
+        """Clearance delta(v) (n,) that SAFETY asks of states (n, nx), m; None without SAFETY."""
+        safety = self.dirt.safety
+        if not safety.enabled:
+            return None
+        delta: Floats = safety.delta + safety.delta_per_speed * np.abs(states[:, self.dirt.vehicle.rest_indices[0]])
+        return delta
+
     def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
         vehicle, plan, proposal = self.dirt.vehicle, decision.plan, self._proposal
         poses = np.array([pose_of(state, vehicle) for state in decision.predicted.states])
@@ -206,6 +216,8 @@ class Replanner:
             missed=proposal.missed,
             reference=decision.reference,
             contingency=decision.contingency,
-            predicted=decision.predicted,
+            predicted=replace(decision.predicted, delta=self._delta_at(decision.predicted.states)),
+            lost=proposal.lost,
+            contingency_origin=decision.origin,
             tree=proposal.tree,
         )

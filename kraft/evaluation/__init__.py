@@ -1,14 +1,14 @@
 """Evaluations: many trials, their statistics, and a report; the library under `kraft eval`."""
 
 from kraft.evaluation.evaluator import Evaluation, Observer, evaluate, usable_cores
-from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment
+from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import Result, Summary
 from kraft.evaluation.table import markdown, tables
 
 __all__ = [
     "METHODS",
-    "SCENARIOS",
+    "SUITE",
     "TRIALS",
     "Evaluation",
     "Experiment",

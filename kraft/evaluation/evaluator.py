@@ -12,12 +12,13 @@ from typing import Any
 
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.evaluation.cluster import Cluster
-from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS, Experiment, MethodLike, ScenarioLike, experiment_of
+from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
 from kraft.evaluation.folder import Folder, create, reopen, write_results
 from kraft.evaluation.job import Executor
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
 from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps
 from kraft.evaluation.summary import Summary, summarise
 from kraft.planning.compilation import ensure_maps_compiled
 from kraft.planning.feasibility import check_reachable
@@ -52,13 +53,16 @@ class Evaluation:
 
 
 def evaluate(
-    scenarios: Sequence[ScenarioLike] = SCENARIOS,
+    scenarios: Sequence[ScenarioLike] | None = None,
     methods: Sequence[MethodLike] = METHODS,
     trials: int = TRIALS,
     seed: int = 0,
     jobs: int | None = None,
     out: str | Path | None = None,
     *,
+    suite: str | Path | None = None,
+    settings: Settings = (),
+    vary: Sweeps = (),
     vehicle: str | None = None,
     resume: bool = False,
     realtime: bool = False,
@@ -67,7 +71,9 @@ def evaluate(
     arguments: Mapping[str, Any] | None = None,
     command_line: CommandLine | None = None,
 ) -> Evaluation:
-    """Run every method in every scenario with the seeds `seed`, ... `seed + trials - 1`, the same for all.
+    """Run every method in every entry with the seeds `seed`, ... `seed + trials - 1`, the same for all.
+
+    Entries are scenarios, or those of a suite, with some of their keys set.
 
     Apart from measured times the result does not depend on `jobs`, on `cluster` or on the order in which trials end.
     A script that calls this needs ``if __name__ == "__main__":``, because worker processes import it.
@@ -75,10 +81,13 @@ def evaluate(
     Args:
         scenarios: names, paths or loaded scenarios.
         methods: names, paths or loaded methods.
-        trials: number of trials of each method in each scenario.
+        trials: number of trials of each method in each entry.
         seed: seed of the first trial.
         jobs: number of worker processes, by default one for each usable core.
         out: results folder; None writes nothing.
+        suite: name or path of a suite that replaces `scenarios`; without both the suite ``paper``.
+        settings: values of the scenarios' dotted keys, as in ``{"sensing.noise_scale": 2}``.
+        vary: several values for a key; each value makes an entry of its own, as in ``{"sensing.rate_hz": [5, 30]}``.
         vehicle: planning model that replaces those of the methods and scenarios.
         resume: continue the evaluation in the folder `out`.
         realtime: limit planning by wall-clock time instead of iterations; the trials are then not repeatable.
@@ -96,8 +105,14 @@ def evaluate(
     """
     observer = observer or Observer()
     problems = _argument_problems(jobs, resume, out)
+    if scenarios is not None and suite is not None:
+        problem, expected = "is given together with scenarios", "expected one of both"
+        problems.append(Diagnostic("suite", problem, expected, code=Code.CONFLICT, argument=True))
     try:
-        experiment = experiment_of(scenarios, methods, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime)
+        experiment = experiment_of(
+            scenarios or (), methods, suite=SUITE if scenarios is None and suite is None else suite,
+            settings=settings, vary=vary, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime,
+        )  # fmt: skip
     except InputError as error:
         raise InputError([*problems, *error.diagnostics]) from error
     if problems:
@@ -119,7 +134,7 @@ def usable_cores() -> int:
 
 def _check_reachable(experiment: Experiment) -> None:
     found: list[Diagnostic] = []
-    for cell in {(cell.scenario.name, cell.reference): cell for cell in experiment.cells}.values():
+    for cell in {(cell.entry.name, cell.reference): cell for cell in experiment.cells}.values():
         try:
             check_reachable(cell.scenario.task(), cell.vehicle)
         except Unreachable as error:

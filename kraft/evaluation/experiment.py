@@ -11,15 +11,16 @@ from typing import Final, TypeAlias, TypeVar
 from kraft.driving.method import Method, load_method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.job import Job
+from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of
 from kraft.planning.feasibility import check_placement
 from kraft.planning.workspace import start_state
-from kraft.scenario import Scenario, load_scenario
+from kraft.scenario import Scenario
 from kraft.trial.result import load_planning_vehicle, vehicle_reference
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
 
-SCENARIOS: Final = ("turns", "boxes", "slope", "slip", "bump", "movable")
+SUITE: Final = "paper"
 METHODS: Final = (
     "oneshot-openloop",
     "oneshot-geometric",
@@ -31,7 +32,6 @@ METHODS: Final = (
 )
 TRIALS: Final = 30
 
-ScenarioLike: TypeAlias = str | Path | Scenario
 MethodLike: TypeAlias = str | Path | Method
 Loaded = TypeVar("Loaded")
 Given = TypeVar("Given")
@@ -39,17 +39,22 @@ Given = TypeVar("Given")
 
 @dataclass(frozen=True)
 class Cell:
-    """Row of a results table: a method in a scenario, with its planning model."""
+    """Row of a results table: a method in an entry, with its planning model."""
 
-    scenario: Scenario
+    entry: Entry
     method: Method
     reference: str
     vehicle: Vehicle
 
     @property
+    def scenario(self) -> Scenario:
+        """Scenario of the entry, with all its keys set."""
+        return self.entry.scenario
+
+    @property
     def key(self) -> tuple[str, str]:
-        """Names of scenario and method."""
-        return self.scenario.name, self.method.name
+        """Names of entry and method."""
+        return self.entry.name, self.method.name
 
 
 @dataclass(frozen=True)
@@ -70,13 +75,16 @@ class Experiment:
         """Trials of all cells, cell by cell."""
         for cell in self.cells:
             for seed in self.seeds:
-                yield Job(cell.scenario, cell.method, cell.reference, seed, self.realtime)
+                yield Job(cell.entry.name, cell.scenario, cell.method, cell.reference, seed, self.realtime)
 
 
 def experiment_of(
     scenarios: Sequence[ScenarioLike],
     methods: Sequence[MethodLike],
     *,
+    suite: str | Path | None = None,
+    settings: Settings = (),
+    vary: Sweeps = (),
     vehicle: str | None = None,
     trials: int = TRIALS,
     seed: int = 0,
@@ -84,13 +92,18 @@ def experiment_of(
 ) -> Experiment:
     """Load scenarios, methods and vehicles and check starts and goals.
 
-    The planning model is `vehicle`, else the method's own, else the scenario's.
+    The planning model is `vehicle`, else the method's own, else the scenario's.  `suite`, `settings` and `vary` are
+    those of `kraft.evaluation.suite.entries_of`.
 
     Raises:
-        InputError: with every problem of names, files, numbers, starts and goals.
+        InputError: with every problem of names, files, keys, numbers, starts and goals.
     """
     problems = _numbers(trials, seed)
-    found_scenarios = _loaded("scenario", scenarios, _scenario, problems)
+    entries: list[Entry] = []
+    try:
+        entries = entries_of(scenarios, suite=suite, settings=settings, vary=vary)
+    except InputError as error:
+        problems += error.diagnostics
     found_methods = _loaded("method", methods, _method, problems)
     if vehicle is not None:
         try:
@@ -104,7 +117,7 @@ def experiment_of(
         raise InputError(problems)
     if realtime:
         problems += [diagnostic for method in found_methods for diagnostic in _too_little_time(method)]
-    cells = tuple(_cells(found_scenarios, found_methods, vehicle, problems))
+    cells = tuple(_cells(entries, found_methods, vehicle, problems))
     if problems:
         raise InputError(problems)
     return Experiment(cells, trials, seed, realtime)
@@ -125,10 +138,6 @@ def _numbers(trials: int, seed: int) -> list[Diagnostic]:
     if seed < 0:
         problems.append(Diagnostic("seed", f"is {seed}", "expected a number of at least 0", argument=True))
     return problems
-
-
-def _scenario(given: ScenarioLike) -> Scenario:
-    return given if isinstance(given, Scenario) else load_scenario(given)
 
 
 def _method(given: MethodLike) -> Method:
@@ -163,10 +172,11 @@ def _loaded(
 
 
 def _cells(
-    scenarios: list[Scenario], methods: list[Method], vehicle: str | None, problems: list[Diagnostic]
+    entries: list[Entry], methods: list[Method], vehicle: str | None, problems: list[Diagnostic]
 ) -> Iterator[Cell]:
     loaded: dict[str, Vehicle] = {}
-    for scenario in scenarios:
+    for entry in entries:
+        scenario = entry.scenario
         checked: set[str] = set()
         for method in methods:
             try:
@@ -177,6 +187,6 @@ def _cells(
                 if reference not in checked:
                     checked.add(reference)
                     check_placement(scenario, model, start_state(scenario, model))
-                yield Cell(scenario, method, reference, model)
+                yield Cell(entry, method, reference, model)
             except InputError as error:
                 problems += error.diagnostics

@@ -20,8 +20,12 @@ from ompl_ext.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Job:
-    """Trial to run; `vehicle` is a resolved reference, because a vehicle is compiled in the process that uses it."""
+    """Trial to run in the entry of that name.
 
+    `vehicle` is a resolved reference, because a vehicle is compiled in the process that uses it.
+    """
+
+    entry: str
     scenario: Scenario
     method: Method
     vehicle: str
@@ -30,8 +34,8 @@ class Job:
 
     @property
     def key(self) -> Key:
-        """Scenario, method and seed."""
-        return self.scenario.name, self.method.name, self.seed
+        """Entry, method and seed."""
+        return self.entry, self.method.name, self.seed
 
 
 def perform(job: Job) -> TrialRow:
@@ -54,7 +58,8 @@ def perform(job: Job) -> TrialRow:
 
 def failed_row(job: Job, error: str) -> TrialRow:
     """Row of a failed trial."""
-    return TrialRow(scenario=job.scenario.name, method=job.method.name, seed=job.seed, outcome="failed", error=error)
+    entry, method, seed = job.key
+    return TrialRow(entry=entry, scenario=job.scenario.name, method=method, seed=seed, outcome="failed", error=error)
 
 
 def run_trial(spec: TrialSpec) -> TrialResult:

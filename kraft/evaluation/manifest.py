@@ -46,21 +46,25 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "realtime": experiment.realtime,
         "rows": [
             {
+                "entry": cell.entry.name,
+                "base": cell.entry.base,
                 "scenario": cell.scenario.name,
+                "reference": cell.entry.reference,
+                "set": dict(cell.entry.settings),
                 "method": cell.method.name,
                 "title": cell.method.title,
                 "vehicle": labels[cell.reference],
             }
             for cell in cells
         ],
-        "scenarios": {cell.scenario.name: scenario_entry(cell.scenario) for cell in cells},
+        "scenarios": {cell.entry.name: scenario_content(cell.scenario) for cell in cells},
         "methods": {cell.method.name: _hashed(_method(cell.method)) for cell in cells},
         "vehicles": {labels[reference]: _hashed(content) for reference, content in vehicles.items()},
         "versions": versions(SIMULATION),
     }
 
 
-def scenario_entry(scenario: Scenario) -> dict[str, Any]:
+def scenario_content(scenario: Scenario) -> dict[str, Any]:
     """Content and SHA-256 of a scenario without its vehicle, which has a section of its own."""
     names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *TEXTS))
     return _hashed({name: plain(getattr(scenario, name)) for name in names})
@@ -111,7 +115,7 @@ def check_same(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> No
 def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
     """Fields that must be equal, as read back from JSON; rows by name, because their order does not matter."""
     kept = {key: value for key, value in content.items() if key not in DESCRIPTIVE}
-    rows = {f"{row['scenario']}, {row['method']}": row["vehicle"] for row in kept["rows"]}
+    rows = {f"{row.get('entry', row['scenario'])}, {row['method']}": row["vehicle"] for row in kept["rows"]}
     result: dict[str, Any] = json.loads(json.dumps({**kept, "rows": rows}))
     return result
 

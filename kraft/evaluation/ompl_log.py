@@ -39,16 +39,16 @@ def write_benchmark(
 ) -> None:
     """Write the logs and the Planner Arena database.
 
-    A file of OMPL's format holds one scene, so the log of one scenario is `benchmark.log`, and of several scenarios
-    each has its own `benchmark-SCENARIO.log`.
+    A file of OMPL's format holds one scene, so the log of one entry is `benchmark.log`, and of several entries each has
+    its own `benchmark-ENTRY.log`.
 
     Raises:
         InputError: if a file cannot be written.
     """
-    names = list(dict.fromkeys(cell.scenario.name for cell in experiment.cells))
-    logs = [folder / ("benchmark.log" if len(names) == 1 else f"benchmark-{name}.log") for name in names]
+    names = list(dict.fromkeys(cell.entry.name for cell in experiment.cells))
+    logs = [folder / ("benchmark.log" if len(names) == 1 else f"benchmark-{file_name(name)}.log") for name in names]
     for name, log in zip(names, logs, strict=True):
-        cells = [cell for cell in experiment.cells if cell.scenario.name == name]
+        cells = [cell for cell in experiment.cells if cell.entry.name == name]
         write_whole(log, ("\n".join(_log(cells, experiment, rows, manifest, wall)) + "\n").encode())
     make_database(folder / DATABASE, logs)
 
@@ -63,12 +63,12 @@ def _log(
     """Lines of a log, in the format that OMPL's `Benchmark::saveResultsToStream` writes."""
     scenario = cells[0].scenario
     yield f"OMPL version {manifest['versions']['ompl']}"
-    yield f"Experiment {scenario.name}"
+    yield f"Experiment {cells[0].entry.name}"
     yield f"Running on {manifest['host'] or 'localhost'}"
     yield f"Starting at {manifest['began']}"
     yield "<<<|"
     yield f"kraft {manifest['versions']['kraft']}"
-    yield from json.dumps(manifest["scenarios"][scenario.name], indent=2).splitlines()
+    yield from json.dumps(manifest["scenarios"][cells[0].entry.name], indent=2).splitlines()
     yield "|>>>"
     yield f"{experiment.seed} is the random seed"
     yield f"{max(scenario.trial.timeout, scenario.trial.oneshot_timeout):g} seconds per run"
@@ -117,6 +117,11 @@ def _run(row: TrialRow) -> list[str]:
 
 def _keys(cell: Cell, experiment: Experiment) -> Iterator[Key]:
     return ((*cell.key, seed) for seed in experiment.seeds)
+
+
+def file_name(entry: str) -> str:
+    """Name of an entry as a part of a file's name."""
+    return "".join(c if c.isalnum() or c in "-_.=+" else "-" for c in entry)
 
 
 def _settings(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

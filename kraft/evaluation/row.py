@@ -9,10 +9,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from kraft.text import finite
+from kraft.trial.measures import Measures
 from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
-"""Scenario, method and seed."""
+"""Entry, method and seed; the entry of a plain scenario has the scenario's name."""
 
 
 class _Record(BaseModel):
@@ -35,6 +36,7 @@ class TrialRow(_Record):
     """Data of a trial that the tables need.
 
     Attributes:
+        entry: name of the entry of the evaluation; empty in rows of older evaluations, where it is the scenario's.
         t_s: time of its end, s; None if it failed.
         obstacle: obstacle of the collision.
         min_clearance_m: smallest true distance to an obstacle; None without obstacles.
@@ -43,6 +45,7 @@ class TrialRow(_Record):
         error: why the trial failed, which means that it ended with a defect instead of an outcome.
     """
 
+    entry: str = ""
     scenario: str
     method: str
     seed: int
@@ -55,20 +58,22 @@ class TrialRow(_Record):
     iterations: int = 0
     digest: str | None = None
     error: str | None = None
+    measures: Measures = Measures()
     measured: Measured = Measured()
 
     @property
     def key(self) -> Key:
-        """Scenario, method and seed."""
-        return self.scenario, self.method, self.seed
+        """Entry, method and seed."""
+        return self.entry or self.scenario, self.method, self.seed
 
 
 def trial_row(key: Key, result: TrialResult, wall: float) -> TrialRow:
     """Row of a trial; `wall` is the duration of its computation (s)."""
-    scenario, method, seed = key
+    entry, method, seed = key
     planning = tuple(round(cycle.planning_ms, 3) for cycle in result.cycles)
     return TrialRow(
-        scenario=scenario,
+        entry=entry,
+        scenario=result.scenario,
         method=method,
         seed=seed,
         outcome=result.outcome.value,
@@ -79,6 +84,7 @@ def trial_row(key: Key, result: TrialResult, wall: float) -> TrialRow:
         contingencies=result.contingencies,
         iterations=sum(cycle.iterations for cycle in result.cycles),
         digest=digest(result),
+        measures=result.measures,
         measured=Measured(planning_ms=planning, missed=result.missed, wall_s=round(wall, 3)),
     )
 

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.paper import PaperRow, paper_row
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.statistics import McNemar, mcnemar, percentile, wilson
+from kraft.trial.measures import BAND, Measures, pooled
 
 SCHEMA: Final = "kraft.eval/1"
 FILE: Final = "summary.json"
-Name: TypeAlias = tuple[str, str, str]
-"""Scenario, method and title of the method of a row."""
 REFERENCE: Final = "kraft"
 """The method that the others are compared with."""
 WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_deadlines")
@@ -22,10 +21,23 @@ WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_dea
 
 
 @dataclass(frozen=True)
+class RowName:
+    """Entry, scenario, settings, method and the method's title of a row of a results table."""
+
+    entry: str
+    scenario: str
+    settings: Mapping[str, Any]
+    method: str
+    title: str
+
+
+@dataclass(frozen=True)
 class Result:
     """Row of a results table.
 
     Attributes:
+        entry: name of the entry of the suite; that of the scenario without a suite and without varied keys.
+        settings: values of the scenario's keys that were set.
         trials: number of trials, including failed ones.
         interval: Wilson's 95 % interval of the success rate.
         t_ex: mean duration of the successful trials, s.
@@ -33,11 +45,14 @@ class Result:
         min_clearance: smallest true distance to an obstacle in all trials, m.
         planning_p50, planning_p99: percentiles of the planning time over all cycles of all trials, ms.
         missed: number of cycles that exceeded their planning time.
+        measures: measures of what the method promised, over all trials.
         against: comparison with the method `kraft` on the same seeds; None for itself and where it was not run.
-        paper: result in the paper.
+        paper: result in the paper; None where keys were set.
     """
 
+    entry: str
     scenario: str
+    settings: Mapping[str, Any]
     method: str
     title: str
     trials: int
@@ -53,8 +68,14 @@ class Result:
     planning_p50: float | None
     planning_p99: float | None
     missed: int
+    measures: Measures
     against: McNemar | None
     paper: PaperRow | None
+
+    @property
+    def replans(self) -> bool:
+        """Whether the method replans: then its decisions can be compared."""
+        return self.measures.compared > 0 or self.cycles > self.trials
 
 
 @dataclass(frozen=True)
@@ -75,20 +96,23 @@ class Summary:
 
 def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float) -> Summary:
     """Summarise the finished trials of an experiment."""
-    names = [(*cell.key, cell.method.title) for cell in experiment.cells]
+    names = [
+        RowName(cell.entry.name, cell.scenario.name, cell.entry.settings, cell.method.name, cell.method.title)
+        for cell in experiment.cells
+    ]
     return tabulate(names, experiment.seeds, rows, wall, realtime=experiment.realtime)
 
 
 def tabulate(
-    names: Sequence[Name], seeds: range, rows: Mapping[Key, TrialRow], wall: float, *, realtime: bool = False
+    names: Sequence[RowName], seeds: range, rows: Mapping[Key, TrialRow], wall: float, *, realtime: bool = False
 ) -> Summary:
     """Summarise finished trials in the rows `names`; `wall` is the duration of the evaluation (s)."""
     results = []
-    for scenario, method, title in names:
-        mine = _rows(seeds, rows, scenario, method)
-        theirs = _rows(seeds, rows, scenario, REFERENCE) if method != REFERENCE else []
+    for name in names:
+        mine = _rows(seeds, rows, name.entry, name.method)
+        theirs = _rows(seeds, rows, name.entry, REFERENCE) if name.method != REFERENCE else []
         against = mcnemar(_successes(mine), _successes(theirs)) if theirs else None
-        results.append(_result(scenario, method, title, mine, against))
+        results.append(_result(name, mine, against))
     return Summary(len(seeds), seeds.start, realtime, wall, tuple(results))
 
 
@@ -104,8 +128,37 @@ def evaluation_json(summary: Summary) -> dict[str, Any]:
     }
 
 
-def _rows(seeds: range, rows: Mapping[Key, TrialRow], scenario: str, method: str) -> list[TrialRow]:
-    keys = ((scenario, method, seed) for seed in seeds)
+def measures_json(measures: Measures) -> dict[str, Any]:
+    """Keys of the JSON objects for measures; those of a clearance are null for a method without one."""
+    kept, consistency = measures.clearance, measures.consistency
+    return {
+        "delta_coverage": kept.coverage,
+        "delta_coverage_plans": measures.plans.coverage,
+        "delta_coverage_contingencies": measures.contingencies.coverage,
+        "delta_mean_m": kept.delta_mean,
+        "deviation_m": [
+            dict(zip(("until_s", "p50", "p90", "p99", "max"), quantiles, strict=True))
+            for quantiles in measures.deviation_quantiles((0.5, 0.9, 0.99, 1.0))
+        ],
+        "emergencies": measures.emergencies,
+        "contingencies_in_hand": measures.in_hand,
+        "regressions": sum(measures.regressions.values()),
+        "regressions_by_reason": dict(measures.regressions),
+        "cycles_compared": measures.compared,
+        "messages_lost": measures.messages_lost,
+        "consistency": {
+            "poses": consistency.poses,
+            "nees_mean": consistency.mean,
+            "nees_band95": list(BAND),
+            "nees_in_band": consistency.share,
+        }
+        if consistency is not None
+        else None,
+    }
+
+
+def _rows(seeds: range, rows: Mapping[Key, TrialRow], entry: str, method: str) -> list[TrialRow]:
+    keys = ((entry, method, seed) for seed in seeds)
     return [rows[key] for key in keys if key in rows]
 
 
@@ -113,16 +166,18 @@ def _successes(rows: Sequence[TrialRow]) -> dict[int, bool]:
     return {row.seed: row.outcome == "success" for row in rows}
 
 
-def _result(scenario: str, method: str, title: str, rows: Sequence[TrialRow], against: McNemar | None) -> Result:
+def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) -> Result:
     outcomes = [row.outcome for row in rows]
     success = outcomes.count("success")
     durations = [row.t_s for row in rows if row.outcome == "success" and row.t_s is not None]
     planning = [value for row in rows for value in row.measured.planning_ms]
     clearances = [row.min_clearance_m for row in rows if row.min_clearance_m is not None]
     return Result(
-        scenario=scenario,
-        method=method,
-        title=title,
+        entry=name.entry,
+        scenario=name.scenario,
+        settings=name.settings,
+        method=name.method,
+        title=name.title,
         trials=len(rows),
         success=success,
         collision=outcomes.count("collision"),
@@ -136,15 +191,18 @@ def _result(scenario: str, method: str, title: str, rows: Sequence[TrialRow], ag
         planning_p50=percentile(planning, 0.5),
         planning_p99=percentile(planning, 0.99),
         missed=sum(row.measured.missed for row in rows),
+        measures=pooled(row.measures for row in rows),
         against=against,
-        paper=paper_row(scenario, method),
+        paper=None if name.settings else paper_row(name.scenario, name.method),
     )
 
 
 def _result_json(result: Result) -> dict[str, Any]:
     paper, against = result.paper, result.against
     return {
+        "entry": result.entry,
         "scenario": result.scenario,
+        "set": dict(result.settings),
         "method": result.method,
         "trials": result.trials,
         "success": result.success,
@@ -159,6 +217,7 @@ def _result_json(result: Result) -> dict[str, Any]:
         "planning_ms_p50": result.planning_p50,
         "planning_ms_p99": result.planning_p99,
         "missed_deadlines": result.missed,
+        **measures_json(result.measures),
         "mcnemar": {"gained": against.gained, "lost": against.lost, "p": against.p} if against else None,
         "paper": {
             "trials": paper.trials,

@@ -52,14 +52,14 @@ _COLUMNS: Final = {
 
 
 def tables(summary: Summary) -> list[Table]:
-    """One table for each scenario; failed trials and missed deadlines have columns only where they can occur."""
+    """One table for each entry; failed trials and missed deadlines have columns only where they can occur."""
     left_out = {name for name, wanted in (("failed", summary.failed), ("missed", summary.realtime)) if not wanted}
     names = [name for name in _COLUMNS if name not in left_out]
     found = []
-    for scenario in dict.fromkeys(result.scenario for result in summary.results):
-        cells = [_cells(result) for result in summary.results if result.scenario == scenario]
+    for entry in dict.fromkeys(result.entry for result in summary.results):
+        cells = [_cells(result) for result in summary.results if result.entry == entry]
         rows = tuple(tuple(row[name] for name in names) for row in cells)
-        found.append(Table(scenario, tuple(names), rows, tuple(_COLUMNS[name] for name in names)))
+        found.append(Table(entry, tuple(names), rows, tuple(_COLUMNS[name] for name in names)))
     return found
 
 

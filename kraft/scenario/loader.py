@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kraft.config import bundled
+from kraft.config.overrides import Override, overridden, overrides_of
 from kraft.config.source import KeyPath
 from kraft.config.validation import check, part
 from kraft.config.yaml_reader import Document, Value, parse_document, read_document
@@ -20,14 +23,19 @@ from kraft.scenario.schema import Bounds, GoalFile, MapFile, ObstacleFile, Scena
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 
-def load_scenario(name_or_path: str | Path) -> Scenario:
+def load_scenario(name_or_path: str | Path, settings: Mapping[str, Any] | Sequence[Override] | None = None) -> Scenario:
     """Load a bundled scenario (``turns``) or a scenario file.
 
+    Args:
+        name_or_path: name or path.
+        settings: values that replace those of the file, by dotted key: ``{"sensing.noise_scale": 2}``.
+
     Raises:
-        InputError: with every problem of the file, or if there is no such name or file.
+        InputError: with every problem of the file and of the settings, or if there is no such name or file.
     """
     path = bundled.find("scenario", name_or_path)
-    return scenario_from(read_document(path), path.parent)
+    overrides = overrides_of(settings) if isinstance(settings, Mapping) else settings or ()
+    return scenario_from(overridden(read_document(path), overrides), path.parent)
 
 
 def parse_scenario(content: bytes | str, file: str = "scenario.yaml", folder: Path | None = None) -> Scenario:
@@ -99,7 +107,7 @@ def _vehicle(document: Document, folder: Path) -> tuple[str, list[Diagnostic]]:
     if not isinstance(reference, str):  # a wrong type is already reported
         return "", []
     try:
-        return resolve_vehicle(reference, folder), []
+        return resolve_vehicle(reference, _folder(document, ("vehicle",), folder)), []
     except VehicleProblem as error:
         return "", [document.source.diagnostic("vehicle", error.problem, error.expected, code=error.code)]
 
@@ -113,7 +121,7 @@ def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], li
         settings = part(MapFile, _at(entry, ("map",)))
         if settings is None:
             continue
-        path = folder / settings.file
+        path = _folder(document, ("obstacles", i, "map", "file"), folder) / settings.file
         name = _at(entry, ("name",))
         try:
             if not os.path.isfile(path):
@@ -126,6 +134,12 @@ def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], li
         except InputError as error:
             problems += error.diagnostics
     return maps, problems
+
+
+def _folder(document: Document, path: KeyPath, folder: Path) -> Path:
+    """Folder at which relative paths in the value at `path` begin: that of the file, or of what replaced the value."""
+    place = document.source.replacement(path)
+    return folder if place is None else place.folder or Path.cwd()
 
 
 def _at(data: Value, path: tuple[str, ...], default: Value = None) -> Value:

@@ -29,6 +29,8 @@ class Sensing(StrictModel):
     """factor on all of the preset's errors"""
     communication_delay: Delay = 0.0
     """time that a plan or a contingency takes from the replanner to the vehicle's controller, s"""
+    message_loss: Probability = 0.0
+    """share of the messages from the replanner to the vehicle's controller that never arrive, except the first one"""
     command_delay: Delay = 0.0
     """time between a command of the controller and its effect, s"""
 

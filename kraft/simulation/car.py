@@ -59,6 +59,8 @@ LINKAGE: Final = 0.89
 
 ROTOR_INERTIA: Final = 0.01
 """Reflected inertia of the drive at each wheel, kg m^2."""
+EFFECTIVE_MASS: Final = CHASSIS_MASS + len(WHEELS) * (WHEEL_MASS + ROTOR_INERTIA / WHEEL_RADIUS**2)
+"""Mass that the drive accelerates, with that which the inertia of the drive acts like, kg."""
 ROLLING_FRICTION: Final = 0.001
 """Torque at each wheel that does not depend on its speed, N m."""
 WHEEL_DAMPING: Final = (0.0363, -0.00219, 0.0000614)

@@ -4,11 +4,32 @@ from __future__ import annotations
 
 from collections import deque
 
+import numpy as np
+
 from kraft.driving.messages import Observation
 from kraft.scenario import Sensing
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.world import Ticks, World, steps_of
+
+
+class Radio:
+    """Radio from the replanner to the car's controller, which loses a share of the messages.
+
+    The first message always arrives: the first plan is on board before the drive begins.
+    """
+
+    def __init__(self, loss: float, seed: int) -> None:
+        """`loss` is the share of lost messages; which ones are lost depends on the trial's seed alone."""
+        self._loss, self._sent, self.lost = loss, 0, 0
+        self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0x2AD10])))
+
+    def delivers(self) -> bool:
+        """Whether the next message arrives; `lost` counts those that do not."""
+        self._sent += 1
+        lost = self._generator.random() < self._loss and self._sent > 1
+        self.lost += lost
+        return not lost
 
 
 class Plant:

@@ -11,9 +11,10 @@ from kraft.driving.method import Method, load_method
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
+from kraft.trial.measures import Measures
+from kraft.trial.step import Step
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
-from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 
@@ -87,23 +88,12 @@ def load_planning_vehicle(scenario: Scenario, reference: str) -> Vehicle:
 
 
 @dataclass(frozen=True)
-class Step:
-    """Tick of the controller: true state, estimated state and command."""
-
-    time: float
-    pose: tuple[float, float, float]
-    speed: float
-    estimate: Floats
-    command: Floats
-    cycle: int
-
-
-@dataclass(frozen=True)
 class TrialResult:
     """Result of a trial.
 
     `time` is the time of its end (s), `obstacle` that of the collision, and `min_clearance` the smallest true distance
-    between the vehicle's footprint and an obstacle at any tick of the controller (m).
+    between the vehicle's footprint and an obstacle at any tick of the controller (m).  `measures` compares what the
+    method promised with the true motion.
     """
 
     scenario: str
@@ -116,6 +106,7 @@ class TrialResult:
     cycles: tuple[Cycle, ...] = field(repr=False)
     steps: tuple[Step, ...] = field(repr=False)
     observations: tuple[Observation, ...] = field(repr=False, default=())
+    measures: Measures = field(repr=False, default_factory=Measures)
 
     @property
     def contingencies(self) -> int:

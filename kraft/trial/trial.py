@@ -10,17 +10,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
-from kraft.driving.estimation import make_estimator
+from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.messages import Cycle, Observation, Reference
+from kraft.driving.method import Oracle
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.world import World
 from kraft.trial.closest_approach import ClosestApproach
-from kraft.trial.plant import Plant
-from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
+from kraft.trial.measures import Measures, measure
+from kraft.trial.oracle import OracleEstimator, true_vehicle
+from kraft.trial.plant import Plant, Radio
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.trial.step import Step
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
@@ -59,6 +65,7 @@ def run_trial(
         time=world.time,
         obstacle=world.collision.obstacle if world.collision else None,
         min_clearance=trial.approach.least(),
+        measures=trial.measures(log),
         cycles=tuple(log.cycles),
         steps=tuple(log.steps),
         observations=tuple(log.observations),
@@ -80,20 +87,31 @@ class _Trial:
     """Simulated world and robot of a trial, and the messages on their way between them."""
 
     def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
-        scenario, method, vehicle = spec.scenario, spec.method, spec.vehicle
+        scenario, method = spec.scenario, spec.method
         self.world = World(scenario)
         self._plant = Plant(self.world, scenario.sensing, spec.seed, method.controller.rate_hz)
-        model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
-        self._estimator = make_estimator(method.estimator, model, start)
+        if isinstance(method.estimator, Oracle):
+            vehicle = true_vehicle(spec.vehicle, scenario.truth.vehicle)
+            model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
+            self._estimator: Estimator = OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
+        else:
+            vehicle = spec.vehicle
+            model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
+            self._estimator = make_estimator(method.estimator, model, start)
+        self._model = model
         self._controller = make_controller(method.controller, model)
         period = 1.0 / method.controller.rate_hz
         self._replanner = Replanner(
             Solvers.of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
-            period=period, delay=scenario.sensing.communication_delay, realtime=spec.realtime, keep_trees=keep_trees,
+            period=period, delay=scenario.sensing.communication_delay + self._estimator.horizon,
+            realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
+        self._radio = Radio(scenario.sensing.message_loss, spec.seed)
         self._reference = self._replanner.begin(start)
         self._sent: list[tuple[float, Reference]] = []
         self._in_flight: list[Observation] = []
+        self._true_poses: dict[float, tuple[float, float, float]] = {}  # at the time of each observation in flight
+        self._errors_squared: list[float] = []
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
         exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
@@ -115,15 +133,17 @@ class _Trial:
             observation = self._plant.expose()
             if observation is not None:
                 self._in_flight.append(observation)
+                self._true_poses[observation.time] = self._true_pose
                 log.observations.append(observation)
         arrived = [o for o in self._in_flight if o.arrival <= now + 1e-9]
         self._in_flight = [o for o in self._in_flight if o.arrival > now + 1e-9]
         for observation in arrived:
             self._estimator.observe(observation)
+            self._record_error(self._true_poses.pop(observation.time))
 
     def receive(self) -> None:
         """Track the reference of the cycle that has begun."""
-        while self._sent and self._sent[0][0] <= self.world.time + 1e-9:
+        while self._sent and self._sent[0][0] <= self.world.time + self._estimator.horizon + 1e-9:
             self._reference = self._sent.pop(0)[1]
 
     def replan(self, log: _Log) -> None:
@@ -132,7 +152,8 @@ class _Trial:
         if now < self._replanner.next_step - 1e-9:
             return
         cycle = self._replanner.step(self._estimator.replanning_estimate(now), self._reference)
-        self._sent.append((cycle.time, cycle.reference))
+        if self._radio.delivers():
+            self._sent.append((cycle.time, cycle.reference))
         self.receive()  # without lead and delay the cycle begins now
         log.cycles.append(cycle)
         if log.on_cycle is not None:
@@ -147,12 +168,33 @@ class _Trial:
         command = self._controller.command(estimate, self._reference)
         self._plant.send(float(command[0]), float(command[1]))
         self._estimator.commanded(now, command)
-        x, y, theta = map(float, world.pose)
-        self.approach.add(x, y, theta)
-        step = Step(now, (x, y, theta), world.speed, estimate.state, command, len(log.cycles) - 1)
+        pose = self._true_pose
+        self.approach.add(*pose)
+        step = Step(now, pose, world.speed, estimate.state, command, len(log.cycles) - 1)
         log.steps.append(step)
         if log.on_step is not None:
             log.on_step(world, step)
+
+    def measures(self, log: _Log) -> Measures:
+        """Measures of what the method promised."""
+        model = self._model
+        return measure(
+            log.cycles, log.steps, model.vehicle.footprint, (model.x, model.y, model.theta),
+            self._radio.lost, self._errors_squared,
+        )  # fmt: skip
+
+    @property
+    def _true_pose(self) -> tuple[float, float, float]:
+        x, y, theta = map(float, self.world.pose)
+        return x, y, theta
+
+    def _record_error(self, true_pose: tuple[float, float, float]) -> None:
+        """Record the normalised squared error of the pose for which the estimator states a covariance."""
+        belief = self._estimator.belief
+        if belief is not None:
+            error = np.array(true_pose) - belief.mean
+            error[2] = math.remainder(error[2], math.tau)
+            self._errors_squared.append(float(error @ np.linalg.solve(belief.covariance, error)))
 
     def advance(self) -> None:
         """Advance the world to the next event."""

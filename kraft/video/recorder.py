@@ -15,7 +15,8 @@ from kraft.driving.messages import Cycle
 from kraft.files import write_whole
 from kraft.scenario import Bounds
 from kraft.simulation.world import World
-from kraft.trial.result import Step, TrialResult, TrialSpec
+from kraft.trial.result import TrialResult, TrialSpec
+from kraft.trial.step import Step
 from kraft.trial.trial import run_trial
 from kraft.video.gl import check_video, offscreen_context
 from kraft.video.mp4 import Image, Mp4Writer

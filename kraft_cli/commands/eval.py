@@ -13,7 +13,18 @@ from kraft_cli.terminal import Terminal
 if TYPE_CHECKING:
     from kraft.evaluation import Evaluation
 
-Scenarios = Annotated[list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or files; all six scenes.")]
+Scenarios = Annotated[
+    list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or files; the suite paper: all six scenes.")
+]
+Suite = Annotated[
+    str | None, typer.Option(metavar="NAME|FILE", help="Scenarios of a suite (kraft list suites), with their keys set.")
+]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of all scenarios.")
+]
+Vary = Annotated[
+    list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run the scenarios once with each value of a key.")
+]
 Trials = Annotated[int | None, typer.Option(metavar="N", help="Trials of each method in each scenario (30).")]
 Methods = Annotated[str | None, typer.Option(metavar="A,B", help="Methods (kraft list methods); the paper's seven.")]
 VehicleName = Annotated[
@@ -35,6 +46,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 def eval_(
     context: typer.Context,
     scenarios: Scenarios = None,
+    suite: Suite = None,
+    set_: Set = None,
+    vary: Vary = None,
     trials: Trials = None,
     methods: Methods = None,
     vehicle: VehicleName = None,
@@ -52,7 +66,21 @@ def eval_(
 
     terminal: Terminal = context.obj
     request = complete_request(
-        EvalRequest(tuple(scenarios or ()), trials, methods, vehicle, seed, jobs, cluster, out, resume, realtime)
+        EvalRequest(
+            tuple(scenarios or ()),
+            suite,
+            tuple(set_ or ()),
+            tuple(vary or ()),
+            trials,
+            methods,
+            vehicle,
+            seed,
+            jobs,
+            cluster,
+            out,
+            resume,
+            realtime,
+        )
     )
     with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
         try:
@@ -81,7 +109,7 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
         terminal.info(f"results in {evaluation.folder}; page: {evaluation.folder}/report.html")
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:
-        terminal.problem(f"{row.scenario}, {row.method}, seed {row.seed}: failed: {row.error}")
+        terminal.problem(f"{row.key[0]}, {row.method}, seed {row.seed}: failed: {row.error}")
     if failed:
         terminal.error(f"{len(failed)} of {counted(len(evaluation.rows), 'trial')} failed, which is a defect in kraft")
     return ExitStatus.INTERNAL if failed else ExitStatus.DONE

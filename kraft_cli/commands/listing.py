@@ -8,7 +8,7 @@ import typer
 
 from kraft_cli.terminal import Terminal
 
-THINGS = ("scenarios", "methods", "vehicles", "planners")
+THINGS = ("scenarios", "suites", "methods", "vehicles", "planners")
 
 
 def list_(
@@ -16,7 +16,7 @@ def list_(
     what: Annotated[str, typer.Argument(metavar="|".join(THINGS), help="What to list.")],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """List scenarios, methods, vehicles or planners, each with its description."""
+    """List scenarios, suites, methods, vehicles or planners, each with its description."""
     terminal: Terminal = context.obj
     described = _described(what)
     if json:
@@ -37,7 +37,12 @@ def _described(what: str) -> dict[str, str]:
         from kraft.scenario.planning import PLANNERS
 
         return PLANNERS
-    kinds: dict[str, bundled.Kind] = {"scenarios": "scenario", "methods": "method", "vehicles": "vehicle"}
+    kinds: dict[str, bundled.Kind] = {
+        "scenarios": "scenario",
+        "methods": "method",
+        "vehicles": "vehicle",
+        "suites": "suite",
+    }
     if what not in kinds:
         raise InputError.of(what, "cannot be listed", suggestion(what, THINGS), Code.UNKNOWN)
     return bundled.descriptions(kinds[what])

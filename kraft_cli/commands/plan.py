@@ -20,6 +20,9 @@ VehicleName = Annotated[
 Parameters = Annotated[
     list[str] | None, typer.Option("--param", metavar="K=V", help="Replace a parameter of the vehicle.")
 ]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write plan.json into DIR.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the plan: FILE.png, .svg or .pdf.")]
 From = Annotated[
@@ -38,6 +41,7 @@ def plan(
     planner: Planner = None,
     vehicle: VehicleName = None,
     param: Parameters = None,
+    set_: Set = None,
     out: Out = None,
     plot: Plot = None,
     from_: From = None,
@@ -50,8 +54,9 @@ def plan(
 
     terminal: Terminal = context.obj
     request = PlanRequest(
-        scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after
-    )
+        scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after,
+        tuple(set_ or ()),
+    )  # fmt: skip
     outcome = run_plan(request, terminal.info, terminal.detail)
     if json:
         terminal.json("kraft.plan/1", plan_json(outcome))

@@ -15,6 +15,9 @@ VehicleName = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4.")]
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
@@ -28,6 +31,7 @@ def run(
     method: Method = "kraft",
     vehicle: VehicleName = None,
     seed: Seed = 0,
+    set_: Set = None,
     out: Out = None,
     video: Video = None,
     view: View = False,
@@ -42,7 +46,7 @@ def run(
     from kraft_cli.work.trial_outputs import OutputOptions
 
     terminal: Terminal = context.obj
-    request = RunRequest(scenario, method, vehicle, seed, out, OutputOptions(video, view, plot))
+    request = RunRequest(scenario, method, vehicle, seed, tuple(set_ or ()), out, OutputOptions(video, view, plot))
     driven = run_scenario(request, terminal.info, lambda cycle: terminal.info(cycle_line(cycle)), terminal.detail)
     success = driven.result.outcome is Outcome.SUCCESS
     if json:

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 def validate(
     context: typer.Context,
     files: Annotated[
-        list[str], typer.Argument(metavar="FILE", help="Scenario, vehicle, method, map, log mapping or plan files.")
+        list[str],
+        typer.Argument(metavar="FILE", help="Scenario, vehicle, method, suite, map, mapping or plan files."),
     ],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
-    """Check scenario, vehicle, method, map, log mapping and plan files and print every problem of each."""
+    """Check scenario, vehicle, method, suite, map, log mapping and plan files and print every problem of each."""
     from kraft_cli.work.validate import check_file
 
     terminal: Terminal = context.obj

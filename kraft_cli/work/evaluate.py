@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from kraft.config.overrides import parse_overrides, parse_sweeps
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.evaluator import Evaluation, Observer, evaluate
-from kraft.evaluation.experiment import METHODS, SCENARIOS, TRIALS
+from kraft.evaluation.experiment import METHODS, SUITE, TRIALS
 from kraft.evaluation.folder import check_exists, default_path
 from kraft_cli.work.run import run_command
 
@@ -21,6 +22,9 @@ class EvalRequest:
     """Options of `kraft eval` as written; None or empty where an option was left out."""
 
     scenarios: tuple[str, ...] = ()
+    suite: str | None = None
+    settings: tuple[str, ...] = ()
+    vary: tuple[str, ...] = ()
     trials: int | None = None
     methods: str | None = None
     vehicle: str | None = None
@@ -35,6 +39,9 @@ class EvalRequest:
 DEFAULTS: Final = EvalRequest()
 OPTION_FROM_MANIFEST: Final[dict[str, Callable[[Any], Any]]] = {
     "scenarios": lambda value: tuple(map(str, value)),
+    "suite": lambda value: None if value is None else str(value),
+    "settings": lambda value: tuple(map(str, value)),
+    "vary": lambda value: tuple(map(str, value)),
     "methods": lambda value: ",".join(map(str, value)),
     "vehicle": lambda value: None if value is None else str(value),
     "trials": int,
@@ -42,7 +49,7 @@ OPTION_FROM_MANIFEST: Final[dict[str, Callable[[Any], Any]]] = {
     "realtime": bool,
 }
 """Conversion of each argument in a manifest to the option."""
-OPTIONAL: Final = ("vehicle", "realtime")
+OPTIONAL: Final = ("suite", "settings", "vary", "vehicle", "realtime")
 """Options that a manifest need not have."""
 
 
@@ -67,12 +74,15 @@ def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
     arguments = arguments_of(request)
     try:
         return evaluate(
-            arguments["scenarios"],
+            arguments["scenarios"] or None,
             arguments["methods"],
             arguments["trials"],
             arguments["seed"],
             request.jobs,
             request.out,
+            suite=arguments["suite"],
+            settings=parse_overrides(request.settings, "set"),
+            vary=parse_sweeps(request.vary, "vary"),
             vehicle=request.vehicle,
             resume=request.resume,
             realtime=request.realtime,
@@ -96,7 +106,10 @@ def arguments_of(request: EvalRequest) -> dict[str, Any]:
     """Arguments that the manifest records: everything that defines the evaluation, with defaults."""
     methods = METHODS if request.methods is None else [name.strip() for name in request.methods.split(",")]
     return {
-        "scenarios": list(request.scenarios or SCENARIOS),
+        "scenarios": list(request.scenarios),
+        "suite": SUITE if request.suite is None and not request.scenarios else request.suite,
+        "settings": list(request.settings),
+        "vary": list(request.vary),
         "methods": list(methods),
         "vehicle": request.vehicle,
         "trials": TRIALS if request.trials is None else request.trials,
@@ -109,6 +122,7 @@ def resume_command(request: EvalRequest) -> str:
     """Command that resumes the evaluation."""
     words = ["kraft", "eval", *request.scenarios]
     options = {
+        "--suite": request.suite,
         "--trials": request.trials,
         "--methods": request.methods,
         "--vehicle": request.vehicle,
@@ -118,6 +132,8 @@ def resume_command(request: EvalRequest) -> str:
     }
     for name, value in options.items():
         words += [] if value is None else [name, str(value)]
+    words += [word for text in request.settings for word in ("--set", text)]
+    words += [word for text in request.vary for word in ("--vary", text)]
     words += ["--realtime"] if request.realtime else []
     return shlex.join([*words, "--out", str(request.out), "--resume"])
 

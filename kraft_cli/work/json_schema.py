@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from kraft.config import bundled
 from kraft.driving.method import Method
+from kraft.evaluation.suite import SuiteFile
 from kraft.logs.mapping import Mapping
 from kraft.scenario.schema import ScenarioFile
 from kraft.vehicles.config import VehicleConfig
@@ -27,6 +28,7 @@ def files() -> dict[Path, type[BaseModel]]:
         bundled.folder("scenario") / "scenario.schema.json": ScenarioFile,
         bundled.folder("vehicle") / "vehicle.schema.json": VehicleConfig,
         bundled.folder("method") / "method.schema.json": Method,
+        bundled.folder("suite") / "suite.schema.json": SuiteFile,
         bundled.root() / "configs" / "logs" / "mapping.schema.json": Mapping,
     }
 

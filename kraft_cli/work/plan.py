@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from kraft.config.overrides import parse_overrides
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
@@ -37,6 +38,7 @@ class PlanRequest:
         out: folder for the plan file; None writes none.
         plot: picture; None draws none.
         previous: plan file to start from, `after` s after its beginning.
+        settings: ``key=value`` each, for keys of the scenario.
     """
 
     scenario: str
@@ -50,6 +52,7 @@ class PlanRequest:
     plot: Path | None = None
     previous: Path | None = None
     after: float = 0.0
+    settings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def _check_places(target: Path | None, plot: Path | None) -> None:
 
 
 def _task(request: PlanRequest) -> Task:
-    task = load_scenario(request.scenario).task()
+    task = load_scenario(request.scenario, parse_overrides(request.settings, "set")).task()
     planning: Planning = task.planning
     if request.time is not None or request.iterations is not None:
         planning = planning.with_budget(iterations=request.iterations, time=request.time)

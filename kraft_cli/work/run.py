@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from kraft.config.overrides import parse_overrides, plain_value, value_text
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
 from kraft.evaluation.statistics import percentile
+from kraft.evaluation.summary import measures_json
 from kraft.files import check_all
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
-from kraft.text import finite, metres
+from kraft.text import counted, finite, metres
+from kraft.trial.measures import Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft_cli.work.run_folder import check_run_folder, write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
@@ -31,6 +35,7 @@ class RunRequest:
     method: str = "kraft"
     vehicle: str | None = None
     seed: int = 0
+    settings: tuple[str, ...] = ()
     out: Path | None = None
     outputs: OutputOptions = NO_OUTPUT
 
@@ -79,7 +84,12 @@ def run_scenario(
     timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
     run = Run(request, spec, result)
     if request.out is not None:
-        arguments = {"scenario": request.scenario, "method": request.method, "vehicle": request.vehicle}
+        arguments = {
+            "scenario": request.scenario,
+            "method": request.method,
+            "vehicle": request.vehicle,
+            "set": list(request.settings),
+        }
         write_run(request.out, experiment, arguments, cell.vehicle, run.result, run_json(run))
         timer.report("written")
     return run
@@ -98,7 +108,10 @@ def _experiment(request: RunRequest) -> Experiment:
     """Evaluation of this one trial, with its checks."""
     if not request.method:
         raise InputError.of_argument("method", "is empty", "expected the name of a method")
-    return experiment_of([request.scenario], [request.method], vehicle=request.vehicle, trials=1, seed=request.seed)
+    settings = parse_overrides(request.settings, "set")
+    return experiment_of(
+        [request.scenario], [request.method], settings=settings, vehicle=request.vehicle, trials=1, seed=request.seed
+    )
 
 
 def run_json(run: Run) -> dict[str, Any]:
@@ -119,6 +132,8 @@ def run_json(run: Run) -> dict[str, Any]:
         "planning_ms_p50": percentile(planning, 0.5),
         "planning_ms_p99": percentile(planning, 0.99),
         "missed_deadlines": result.missed,
+        "set": {each.key: plain_value(each.value) for each in parse_overrides(run.request.settings, "set")},
+        **measures_json(result.measures),
         "folder": str(run.request.out) if run.request.out else None,
     }
 
@@ -133,6 +148,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         ("result", outcome_text(result.outcome, result.obstacle, result.time)),
         ("clearance", f"{metres(result.min_clearance, '-')} at least"),
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
+        *measures_table(result.measures, result.contingencies),
     ]
     if planning:
         slow = f", {result.missed} exceeded the planning time" if result.missed else ""
@@ -142,13 +158,58 @@ def run_table(run: Run) -> list[tuple[str, str]]:
     return rows + [(name, str(path)) for name, path in made if path is not None]
 
 
-def run_command(scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
-    """Command that repeats a trial, and films it into `video`."""
+def run_command(
+    scenario: str,
+    method: str,
+    vehicle: str | None,
+    seed: int,
+    video: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> str:
+    """Command that repeats a trial with `settings` of the scenario's keys, and films it into `video`."""
     words = ["kraft", "run", scenario, "--method", method]
+    for key, value in (settings or {}).items():
+        words += [
+            "--set",
+            f"{key}={json.dumps(value, ensure_ascii=False) if isinstance(value, list | dict) else value_text(value)}",
+        ]
     words += [] if vehicle is None else ["--vehicle", vehicle]
     words += ["--seed", str(seed)]
     words += [] if video is None else ["--video", video]
     return shlex.join(words)
+
+
+def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, str]]:
+    """Labels and values of the measures: clearance, decisions, covariance; only those that the method has."""
+    rows: list[tuple[str, str]] = []
+    kept, consistency = measures.clearance, measures.consistency
+    if kept.coverage is not None and kept.delta_mean is not None:
+        rows.append(
+            ("delta(v)", f"held at {kept.coverage:.1%} of the ticks, {1000 * kept.delta_mean:.0f} mm on average")
+        )
+    quantiles = measures.deviation_quantiles((0.5, 0.99))
+    if quantiles:
+        until, half, most = quantiles[-1]
+        rows.append(("deviation", f"{metres(half)} median, {metres(most)} at 99 %, {until:.1f} s after the commit"))
+    if contingencies:
+        safe = contingencies - measures.in_hand - measures.emergencies
+        rows.append(
+            ("contingencies", f"{safe} safe, {measures.in_hand} in hand, {counted(measures.emergencies, 'emergency')}")
+        )
+    if measures.compared:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in measures.regressions.items())
+        total = sum(measures.regressions.values())
+        rows.append(("regressions", f"{total} of {measures.compared} cycles" + (f" ({reasons})" if reasons else "")))
+    if measures.messages_lost:
+        rows.append(("radio", f"{counted(measures.messages_lost, 'message')} lost"))
+    if consistency is not None and consistency.share is not None and consistency.mean is not None:
+        rows.append(
+            (
+                "covariance",
+                f"error squared {consistency.mean:.1f} (3 if consistent), {consistency.share:.0%} in its 95 % band",
+            )
+        )
+    return rows
 
 
 def cycle_line(cycle: Cycle) -> str:

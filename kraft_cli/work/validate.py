@@ -13,6 +13,7 @@ from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method
 from kraft.errors import Code, Diagnostic, InputError, MissingError
+from kraft.evaluation.suite import SuiteFile, load_suite
 from kraft.logs.mapping import Mapping
 from kraft.planning.feasibility import check_placement
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
@@ -26,12 +27,13 @@ from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.cache_error import CacheError
 
-FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "map", "mapping", "plan"]
+FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "suite", "map", "mapping", "plan"]
 
 _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "scenario": ScenarioFile,  # first: a file without a known key is checked as a scenario
     "vehicle": VehicleConfig,
     "method": Method,
+    "suite": SuiteFile,
     "map": MapServerFile,
     "mapping": Mapping,
 }
@@ -58,7 +60,7 @@ class FileReport:
 
 
 def check_file(name_or_path: str | Path) -> FileReport:
-    """Check a file, or a bundled scenario, vehicle or method by name. Problems and defects are returned, not raised.
+    """Check a file, or a bundled file by name. Problems and defects are returned, not raised.
 
     Raises:
         MissingError: if something that the check needs is not installed.
@@ -110,7 +112,7 @@ def _schema(document: Document) -> str | None:
 
 
 def _find(name_or_path: str | Path) -> Path:
-    kinds: tuple[bundled.Kind, ...] = ("vehicle", "method")
+    kinds: tuple[bundled.Kind, ...] = ("vehicle", "method", "suite")
     for kind in kinds:
         if name_or_path in bundled.names(kind):
             return bundled.find(kind, name_or_path)
@@ -131,6 +133,8 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         method = _validated(Method, document)
         if method.planner.vehicle is not None:
             _check_vehicle(method.planner.vehicle, document, path.parent)
+    elif kind == "suite":
+        load_suite(path)
     elif kind == "plan":
         read_plan(path)
     elif kind == "mapping":

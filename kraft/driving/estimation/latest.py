@@ -29,6 +29,16 @@ class LatestPose:
         self._window = settings.replanning_window
         self._window_poses: deque[tuple[float, Floats]] = deque()
 
+    @property
+    def horizon(self) -> float:
+        """No delay is made up for."""
+        return 0.0
+
+    @property
+    def belief(self) -> None:
+        """None: this estimator states no covariance."""
+        return None
+
     def observe(self, observation: Observation) -> None:
         """Predict from this pose on, unless a newer one has arrived before."""
         if observation.time <= self._newest_time or observation.time < self._reckoning.time:

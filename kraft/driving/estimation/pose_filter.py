@@ -15,7 +15,7 @@ from scipy.special import gammaincinv
 
 from kraft.driving.car_model import MAX_STEP, CarModel
 from kraft.driving.estimation.dead_reckoning import DeadReckoning
-from kraft.driving.messages import Estimate, Observation
+from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Filter
 from ompl_ext.arrays import Floats, Matrix
 
@@ -70,6 +70,19 @@ class PoseFilter:
     def posterior(self) -> Posterior:
         """Posterior after the newest observation."""
         return self._posteriors[-1]
+
+    @property
+    def horizon(self) -> float:
+        """No delay is made up for."""
+        return 0.0
+
+    @property
+    def belief(self) -> PoseBelief | None:
+        """Pose with its covariance after the newest observation; None before one."""
+        newest = self.posterior
+        if newest.observation is None:
+            return None
+        return PoseBelief(newest.time, newest.mean[self._pose], newest.covariance[np.ix_(self._pose, self._pose)])
 
     def observe(self, observation: Observation) -> None:
         """Process a pose at its stamp; after one that arrives out of order, process the newer ones again."""

@@ -8,6 +8,7 @@ from importlib.resources import files
 from typing import Final
 from xml.etree.ElementTree import Element
 
+from kraft.evaluation.ompl_log import file_name
 from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import Content, document, element
 from kraft.evaluation.report.floor import floor_plan
@@ -23,7 +24,7 @@ NO_VALUE: Final = "–"
 def page(results: Results) -> str:
     """Make the page; it needs no other file and no network."""
     style = files("kraft.evaluation.report").joinpath("style.css").read_text(encoding="utf-8")
-    sections = [_scenario(results, name) for name in results.scenarios]
+    sections = [_entry(results, name) for name in results.entries]
     title = f"{results.title} | kraft eval"
     return document(title, style, *_head(results), _overview(results), _key(), *sections, _foot())
 
@@ -60,8 +61,8 @@ def _fact(name: str, value: str) -> Element:
 
 def _overview(results: Results) -> Element | None:
     """Table of successes of every method in every scenario."""
-    names = results.scenarios
-    by_cell = {(result.scenario, result.method): result for result in results.summary.results}
+    names = list(results.entries)
+    by_cell = {(result.entry, result.method): result for result in results.summary.results}
     heading = [element("th", element("a", name, href=f"#{name}")) for name in names]
     rows = [
         element("tr", element("th", title, scope="row"), *(_rate(by_cell.get((name, method))) for name in names))
@@ -96,8 +97,8 @@ def _key() -> Element:
     return element("p", *entries, " ", words, class_="key")
 
 
-def _scenario(results: Results, name: str) -> Element:
-    mine = [result for result in results.summary.results if result.scenario == name]
+def _entry(results: Results, name: str) -> Element:
+    mine = [result for result in results.summary.results if result.entry == name]
     durations = [row.t_s for row in results.of_cell(name) if row.outcome == "success" and row.t_s is not None]
     times = [*durations, *(r.paper.t_ex for r in mine if r.paper and r.paper.t_ex is not None)]
     longest = 1.02 * max(times, default=1.0)
@@ -133,7 +134,7 @@ def _times(count: int) -> str:
 
 
 def _row(results: Results, result: Result, longest: float) -> Element:
-    rows = results.of_cell(result.scenario, result.method)
+    rows = results.of_cell(result.entry, result.method)
     commands = {row.seed: results.command(row) for row in rows}
     paper = result.paper
     beside = f"paper {paper.success} / {paper.collision} / {paper.timeout}" if paper else None
@@ -181,7 +182,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
 
 
 def _listed(results: Results, row: TrialRow) -> Element:
-    command = results.command(row, video=f"{row.scenario}-{row.method}-{row.seed}.mp4")
+    command = results.command(row, video=f"{file_name(row.key[0])}-{row.method}-{row.seed}.mp4")
     ended = charts.trial_text(row).split(": ", 1)[1]
     return element(
         "tr",

@@ -15,7 +15,7 @@ from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import Name, Summary, tabulate
+from kraft.evaluation.summary import RowName, Summary, tabulate
 from kraft.scenario import Scenario, load_scenario
 from kraft.text import grouped
 
@@ -27,11 +27,20 @@ class _Part(BaseModel):
 
 
 class Cell(_Part):
-    """Row of a table; older manifests have no title."""
+    """Row of a table; older manifests have no title and no entries."""
 
+    entry: str = ""
+    base: str = ""
     scenario: str
+    reference: str = ""
+    set: dict[str, Any] = {}
     method: str
     title: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the entry; in older manifests that of the scenario."""
+        return self.entry or self.scenario
 
 
 class Hashed(_Part):
@@ -59,16 +68,30 @@ class Manifest(_Part):
         return range(self.seed, self.seed + self.trials)
 
     @property
-    def names(self) -> list[Name]:
-        """Scenario, method and title of every row."""
-        return [(cell.scenario, cell.method, cell.title or cell.method) for cell in self.rows]
+    def names(self) -> list[RowName]:
+        """Name of every row."""
+        return [
+            RowName(cell.name, cell.scenario, cell.set, cell.method, cell.title or cell.method) for cell in self.rows
+        ]
 
 
 class CommandLine(Protocol):
     """Function that makes the command that repeats a trial."""
 
-    def __call__(self, scenario: str, method: str, vehicle: str | None, seed: int, video: str | None = None) -> str:
-        """Make the command; `scenario`, `method` and `vehicle` are names or paths, `video` is the file of a film."""
+    def __call__(
+        self,
+        scenario: str,
+        method: str,
+        vehicle: str | None,
+        seed: int,
+        video: str | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> str:
+        """Make the command.
+
+        `scenario`, `method` and `vehicle` are names or paths, `video` is the file of a film, `settings` are values of
+        the scenario's keys.
+        """
         ...
 
 
@@ -76,8 +99,8 @@ class CommandLine(Protocol):
 class Results:
     """Finished trials of an evaluation, complete or not.
 
-    `known` are the scenarios that can still be loaded and are unchanged since the evaluation.  With `command_line`
-    the page has commands that repeat the trials.
+    `known` are the scenarios, by entry, that can still be loaded and are unchanged since the evaluation.  With
+    `command_line` the page has commands that repeat the trials.
     """
 
     manifest: Manifest
@@ -96,18 +119,21 @@ class Results:
         command_line: CommandLine | None = None,
     ) -> Results:
         """Results of an experiment that was just run; `content` is its manifest."""
-        known = {cell.scenario.name: cell.scenario for cell in experiment.cells}
+        known = {cell.entry.name: cell.scenario for cell in experiment.cells}
         return cls(Manifest.model_validate(content), rows, summary, known, command_line)
 
     @property
-    def scenarios(self) -> list[str]:
-        """Names of the scenarios, in their order."""
-        return list(dict.fromkeys(cell.scenario for cell in self.manifest.rows))
+    def entries(self) -> dict[str, Cell]:
+        """A row of each entry by the entry's name, in their order."""
+        found: dict[str, Cell] = {}
+        for cell in self.manifest.rows:
+            found.setdefault(cell.name, cell)
+        return found
 
     @property
     def methods(self) -> dict[str, str]:
         """Titles of the methods by their names, in their order."""
-        return {method: title for _, method, title in self.manifest.names}
+        return {name.method: name.title for name in self.manifest.names}
 
     @property
     def expected(self) -> int:
@@ -116,24 +142,27 @@ class Results:
 
     @property
     def title(self) -> str:
-        """Numbers of trials, scenarios and methods, in words."""
-        counts = [(len(self.rows), "trial"), (len(self.scenarios), "scenario"), (len(self.methods), "method")]
+        """Numbers of trials, scenarios or entries of a suite, and methods, in words."""
+        plain = all(cell.name == cell.scenario for cell in self.manifest.rows)
+        entries = len(self.entries), "scenario" if plain else "world"
+        counts = [(len(self.rows), "trial"), entries, (len(self.methods), "method")]
         return ", ".join(grouped(count, noun) for count, noun in counts)
 
-    def of_cell(self, scenario: str, method: str | None = None) -> Sequence[TrialRow]:
-        """Finished trials of a scenario, or of a method in it, ordered by method and seed."""
+    def of_cell(self, entry: str, method: str | None = None) -> Sequence[TrialRow]:
+        """Finished trials of an entry, or of a method in it, ordered by method and seed."""
         methods = [method] if method else list(self.methods)
-        keys = ((scenario, name, seed) for name in methods for seed in self.manifest.seeds)
+        keys = ((entry, name, seed) for name in methods for seed in self.manifest.seeds)
         return [self.rows[key] for key in keys if key in self.rows]
 
     def command(self, row: TrialRow, video: str | None = None) -> str | None:
         """Command that repeats a trial, and films it into `video`; None without `command_line`."""
         if self.command_line is None:
             return None
-        scenario = _references(self.manifest, "scenarios", self.scenarios).get(row.scenario, row.scenario)
+        scenario = _scenario_references(self.manifest).get(row.key[0], row.scenario)
         method = _references(self.manifest, "methods", list(self.methods)).get(row.method, row.method)
         vehicle = self.manifest.arguments.get("vehicle")
-        return self.command_line(scenario, method, str(vehicle) if vehicle else None, row.seed, video)
+        settings = self.entries[row.key[0]].set
+        return self.command_line(scenario, method, str(vehicle) if vehicle else None, row.seed, video, settings)
 
 
 def read_results(folder: Path, command_line: CommandLine | None = None) -> Results:
@@ -158,7 +187,7 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
         where = ".".join(str(part) for part in error.errors()[0]["loc"])
         expected = "expected the manifest that kraft eval writes"
         raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
-    trials = {(cell.scenario, cell.method, seed) for cell in found.rows for seed in found.seeds}
+    trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials).rows
     summary = tabulate(found.names, found.seeds, rows, _wall(folder), realtime=found.realtime)
     return Results(found, rows, summary, _unchanged(found), command_line)
@@ -178,14 +207,22 @@ def _wall(folder: Path) -> float:
 def _unchanged(found: Manifest) -> dict[str, Scenario]:
     """Scenarios that can be loaded and have the recorded hash."""
     known = {}
-    for name, reference in _references(found, "scenarios", list(found.scenarios)).items():
+    settings = {cell.name: cell.set for cell in found.rows}
+    for name, reference in _scenario_references(found).items():
         try:
-            scenario = load_scenario(reference)
+            scenario = load_scenario(reference, settings[name])
         except InputError:
             continue  # the page states that it has no floor plan, and why
-        if manifest.scenario_entry(scenario)["sha256"] == found.scenarios[name].sha256:
+        if manifest.scenario_content(scenario)["sha256"] == found.scenarios[name].sha256:
             known[name] = scenario
     return known
+
+
+def _scenario_references(found: Manifest) -> dict[str, str]:
+    """Name or path of the scenario of each entry."""
+    names = list(dict.fromkeys(cell.name for cell in found.rows))
+    recorded = {cell.name: cell.reference for cell in found.rows if cell.reference}
+    return {**_references(found, "scenarios", names), **recorded}
 
 
 def _references(found: Manifest, kind: str, names: Sequence[str]) -> dict[str, str]:

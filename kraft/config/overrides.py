@@ -1,0 +1,211 @@
+"""Overrides: values of dotted keys that replace those of a file before it is validated.
+
+An override comes from an argument (``sensing.noise_scale=2``), from a mapping in Python, or from a suite file.  A
+problem of its value is reported where it was given, not in the file that it changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from kraft.config.source import KeyPath, Place, format_path, parse_path
+from kraft.config.yaml_reader import Document, Value, parse_document
+from kraft.errors import Code, Diagnostic, InputError
+
+EXAMPLE = "expected KEY=VALUE, as in sensing.noise_scale=2"
+
+
+@dataclass(frozen=True)
+class Override:
+    """Value of a dotted key, and the place where it was given; relative paths in it begin at `folder`."""
+
+    key: str
+    value: Value
+    place: Place = field(compare=False)
+
+    @property
+    def path(self) -> KeyPath:
+        """Keys and list indices from the root of the file."""
+        return _parsed(self.key)
+
+    def diagnostic(self, problem: str, expected: str, code: Code = Code.VALUE) -> Diagnostic:
+        """Diagnostic at the place where the override was given."""
+        return self.place.diagnostic(self.key, problem, expected, code)
+
+
+def parse_overrides(texts: Iterable[str], argument: str) -> tuple[Override, ...]:
+    """Overrides from ``KEY=VALUE`` texts, with the value in YAML; `argument` is the name of the argument.
+
+    Raises:
+        InputError: with every problem.
+    """
+    found: list[Override] = []
+    problems: list[Diagnostic] = []
+    for text in texts:
+        try:
+            key, value = _split(text, argument)
+            found.append(Override(key, _value(key, value, argument), Place(argument, argument=True)))
+        except InputError as error:
+            problems += error.diagnostics
+    problems += repeated(found)
+    if problems:
+        raise InputError(problems)
+    return tuple(found)
+
+
+def parse_sweeps(texts: Iterable[str], argument: str) -> tuple[tuple[Override, ...], ...]:
+    """Overrides of each ``KEY=V1,V2,...``, one tuple for each key; the values are those of a YAML list.
+
+    Raises:
+        InputError: with every problem.
+    """
+    found: list[tuple[Override, ...]] = []
+    problems: list[Diagnostic] = []
+    for text in texts:
+        try:
+            key, values = _split(text, argument)
+            given = _value(key, f"[{values}]", argument)
+            place = Place(argument, argument=True)
+            if not isinstance(given, tuple) or not given:
+                raise InputError([place.diagnostic(key, "has no value", "expected KEY=V1,V2,...", Code.MISSING)])
+            problems += [
+                place.diagnostic(key, f"has the value {value_text(value)} twice", "expected it once", Code.DUPLICATE)
+                for k, value in enumerate(given)
+                if value in given[:k]
+            ]
+            found.append(tuple(Override(key, value, place) for value in given))
+        except InputError as error:
+            problems += error.diagnostics
+    problems += repeated([sweep[0] for sweep in found])
+    if problems:
+        raise InputError(problems)
+    return tuple(found)
+
+
+def overrides_of(values: Mapping[str, Any], argument: str = "settings") -> tuple[Override, ...]:
+    """Overrides from a mapping of dotted keys to values, as in Python code; `argument` is the name of the argument.
+
+    Raises:
+        InputError: if a key is not a dotted key, or lies within another one.
+    """
+    place = Place(argument, argument=True)
+    found = [Override(str(key), _frozen(value), place) for key, value in values.items()]
+    problems = [each.diagnostic("is not a dotted key", EXAMPLE, Code.SYNTAX) for each in found if not each.path]
+    problems += repeated(found)
+    if problems:
+        raise InputError(problems)
+    return tuple(found)
+
+
+def repeated(overrides: Sequence[Override]) -> list[Diagnostic]:
+    """Problems of overrides whose keys are equal or lie within one another."""
+    problems = []
+    for k, later in enumerate(overrides):
+        for earlier in overrides[:k]:
+            short, long = sorted((earlier.path, later.path), key=len)
+            if long[: len(short)] == short:
+                problem = "is set twice" if long == short else f"is set together with {earlier.key}"
+                problems.append(later.diagnostic(problem, "expected each key once", Code.DUPLICATE))
+                break
+    return problems
+
+
+def overridden(document: Document, overrides: Sequence[Override]) -> Document:
+    """Document with the values of `overrides`; missing mappings on the way to a key are added.
+
+    Raises:
+        InputError: if a key lies within a value that has no keys, or an index is beyond the end of a list.
+    """
+    data, places = document.data, dict(document.source.replaced)
+    problems: list[Diagnostic] = []
+    for override in overrides:
+        try:
+            path, data = _replaced(data, override.path, override)
+            places[path] = override.place
+        except InputError as error:
+            problems += error.diagnostics
+    if problems:
+        raise InputError(problems)
+    replaced = {override.path for override in overrides}
+    usable = frozenset(at for at in document.unusable if not any(at[: len(path)] == path for path in replaced))
+    return replace(document, data=data, source=replace(document.source, replaced=places), unusable=usable)
+
+
+def value_text(value: Value) -> str:
+    """Value in one line, as it would be written in a file."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {value_text(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(value_text(each) for each in value) + "]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def plain_value(value: Value) -> Any:
+    """Value for a JSON file."""
+    if isinstance(value, dict):
+        return {key: plain_value(each) for key, each in value.items()}
+    return [plain_value(each) for each in value] if isinstance(value, tuple) else value
+
+
+def _split(text: str, argument: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    key = key.strip()
+    if not equals or not _parsed(key):
+        raise InputError([Place(argument, argument=True).diagnostic("", f"is {text!r}", EXAMPLE, Code.SYNTAX)])
+    return key, value
+
+
+def _value(key: str, text: str, argument: str) -> Value:
+    """Value from YAML; an empty text is null."""
+    if not text.strip():
+        return None
+    place = Place(argument, argument=True)
+    try:
+        document = parse_document(text, argument)
+    except InputError as error:
+        raise InputError(place.diagnostic(key, d.problem, d.expected, d.code) for d in error.diagnostics) from None
+    if document.problems:
+        raise InputError(place.diagnostic(key, d.problem, d.expected, d.code) for d in document.problems)
+    return document.data
+
+
+def _parsed(key: str) -> KeyPath:
+    """Keys and indices of a dotted key; empty if it is malformed.  An index may be written ``[0]`` or ``.0``."""
+    path = parse_path(key)
+    well_formed = format_path(path) == key and all(part != "" for part in path)
+    return tuple(int(p) if isinstance(p, str) and p.isdecimal() else p for p in path) if well_formed else ()
+
+
+def _replaced(data: Value, path: KeyPath, override: Override) -> tuple[KeyPath, Value]:
+    """Path in the document, and `data` with the override's value at `path`."""
+    if not path:
+        return (), override.value
+    first, rest = path[0], path[1:]
+    if isinstance(data, tuple):
+        if not isinstance(first, int):
+            raise InputError([override.diagnostic(f"{first} is not an index of a list", "expected a whole number")])
+        if first >= len(data):
+            problem = f"there is no item {first}"
+            raise InputError([override.diagnostic(problem, f"expected less than {len(data)}", Code.UNKNOWN)])
+        at, value = _replaced(data[first], rest, override)
+        return (first, *at), (*data[:first], value, *data[first + 1 :])
+    if isinstance(data, dict) or data is None:
+        key = str(first)
+        inner = data or {}
+        at, value = _replaced(inner.get(key), rest, override)
+        return (key, *at), {**inner, key: value}
+    problem = f"{format_path(override.path[: len(override.path) - len(path)])} has no keys"
+    raise InputError([override.diagnostic(problem, "expected a key of the file", Code.UNKNOWN)])
+
+
+def _frozen(value: Any) -> Value:
+    if isinstance(value, Mapping):
+        return {str(key): _frozen(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return tuple(_frozen(each) for each in value)
+    return str(value) if isinstance(value, Path) else value

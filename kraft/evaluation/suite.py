@@ -1,0 +1,254 @@
+"""Suites: files that name the entries of an evaluation, each a scenario with some of its keys set.
+
+`entries_of` makes the entries of an evaluation from scenarios or a suite, from keys that are set in all of them, and
+from keys that are varied.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+from pydantic import Field, StringConstraints
+
+from kraft.config import bundled
+from kraft.config.overrides import Override, overrides_of, plain_value, repeated, value_text
+from kraft.config.schema import StrictModel
+from kraft.config.source import Place, Source
+from kraft.config.validation import check
+from kraft.config.yaml_reader import Document, Value, read_document
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.scenario import Scenario, load_scenario
+
+EntryName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}$")]
+ScenarioLike: TypeAlias = str | Path | Scenario
+Settings: TypeAlias = Mapping[str, Any] | Sequence[Override]
+"""Values of dotted keys."""
+Sweeps: TypeAlias = Mapping[str, Sequence[Any]] | Sequence[tuple[Override, ...]]
+"""Several values for each dotted key."""
+
+
+class EntryFile(StrictModel):
+    """One entry of a suite."""
+
+    name: EntryName
+    """short name of letters, digits, -, _, + and ."""
+    scenario: str
+    """a scenario's name, or the path of its file relative to this file"""
+    set: Annotated[dict[str, Any], Field(default_factory=dict)]
+    """values of the scenario's dotted keys: {sensing.noise_scale: 2}"""
+
+
+class SuiteFile(StrictModel):
+    """A suite: the entries of an evaluation."""
+
+    name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
+    """short name of letters, digits, - and _"""
+    description: str = ""
+    """one sentence for `kraft list suites`"""
+    entries: Annotated[tuple[EntryFile, ...], Field(min_length=1)]
+    """the entries {name, scenario, set}"""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Entry of an evaluation.
+
+    Attributes:
+        name: unique in the evaluation.
+        base: name before keys were varied; entries with the same base differ in the varied keys alone.
+        reference: name or path of the scenario's file; empty for a scenario that was loaded before.
+        scenario: the scenario with all its keys set.
+        settings: values of the keys that were set, by dotted key, for a JSON file.
+    """
+
+    name: str
+    base: str
+    reference: str
+    scenario: Scenario
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """Entry whose scenario is not loaded yet."""
+
+    name: str
+    base: str
+    scenario: ScenarioLike
+    overrides: tuple[Override, ...] = ()
+
+    def load(self) -> Entry:
+        """Load the scenario and set its keys."""
+        if isinstance(self.scenario, Scenario):
+            if self.overrides:
+                expected = "expected a name or a path, whose keys can be set"
+                raise InputError.of(self.name, "is a scenario that was loaded before", expected, Code.CONFLICT)
+            return Entry(self.name or self.scenario.name, self.base or self.scenario.name, "", self.scenario)
+        scenario = load_scenario(self.scenario, self.overrides)
+        settings = {each.key: plain_value(each.value) for each in self.overrides}
+        reference = str(self.scenario)
+        return Entry(self.name or scenario.name, self.base or scenario.name, reference, scenario, settings)
+
+
+def load_suite(name_or_path: str | Path) -> list[Entry]:
+    """Entries of a bundled suite (``hard``) or of a suite file.
+
+    Raises:
+        InputError: with every problem of the file and of the scenarios with their keys set.
+    """
+    return entries_of((), suite=name_or_path)
+
+
+def entries_of(
+    scenarios: Sequence[ScenarioLike],
+    *,
+    suite: str | Path | None = None,
+    settings: Settings = (),
+    vary: Sweeps = (),
+) -> list[Entry]:
+    """Entries of an evaluation.
+
+    Args:
+        scenarios: names, paths or loaded scenarios; ignored if there is a suite.
+        suite: name or path of a suite.
+        settings: keys that are set in every entry.
+        vary: keys that are varied; every entry is made once for each combination of their values.
+
+    Raises:
+        InputError: with every problem of the suite, the scenarios, the keys and their values.
+    """
+    common = overrides_of(settings) if isinstance(settings, Mapping) else tuple(settings)
+    sweeps = _sweeps(vary) if isinstance(vary, Mapping) else tuple(vary)
+    problems = repeated([*common, *(sweep[0] for sweep in sweeps)])
+    if problems:
+        raise InputError(problems)
+    drafts = _drafts(scenarios, problems) if suite is None else _suite_drafts(bundled.find("suite", suite), problems)
+    entries: list[Entry] = []
+    for draft in drafts:
+        try:
+            _check_apart(draft, common, sweeps)
+            base = replace(draft, overrides=(*draft.overrides, *common)).load()
+            entries += list(_varied(draft, base, common, sweeps))
+        except InputError as error:
+            problems += error.diagnostics
+    problems += _repeated_names(entries) if suite is None else []
+    if problems:
+        raise InputError(problems)
+    return entries
+
+
+def _varied(
+    draft: _Draft, base: Entry, common: tuple[Override, ...], sweeps: tuple[tuple[Override, ...], ...]
+) -> Iterator[Entry]:
+    """Entry for each combination of the varied values; `base` itself if nothing is varied."""
+    if not sweeps:
+        yield base
+        return
+    problems: list[Diagnostic] = []
+    for values in itertools.product(*sweeps):
+        label = ", ".join(f"{each.key}={value_text(each.value)}" for each in values)
+        try:
+            overrides = (*draft.overrides, *common, *values)
+            yield replace(draft, name=f"{base.name} {label}", base=base.name, overrides=overrides).load()
+        except InputError as error:
+            problems += error.diagnostics
+    if problems:
+        raise InputError(problems)
+
+
+def _drafts(scenarios: Sequence[ScenarioLike], problems: list[Diagnostic]) -> list[_Draft]:
+    if not scenarios:
+        expected = "expected at least one scenario"
+        problems.append(Diagnostic("scenarios", "none are given", expected, code=Code.MISSING, argument=True))
+    if "" in scenarios:
+        expected = "expected names of scenarios"
+        problems.append(Diagnostic("scenarios", "there is an empty name", expected, argument=True))
+    return [_Draft("", "", scenario) for scenario in scenarios if scenario != ""]
+
+
+def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
+    """Entries of a suite file, not loaded; problems of the file itself are added to `problems`."""
+    document = read_document(path)
+    content, found = check(SuiteFile, document)
+    problems += [*found, *_repeated_entries(document)]
+    drafts = []
+    for k, entry in enumerate(content.entries if content is not None else ()):
+        reference = entry.scenario if bundled.is_name(entry.scenario) else path.parent / entry.scenario
+        try:
+            bundled.find("scenario", reference)
+            overrides = _entry_overrides(document.source, k, entry.set, path.parent)
+            drafts.append(_Draft(entry.name, entry.name, reference, overrides))
+        except InputError as error:
+            source, at = document.source, ("entries", k, "scenario")
+            problems += [
+                source.diagnostic(at, d.problem, d.expected, code=d.code) if d.line is None else d
+                for d in error.diagnostics
+            ]
+    return drafts
+
+
+def _entry_overrides(source: Source, entry: int, values: Mapping[str, Value], folder: Path) -> tuple[Override, ...]:
+    found, problems = [], []
+    for key, value in values.items():
+        at = ("entries", entry, "set", key)
+        place = Place(source.file, source.values.get(at), folder=folder)
+        try:
+            found.append(replace(overrides_of({key: value})[0], place=place))
+        except InputError as error:
+            place = replace(place, position=source.keys.get(at))
+            problems += [place.diagnostic(key, d.problem, d.expected, d.code) for d in error.diagnostics]
+    problems += repeated(found)
+    if problems:
+        raise InputError(problems)
+    return tuple(found)
+
+
+def _repeated_entries(document: Document) -> Iterator[Diagnostic]:
+    entries = document.data.get("entries") if isinstance(document.data, dict) else None
+    names: dict[Value, int] = {}
+    for k, entry in enumerate(entries if isinstance(entries, tuple) else ()):
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if not isinstance(name, str):
+            continue
+        if name in names:
+            problem, expected = f"is the name of entry {names[name]} too", "expected each name once"
+            yield document.source.diagnostic(("entries", k, "name"), problem, expected, code=Code.DUPLICATE)
+        names.setdefault(name, k)
+
+
+def _repeated_names(entries: Sequence[Entry]) -> Iterator[Diagnostic]:
+    names = [entry.name for entry in entries]
+    for name in dict.fromkeys(names):
+        if (count := names.count(name)) > 1:
+            problem = f"the scenario is given {count} times"
+            yield Diagnostic(name, problem, "expected each name once", code=Code.DUPLICATE)
+
+
+def _check_apart(draft: _Draft, common: Sequence[Override], sweeps: Sequence[tuple[Override, ...]]) -> None:
+    """Check that a suite does not set the keys that are set or varied for all of its entries.
+
+    Raises:
+        InputError: with every key that both set.
+    """
+    given = [*common, *(sweep[0] for sweep in sweeps)]
+    both = [each for each in given if repeated([*draft.overrides, each])]
+    if both:
+        expected = "expected a key that the suite does not set"
+        raise InputError(
+            each.diagnostic(f"the entry {draft.name} sets it too", expected, Code.DUPLICATE) for each in both
+        )
+
+
+def _sweeps(vary: Mapping[str, Sequence[Any]]) -> tuple[tuple[Override, ...], ...]:
+    """Overrides for each value of each key."""
+    empty = [key for key, values in vary.items() if isinstance(values, str) or not values]
+    if empty:
+        place = Place("vary", argument=True)
+        raise InputError(
+            place.diagnostic(key, "has no values", "expected a list of values", Code.MISSING) for key in empty
+        )
+    return tuple(tuple(overrides_of({key: value}, "vary")[0] for value in values) for key, values in vary.items())

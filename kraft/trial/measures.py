@@ -1,0 +1,255 @@
+"""Measures of what a method promises, against the true motion: clearance, decisions and the estimator's covariance."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from kraft.driving.messages import ContingencyOrigin, Cycle, ReferenceKind
+from kraft.trial.step import Step
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.vehicle import Footprint
+
+BIN: Final = 0.1
+"""Width of the intervals of time since the commit for which deviations are kept, s."""
+REGRESSION: Final = 0.5
+"""Cost by which a plan must exceed what was left of the last one to count as a regression, s."""
+BAND: Final = (0.2158, 9.3484)
+"""2.5 % and 97.5 % quantile of the chi-square distribution with three degrees of freedom: the 95 % band of a pose's
+normalised squared error."""
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Kept(_Record):
+    """Ticks of the controller with a clearance delta(v) that the method asked for.
+
+    At `held` of the `ticks` no point of the true car was farther from the committed prediction than delta(v);
+    `delta_sum_m` is the sum of delta(v).
+    """
+
+    ticks: int = 0
+    held: int = 0
+    delta_sum_m: float = 0.0
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the ticks at which delta(v) held; None without ticks."""
+        return self.held / self.ticks if self.ticks else None
+
+    @property
+    def delta_mean(self) -> float | None:
+        """Mean delta(v), m; None without ticks."""
+        return self.delta_sum_m / self.ticks if self.ticks else None
+
+
+class Consistency(_Record):
+    """Normalised squared errors of an estimator's poses: their number and sum, and how many were in the 95 % band."""
+
+    poses: int = 0
+    sum: float = 0.0
+    in_band: int = 0
+
+    @property
+    def mean(self) -> float | None:
+        """Mean; 3 if the stated covariance is right, more if it is too small.  None without poses."""
+        return self.sum / self.poses if self.poses else None
+
+    @property
+    def share(self) -> float | None:
+        """Share in the band; 0.95 if the stated covariance is right.  None without poses."""
+        return self.in_band / self.poses if self.poses else None
+
+
+class Measures(_Record):
+    """Measures of one trial, or of several together.
+
+    Attributes:
+        plans, contingencies: clearance kept while a plan or a contingency was driven.
+        deviation_mm: for each interval of 0.1 s since the commit, the largest deviation of a point of the true car from
+            the committed prediction, at each tick of the controller.
+        emergencies: number of contingencies that nothing verified.
+        in_hand: number of contingencies that an earlier cycle verified; the others were verified when committed.
+        compared: number of cycles whose plan can be compared with what was left of the last one.
+        regressions: number of plans that cost over 0.5 s more than what was left of the last one, by reason.
+        messages_lost: number of messages from replanner to car that were lost.
+        consistency: of the estimator's covariance; None if it states none.
+    """
+
+    plans: Kept = Kept()
+    contingencies: Kept = Kept()
+    deviation_mm: tuple[tuple[int, ...], ...] = ()
+    emergencies: int = 0
+    in_hand: int = 0
+    compared: int = 0
+    regressions: Mapping[str, int] = {}
+    messages_lost: int = 0
+    consistency: Consistency | None = None
+
+    @property
+    def clearance(self) -> Kept:
+        """Clearance kept by plans and contingencies together."""
+        return pooled_clearance((self.plans, self.contingencies))
+
+    def deviation_quantiles(self, shares: Sequence[float]) -> list[list[float]]:
+        """For each interval of time with deviations its end (s), then the quantiles of the deviation (m)."""
+        return [
+            [BIN * (k + 1), *(np.quantile(values, shares, method="inverted_cdf") / 1000.0).tolist()]
+            for k, values in enumerate(self.deviation_mm)
+            if values
+        ]
+
+
+def pooled(measures: Iterable[Measures]) -> Measures:
+    """Measures of several trials together."""
+    each = list(measures)
+    regressions: Counter[str] = Counter()
+    for one in each:
+        regressions.update(one.regressions)
+    bins = max((len(one.deviation_mm) for one in each), default=0)
+    consistencies = [one.consistency for one in each if one.consistency is not None]
+    return Measures(
+        plans=pooled_clearance(one.plans for one in each),
+        contingencies=pooled_clearance(one.contingencies for one in each),
+        deviation_mm=tuple(
+            tuple(value for one in each if k < len(one.deviation_mm) for value in one.deviation_mm[k])
+            for k in range(bins)
+        ),
+        emergencies=sum(one.emergencies for one in each),
+        in_hand=sum(one.in_hand for one in each),
+        compared=sum(one.compared for one in each),
+        regressions=dict(sorted(regressions.items())),
+        messages_lost=sum(one.messages_lost for one in each),
+        consistency=pooled_consistency(consistencies) if consistencies else None,
+    )
+
+
+def pooled_clearance(kept: Iterable[Kept]) -> Kept:
+    """Clearance kept in several trials together."""
+    each = list(kept)
+    return Kept(
+        ticks=sum(k.ticks for k in each), held=sum(k.held for k in each), delta_sum_m=sum(k.delta_sum_m for k in each)
+    )
+
+
+def pooled_consistency(consistencies: Sequence[Consistency]) -> Consistency:
+    """Consistency over several trials."""
+    return Consistency(
+        poses=sum(c.poses for c in consistencies),
+        sum=sum(c.sum for c in consistencies),
+        in_band=sum(c.in_band for c in consistencies),
+    )
+
+
+def measure(
+    cycles: Sequence[Cycle],
+    steps: Sequence[Step],
+    footprint: Footprint,
+    pose: Sequence[int],
+    messages_lost: int = 0,
+    errors_squared: Sequence[float] = (),
+) -> Measures:
+    """Measures of a trial.
+
+    Args:
+        cycles: its cycles.
+        steps: its ticks of the controller, with the true poses.
+        footprint: footprint of the planner's vehicle.
+        pose: indices of x, y and theta in its state.
+        messages_lost: number of lost messages.
+        errors_squared: normalised squared error of each pose for which the estimator stated a covariance.
+    """
+    plans, contingencies = Kept(), Kept()
+    deviations: list[list[int]] = []
+    ticks = np.array([step.time for step in steps])
+    truth = np.array([step.pose for step in steps]).reshape(-1, 3)
+    for cycle, begin, end in _spans(cycles, ticks):
+        times, predicted = ticks[begin:end], cycle.predicted
+        expected = np.column_stack([np.interp(times, predicted.times, predicted.states[:, k]) for k in pose])
+        deviation = farthest_point(truth[begin:end], expected, footprint)
+        _sort_in(deviations, times - cycle.time, deviation)
+        if predicted.delta is not None:
+            delta = np.interp(times, predicted.times, predicted.delta)
+            kept = Kept(ticks=len(times), held=int((deviation <= delta).sum()), delta_sum_m=float(delta.sum()))
+            if cycle.kind == ReferenceKind.PLAN:
+                plans = pooled_clearance((plans, kept))
+            else:
+                contingencies = pooled_clearance((contingencies, kept))
+    origins = Counter(cycle.contingency_origin for cycle in cycles)
+    compared, regressions = _regressions(cycles)
+    return Measures(
+        plans=plans,
+        contingencies=contingencies,
+        deviation_mm=tuple(map(tuple, deviations)),
+        emergencies=origins[ContingencyOrigin.EMERGENCY],
+        in_hand=origins[ContingencyOrigin.IN_HAND],
+        compared=compared,
+        regressions=dict(sorted(regressions.items())),
+        messages_lost=messages_lost,
+        consistency=_consistency(errors_squared) if errors_squared else None,
+    )
+
+
+def farthest_point(true: Matrix, expected: Matrix, footprint: Footprint) -> Floats:
+    """Largest distance (n,) between a point of the footprint at the pose `true` and the same point at `expected`.
+
+    Poses (n, 3) are in m and rad.  The displacement is an affine function of the point, so a corner has the largest.
+    """
+    far: Floats = np.zeros(len(true))
+    for x in (footprint.offset - footprint.length / 2, footprint.offset + footprint.length / 2):
+        for y in (-footprint.width / 2, footprint.width / 2):
+            apart = _point(true, x, y) - _point(expected, x, y)
+            far = np.maximum(far, np.hypot(apart[:, 0], apart[:, 1]))
+    return far
+
+
+def _point(poses: Matrix, x: float, y: float) -> Matrix:
+    """Position (n, 2) of the point (x, y) of a body at poses (n, 3), m."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y])
+
+
+def _spans(cycles: Sequence[Cycle], ticks: Floats) -> Iterable[tuple[Cycle, int, int]]:
+    """Each cycle with the range of the ticks between its start and the end of its prediction or the next cycle."""
+    for k, cycle in enumerate(cycles):
+        begin, end = cycle.time, float(cycle.predicted.times[-1])
+        if k + 1 < len(cycles):
+            end = min(end, cycles[k + 1].time)
+        first, last = np.searchsorted(ticks, [begin - 1e-9, end - 1e-9])
+        if last > first:
+            yield cycle, int(first), int(last)
+
+
+def _sort_in(deviations: list[list[int]], since: Floats, deviation: Floats) -> None:
+    """Add deviations (m) to the intervals of the time since the commit (s)."""
+    for elapsed, value in zip(since.tolist(), deviation.tolist(), strict=True):
+        k = int((elapsed + 1e-9) / BIN)
+        while len(deviations) <= k:
+            deviations.append([])
+        deviations[k].append(round(1000 * value))
+
+
+def _regressions(cycles: Sequence[Cycle]) -> tuple[int, Counter[str]]:
+    """Number of cycles whose plan can be compared with the last one's, and the regressions by reason."""
+    compared, found = 0, Counter[str]()
+    for last, cycle in itertools.pairwise(cycles):
+        left = last.cost_to_goal - (cycle.time - last.time)
+        if math.isfinite(left) and math.isfinite(cycle.cost_to_goal):
+            compared += 1
+            if cycle.cost_to_goal > left + REGRESSION:
+                found[str(cycle.lost)] += 1
+    return compared, found
+
+
+def _consistency(errors_squared: Sequence[float]) -> Consistency:
+    low, high = BAND
+    inside = sum(low <= value <= high for value in errors_squared)
+    return Consistency(poses=len(errors_squared), sum=float(sum(errors_squared)), in_band=inside)

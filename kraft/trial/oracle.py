@@ -1,0 +1,80 @@
+"""Oracle: the only estimator that is told the truth, to find out what is possible in a scenario.
+
+It takes the simulated `World` itself.  `kraft.driving` cannot import the simulation, so no other estimator can be given
+one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.estimation.dead_reckoning import DeadReckoning
+from kraft.driving.messages import Estimate, Observation
+from kraft.errors import Code, InputError
+from kraft.scenario.truth import VehicleGap
+from kraft.simulation.car import CHASSIS_MASS, EFFECTIVE_MASS
+from kraft.simulation.world import World
+from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
+
+PARAMETERS: Final = ("L", "phi_diff", "v_delta", "tau", "u_0")
+
+
+class OracleEstimator:
+    """True state, predicted to the time at which a command acts, with the commands that are on their way."""
+
+    def __init__(self, world: World, command_delay: float, model: CarModel, start_state: Floats) -> None:
+        """Estimate the state of `world`, whose commands act `command_delay` s after they are sent."""
+        self._world, self._model, self.horizon = world, model, command_delay
+        self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
+
+    @property
+    def belief(self) -> None:
+        """None: the oracle states no covariance."""
+        return None
+
+    def observe(self, observation: Observation) -> None:
+        """Ignore the observation."""
+
+    def commanded(self, time: float, control: Floats) -> None:
+        """Record that `control` (nu,) is sent at `time` (s, ascending); it acts after the delay."""
+        self._reckoning.command(time + self.horizon, control)
+
+    def estimate(self, time: float) -> Estimate:
+        """State at `time` (s) plus the delay."""
+        state, model = self._reckoning.at(time), self._model
+        state[[model.x, model.y, model.theta]] = self._world.pose
+        state[model.v] = self._world.speed
+        self._reckoning.reset(time, state)
+        return Estimate(time + self.horizon, self._reckoning.at(time + self.horizon), 0.0)
+
+    def replanning_estimate(self, time: float) -> Estimate:
+        """State at `time` (s) plus the delay."""
+        return self.estimate(time)
+
+
+def true_vehicle(vehicle: Vehicle, gap: VehicleGap) -> Vehicle:
+    """Model of the true car: a model with drive train, its parameters changed as the car is (`truth.vehicle`).
+
+    The force of the drive is proportional to the throttle minus that which friction uses up, the steady speed to the
+    force; so a force larger by a factor k gives v_delta (k - u_0) / (1 - u_0) and u_0 / k.  A steering angle larger by
+    k gives L / k, and an offset is one of the commanded angle.  The time constant grows with the mass.
+
+    Raises:
+        InputError: if the car differs from its model, and the model has other parameters.
+    """
+    if gap == VehicleGap():
+        return vehicle
+    if missing := [name for name in PARAMETERS if name not in vehicle.parameters]:
+        problem = f"has no {', '.join(missing)}, so it cannot be told how the true car differs"
+        raise InputError.of(vehicle.name, problem, "expected the model mushr-drive", Code.MISMATCH)
+    values = dict(vehicle.parameters)
+    drive, friction = gap.drive_scale, values["u_0"]
+    values["v_delta"] *= (drive - friction) / (1.0 - friction)
+    values["u_0"] = friction / drive
+    values["L"] /= gap.steering_scale
+    values["phi_diff"] += gap.steering_offset / gap.steering_scale
+    values["tau"] *= 1.0 + CHASSIS_MASS * (gap.mass_scale - 1.0) / EFFECTIVE_MASS
+    return replace(vehicle, parameters=values, top_speed=values["v_delta"])
