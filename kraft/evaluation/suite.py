@@ -38,7 +38,7 @@ class EntryFile(StrictModel):
     """short name of letters, digits, -, _, + and ."""
     scenario: str
     """a scenario's name, or the path of its file relative to this file"""
-    set: Annotated[dict[str, Any], Field(default_factory=dict)]
+    set: dict[str, Any] = Field(default_factory=dict)
     """values of the scenario's dotted keys: {sensing.noise_scale: 2}"""
 
 

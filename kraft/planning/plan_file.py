@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, TypeGuard
@@ -49,11 +49,15 @@ Table = Annotated[tuple[Row, ...], Field(min_length=1)]
 
 @dataclass(frozen=True)
 class Origin:
-    """References to the scenario, the vehicle and the previous plan, as they were given."""
+    """References to the scenario, the vehicle and the previous plan, as they were given.
+
+    `settings` are the values of the scenario's keys that were set.
+    """
 
     scenario: str
     vehicle: str
     previous: Previous | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_plan(path: Path, task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) -> None:
@@ -89,9 +93,10 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
     plan = result.plan
     if plan is None:
         raise ValueError("there is no plan to write")
+    changed = {"set": dict(origin.settings)} if origin.settings else {}
     content = {
         "schema": SCHEMA,
-        "scenario": {"name": task.name, "reference": origin.scenario, "sha256": task_hash(task)},
+        "scenario": {"name": task.name, "reference": origin.scenario, "sha256": task_hash(task), **changed},
         "vehicle": vehicle_content(vehicle, origin.vehicle),
         "planner": task.planning.planner,
         "seed": result.seed,
@@ -218,6 +223,8 @@ class PlannedScenario(StrictModel):
     """its name"""
     reference: str | None = None
     """how it was named"""
+    set: dict[str, Any] = Field(default_factory=dict)
+    """values of its keys that were set"""
     sha256: str | None = None
     """hash of the input of the planner"""
 

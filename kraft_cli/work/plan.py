@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kraft.config.overrides import parse_overrides
+from kraft.config.overrides import parse_overrides, plain_value
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
@@ -89,7 +89,8 @@ def run_plan(
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
     timer.report("planned, with maps and verification,")
     if target is not None and result.plan is not None:
-        origin = Origin(request.scenario, request.vehicle or task.vehicle, previous)
+        settings = {each.key: plain_value(each.value) for each in parse_overrides(request.settings, "set")}
+        origin = Origin(request.scenario, request.vehicle or task.vehicle, previous, settings)
         write_plan(target, task, vehicle, result, origin)
     else:
         target = None
