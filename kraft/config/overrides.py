@@ -182,7 +182,7 @@ def _parsed(key: str) -> KeyPath:
 
 
 def _replaced(data: Value, path: KeyPath, override: Override) -> tuple[KeyPath, Value]:
-    """Path in the document, and `data` with the override's value at `path`."""
+    """`data` with the override's value at `path`, and before it the path of what is new in it."""
     if not path:
         return (), override.value
     first, rest = path[0], path[1:]
@@ -198,7 +198,7 @@ def _replaced(data: Value, path: KeyPath, override: Override) -> tuple[KeyPath, 
         key = str(first)
         inner = data or {}
         at, value = _replaced(inner.get(key), rest, override)
-        return (key, *at), {**inner, key: value}
+        return (key, *at) if key in inner else (key,), {**inner, key: value}
     problem = f"{format_path(override.path[: len(override.path) - len(path)])} has no keys"
     raise InputError([override.diagnostic(problem, "expected a key of the file", Code.UNKNOWN)])
 

@@ -180,7 +180,7 @@ def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
         reference = entry.scenario if bundled.is_name(entry.scenario) else path.parent / entry.scenario
         try:
             bundled.find("scenario", reference)
-            overrides = _entry_overrides(document.source, k, entry.set, path.parent)
+            overrides = _entry_overrides(document.source, k, entry.set, path.parent, problems)
             drafts.append(_Draft(entry.name, entry.name, reference, overrides))
         except InputError as error:
             source, at = document.source, ("entries", k, "scenario")
@@ -191,8 +191,11 @@ def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
     return drafts
 
 
-def _entry_overrides(source: Source, entry: int, values: Mapping[str, Value], folder: Path) -> tuple[Override, ...]:
-    found, problems = [], []
+def _entry_overrides(
+    source: Source, entry: int, values: Mapping[str, Value], folder: Path, problems: list[Diagnostic]
+) -> tuple[Override, ...]:
+    """Overrides of an entry; problems of their keys are added to `problems`."""
+    found: list[Override] = []
     for key, value in values.items():
         at = ("entries", entry, "set", key)
         place = Place(source.file, source.values.get(at), folder=folder)
@@ -202,8 +205,6 @@ def _entry_overrides(source: Source, entry: int, values: Mapping[str, Value], fo
             place = replace(place, position=source.keys.get(at))
             problems += [place.diagnostic(key, d.problem, d.expected, d.code) for d in error.diagnostics]
     problems += repeated(found)
-    if problems:
-        raise InputError(problems)
     return tuple(found)
 
 

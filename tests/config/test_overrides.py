@@ -1,0 +1,121 @@
+"""Overrides: keys of a file that are set elsewhere, with problems reported where they were set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.diagnostics import located, raised
+
+from kraft.config.overrides import Override, overrides_of, parse_overrides, parse_sweeps, value_text
+from kraft.errors import Code
+from kraft.scenario import Scenario, load_scenario
+
+
+def with_settings(*texts: str, scenario: str = "movable") -> Scenario:
+    return load_scenario(scenario, parse_overrides(texts, "set"))
+
+
+def test_values_replace_those_of_the_file_and_missing_mappings_are_added() -> None:
+    scene = with_settings(
+        "sensing.noise_scale=2.5", "truth.vehicle.drive_scale=0.8", "truth.movable_boxes[1].mass=2",
+        "truth.movable_boxes.2.mass=3", "goal={center: [1, 4], radius: 0.3}",
+    )  # fmt: skip
+    assert scene.sensing.noise_scale == 2.5
+    assert scene.truth.vehicle.drive_scale == 0.8
+    assert [box.mass for box in scene.truth.movable_boxes] == [1.0, 2.0, 3.0, 1.0]
+    assert (scene.goal.center, scene.goal.radius) == ((1.0, 4.0), 0.3)
+    assert load_scenario("movable").sensing.noise_scale == 1.0
+
+
+def test_python_values_do_the_same() -> None:
+    settings = {"sensing.camera": [1, 2, 6], "truth.floor_friction": 0.3}
+    scene = load_scenario("turns", settings)
+    assert (scene.sensing.camera, scene.truth.floor_friction) == ((1.0, 2.0, 6.0), 0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("sensing.noise_scal=2", "sensing.noise_scal unknown"),
+        ("sensing.rate_hz=x", "sensing.rate_hz type"),
+        ("sensing.rate_hz=", "sensing.rate_hz type"),
+        ("sensing.dropout=1.5", "sensing.dropout value"),
+        ("sensing.message_loss=1.01", "sensing.message_loss value"),
+        ("sensing.camera=[1, 2", "sensing.camera syntax"),
+        ("sensing.camera=[1, 2]", "sensing.camera value"),
+        ("name.x=3", "name.x unknown"),
+        ("nothing.x=3", "nothing unknown"),
+        ("goal.heading_deg=90", "goal.heading_deg conflict"),
+        ("start.x=99", "start.x geometry"),
+        ("truth.movable_boxes[9].mass=1", "truth.movable_boxes[9].mass unknown"),
+        ("truth.movable_boxes.mass=1", "truth.movable_boxes.mass value"),
+        ("vehicle=mushrr", "vehicle not-found"),
+        ("sensing", "syntax"),
+        ("=3", "syntax"),
+        ("a..b=3", "syntax"),
+        ("a[x]=3", "syntax"),
+    ],
+)
+def test_problems_are_reported_at_the_argument(text: str, expected: str) -> None:
+    problems = raised(lambda: with_settings(text))
+    assert located(problems) == [expected]
+    assert [(d.file, d.argument) for d in problems] == [("set", True)]
+
+
+def test_an_unknown_key_suggests_the_similar_one() -> None:
+    (problem,) = raised(lambda: with_settings("sensing.noise_scal=2"))
+    assert "'noise_scale'" in problem.expected
+
+
+def test_every_problem_at_once() -> None:
+    problems = raised(lambda: with_settings("sensing.noise_scal=2", "sensing.rate_hz=x", "start.x=99"))
+    assert sorted(located(problems)) == ["sensing.noise_scal unknown", "sensing.rate_hz type", "start.x geometry"]
+
+
+@pytest.mark.parametrize("second", ["sensing.rate_hz=5", "sensing={preset: planar}", "sensing.rate_hz=30"])
+def test_a_key_is_set_once(second: str) -> None:
+    problems = raised(lambda: with_settings("sensing.rate_hz=30", second))
+    assert [d.code for d in problems] == [Code.DUPLICATE]
+
+
+def test_problems_of_the_file_stay_at_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text("name: a\nbounds: {x: [0, 3], y: [0, 3]}\nstart: {x: 1, y: 1, heading_deg: 0}\ngoal: {radius: 1}\n")
+    problems = raised(lambda: load_scenario(file, {"sensing.rate_hz": -1}))
+    assert sorted(located(problems)) == ["4:1 goal.center missing", "sensing.rate_hz value"]
+    assert {d.file for d in problems} == {str(file), "settings"}
+
+
+def test_a_relative_path_begins_at_the_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "car.yaml").write_text("")
+    assert load_scenario("turns", {"vehicle": "car.yaml"}).vehicle == str(tmp_path / "car.yaml")
+
+
+def test_a_sweep_has_the_values_of_a_list() -> None:
+    ((first, second), cameras) = parse_sweeps(["sensing.rate_hz=5, 30", "sensing.camera=[1,3,5],[1,3,6]"], "vary")
+    assert (first.key, first.value, second.value) == ("sensing.rate_hz", 5, 30)
+    assert [each.value for each in cameras] == [(1, 3, 5), (1, 3, 6)]
+
+
+@pytest.mark.parametrize(
+    ("texts", "codes"),
+    [
+        (["sensing.rate_hz="], [Code.MISSING]),
+        (["sensing.rate_hz=5,5"], [Code.DUPLICATE]),
+        (["sensing.rate_hz=5", "sensing.rate_hz=6"], [Code.DUPLICATE]),
+        (["sensing.rate_hz=[5"], [Code.SYNTAX]),
+        (["rate"], [Code.SYNTAX]),
+    ],
+)
+def test_a_wrong_sweep_is_refused(texts: list[str], codes: list[Code]) -> None:
+    assert [d.code for d in raised(lambda: parse_sweeps(texts, "vary"))] == codes
+
+
+@pytest.mark.parametrize("value", [None, True, 3, 0.1, "word", [1, [2.5, "x"]], {"a": {"b": [False]}}])
+def test_the_text_of_a_value_is_read_as_that_value(value: Any) -> None:
+    (override,) = overrides_of({"key": value})
+    assert parse_overrides([f"key={value_text(override.value)}"], "set") == (override,)
+    assert isinstance(override, Override)

@@ -1,0 +1,95 @@
+"""The oracle: it knows the true car and state, makes up for delays, and nobody else can."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.diagnostics import raised
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.method import load_method
+from kraft.errors import Code
+from kraft.scenario import load_scenario
+from kraft.simulation.world import World
+from kraft.trial.oracle import true_vehicle
+from kraft.trial.plant import Radio
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.trial.trial import run_trial
+from kraft.vehicles.load import load_vehicle
+
+CARS: list[dict[str, float]] = [
+    {"drive_scale": 0.8},
+    {"drive_scale": 1.25, "steering_scale": 1.2, "steering_offset_deg": -4, "mass_scale": 0.85},
+    {"steering_scale": 0.8, "steering_offset_deg": 6},
+]
+
+
+def run(settings: dict[str, Any], method: str = "oracle", scenario: str = "boxes", seed: int = 0) -> TrialResult:
+    found = load_method(method)
+    vehicle = load_vehicle(found.planner.vehicle or "mushr")
+    return run_trial(TrialSpec(load_scenario(scenario, settings), found, vehicle, seed))
+
+
+@pytest.mark.parametrize("car", CARS)
+def test_the_model_of_the_true_car_predicts_it_as_well_as_the_model_predicts_its_own(car: dict[str, float]) -> None:
+    def error(gap: dict[str, float], told: bool) -> float:
+        """Median error of the position after 2 s of random commands, m."""
+        scene, random, errors = load_scenario("training", {"truth.vehicle": gap}), np.random.default_rng(0), []
+        vehicle = load_vehicle("mushr-drive")
+        model = CarModel(true_vehicle(vehicle, scene.truth.vehicle) if told else vehicle)
+        for _ in range(12):
+            world = World(scene)
+            state = np.append(world.pose, 0.0)
+            for _ in range(4):
+                command = np.array([random.uniform(0.3, 1.0), random.uniform(-0.38, 0.38)])
+                world.apply(*command)
+                world.step(250)
+                state = model.advance(state, command, 0.5)
+            errors.append(float(np.hypot(*(state[:2] - world.pose[:2]))))
+        return float(np.median(errors))
+
+    assert error(car, told=True) < 1.4 * error({}, told=False)
+    assert error(car, told=True) < 0.7 * error(car, told=False)
+
+
+def test_noise_and_missing_poses_change_nothing() -> None:
+    clear, blind = run({}), run({"sensing.dropout": 1.0, "sensing.noise_scale": 3.0})
+    assert [step.pose for step in clear.steps] == [step.pose for step in blind.steps]
+    assert clear.outcome is Outcome.SUCCESS
+
+
+def test_delays_are_made_up_for() -> None:
+    late = run({"sensing.command_delay": 0.25, "sensing.communication_delay": 0.2, "sensing.latency": 0.3})
+    assert late.outcome is Outcome.SUCCESS
+    half = {name: r.measures.deviation_quantiles((0.5,))[-1][1] for name, r in (("prompt", run({})), ("late", late))}
+    assert half["late"] < half["prompt"] + 0.02
+
+
+def test_a_model_that_cannot_be_told_the_car_is_refused() -> None:
+    scene = load_scenario("boxes", {"truth.vehicle.drive_scale": 0.8})
+    problems = raised(lambda: true_vehicle(load_vehicle("mushr"), scene.truth.vehicle))
+    assert [d.code for d in problems] == [Code.MISMATCH]
+    assert true_vehicle(load_vehicle("mushr"), load_scenario("boxes").truth.vehicle) == load_vehicle("mushr")
+
+
+def test_lost_messages_are_decided_by_the_seed() -> None:
+    def delivered(loss: float, seed: int) -> list[bool]:
+        radio = Radio(loss, seed)
+        arrived = [radio.delivers() for _ in range(2000)]
+        assert radio.lost == arrived.count(False)
+        return arrived
+
+    assert delivered(0.3, 3) == delivered(0.3, 3) != delivered(0.3, 4)
+    assert np.mean(delivered(0.3, 3)) == pytest.approx(0.7, abs=0.04)
+    assert all(delivered(0.0, 3))
+    assert delivered(1.0, 3).index(False) == 1  # the first plan is on board before the drive
+
+
+def test_without_messages_the_first_plan_is_driven_to_its_end() -> None:
+    alone = run({"sensing.message_loss": 1.0, "trial.timeout": 15}, "kraft", "turns")
+    assert alone.measures.messages_lost == len(alone.cycles) - 1
+    first = alone.cycles[0].reference
+    after = [step.command for step in alone.steps if step.time > first.end + 2.0]
+    assert all(command == pytest.approx(first.rest) for command in after)
