@@ -14,7 +14,8 @@ from support.evaluation import KEYS, kept, places, room_for
 from support.paths import ROOT
 from support.screen import Screen
 
-from kraft.evaluation import METHODS, SCENARIOS
+from kraft.evaluation import METHODS
+from kraft.evaluation.suite import load_suite
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.terminal import Terminal
@@ -51,9 +52,10 @@ def test_without_arguments_it_runs_six_scenes_and_seven_methods_thirty_times(
     inline: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     content = run_json(capsys, "-q")
-    assert [(r["scenario"], r["method"]) for r in content["results"]] == [(s, m) for s in SCENARIOS for m in METHODS]
+    scenes = [entry.name for entry in load_suite("paper")]
+    assert [(r["scenario"], r["method"]) for r in content["results"]] == [(s, m) for s in scenes for m in METHODS]
     assert {r["trials"] for r in content["results"]} == {content["trials"]} == {30}
-    assert len(SCENARIOS) * len(METHODS) == 42
+    assert len(scenes) * len(METHODS) == 42
     (folder,) = Path("results").iterdir()
     assert re.fullmatch(r"eval-\d{8}-\d{6}-seed0", folder.name)
     assert content["folder"] == f"results/{folder.name}"
@@ -61,8 +63,8 @@ def test_without_arguments_it_runs_six_scenes_and_seven_methods_thirty_times(
     assert summary == {key: value for key, value in content.items() if key != "folder"}
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["arguments"] == {
-        "scenarios": list(SCENARIOS), "methods": list(METHODS), "vehicle": None, "trials": 30, "seed": 0,
-        "realtime": False,
+        "scenarios": [], "suite": "paper", "settings": [], "vary": [], "methods": list(METHODS), "vehicle": None,
+        "trials": 30, "seed": 0, "realtime": False,
     }  # fmt: skip
 
 

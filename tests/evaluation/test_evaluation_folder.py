@@ -49,7 +49,8 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     assert content["schema"] == "kraft.eval-manifest/1"
     assert (content["trials"], content["seed"]) == (3, 5)
     assert content["rows"][1] == {
-        "scenario": "turns", "method": "kraft", "title": "KRAFT", "vehicle": "mushr-drive",
+        "entry": "turns", "base": "turns", "scenario": "turns", "reference": "turns", "set": {}, "method": "kraft",
+        "title": "KRAFT", "vehicle": "mushr-drive",
     }  # fmt: skip
     assert content["scenarios"]["slip"]["content"]["truth"]["friction_patches"]
     assert content["methods"]["kraft"]["content"]["planner"]["mode"] == "replanning"

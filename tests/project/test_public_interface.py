@@ -45,12 +45,12 @@ IMPORTS = [
 
 COMMANDS = {
     "doctor": "--json",
-    "eval": "scenarios --cluster --jobs --json --methods --out --realtime --resume --seed --trials --vehicle",
+    "eval": "scenarios --cluster --jobs --json --methods --out --realtime --resume --seed --set --suite --trials --vary --vehicle",
     "list": "what --json",
-    "plan": "scenario --after --from --iterations --json --out --param --planner --plot --seed --time --vehicle",
+    "plan": "scenario --after --from --iterations --json --out --param --planner --plot --seed --set --time --vehicle",
     "record": "scenario --json --out --runs --seed",
     "report": "results --out",
-    "run": "scenario --json --method --out --plot --seed --vehicle --video --view",
+    "run": "scenario --json --method --out --plot --seed --set --vehicle --video --view",
     "sysid": "logs --extras --freeze --graph --holdout --json --mapping --model --out --param --plot --pose-noise",
     "validate": "files --json",
 }
