@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,13 @@ from ompl_ext.arrays import Floats, Matrix
 
 HALF_MARKER = 0.075
 """Half the side of the marker, m."""
+
+
+class Camera(Protocol):
+    """Takes frames and measures the pose of the marker."""
+
+    def expose(self, time: float, position: Floats, rotation: Matrix) -> Observation | None:
+        """Observation from a frame at `time` (s, ascending), None if the marker is not detected."""
 
 
 class MarkerCamera:

@@ -16,7 +16,7 @@ from kraft.errors import InputError, MissingAsset
 from kraft.files import check_writable
 from kraft.text import counted
 from kraft.version import VERSION
-from kraft.video.gl import BACKENDS
+from kraft.simulation.gl import BACKENDS
 
 State: TypeAlias = Literal["ok", "note", "missing"]
 
@@ -46,7 +46,7 @@ OPTIONAL: Final[dict[str, tuple[str, str]]] = {
 }
 """Each optional package: the module to import, and its purpose."""
 
-_GL_TRIAL: Final = "from kraft.video.gl import offscreen_context; offscreen_context(16, 16)"
+_GL_TRIAL: Final = "from kraft.simulation.gl import offscreen_context; offscreen_context(16, 16)"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
-from kraft.video.gl import check_video, check_view, offscreen_context
+from kraft.simulation.gl import offscreen_context
+from kraft.video.gl import check_video, check_view
 from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import font, wrapped
 from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width, write_still
