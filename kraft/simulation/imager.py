@@ -20,7 +20,7 @@ CORNERS: Final = HALF_MARKER * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-
 OVERSAMPLING: Final = 3
 """Rendered pixels along each side of a pixel of the frame."""
 ROLL: Final = 0.2
-"""Angle between rows of rendered pixels and rows of the frame, rad: smooth edges also where tag and frame are parallel."""
+"""Angle between rows of rendered pixels and of the frame, rad: smooth edges also where tag and frame are parallel."""
 QUIET: Final = 1.34
 """Side of the paper over that of the tag."""
 
@@ -133,7 +133,7 @@ class Imager:
 
 
 def _smooth_maps(grid: Matrix, values: Matrix, count: int) -> tuple[Any, Any]:
-    """Two maps (count, count), float32, over the square from -1 to 1: cubic polynomials through values (n, 2) at `grid`.
+    """Two maps (count, count), float32, over the square from -1 to 1: cubics through values (n, 2) at `grid` (n, 2).
 
     Across a tag they fit a lens to 0.001 px.
     """

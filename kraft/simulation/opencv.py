@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 from typing import Any, Final
 
-import numpy as np
-
 from kraft.errors import MissingDependency
 from ompl_ext.arrays import Matrix
 

@@ -15,7 +15,6 @@ from kraft.simulation.opencv import PURPOSE
 from kraft.simulation.optics import View
 from ompl_ext.arrays import Floats, Matrix
 
-
 SIDE_MAX: Final = 512
 """Largest width and height of a picture, px."""
 WIDTH_MAX: Final = 2 * SIDE_MAX

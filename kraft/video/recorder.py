@@ -14,10 +14,10 @@ from PIL import Image as Pillow
 from kraft.driving.messages import Cycle
 from kraft.files import write_whole
 from kraft.scenario import Bounds
+from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
-from kraft.simulation.gl import offscreen_context
 from kraft.video.gl import check_video
 from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import BAND, Overlay
