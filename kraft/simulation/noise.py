@@ -96,9 +96,9 @@ class ErrorModel:
 class CameraNoise:
     """Errors of one measuring method.
 
-    `along` is the direction of the camera's line of sight on the floor, `across` is perpendicular to it.  `bias` (standard
-    deviations of position and heading) is drawn once per trial, like an error of the camera's calibration.  `dropout` is
-    the share of missed frames.
+    `along` is the direction of the camera's line of sight on the floor, `across` is perpendicular to it.  `bias`
+    (standard deviations of position and heading) is drawn once per trial, like an error of the camera's calibration.
+    `dropout` is the share of missed frames.
     """
 
     along: ErrorModel
@@ -116,8 +116,8 @@ TURNING_RADIUS: Final = 0.1
 PLANAR_POSITION: Final = PowerLaw.through(0.0011, 0.0013)
 PLANAR_PARTS: Final = (Part(0.55, time=5.0), Part(0.45))
 PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
-    # Fitted to rendered frames (python -m benchmarks sensing): 3 to 7.6 m and up to 35 degrees from the vertical, most of
-    # them at 4.7 to 6.2 m.
+    # Fitted to rendered frames (python -m benchmarks sensing): 3 to 7.6 m and up to 35 degrees from the vertical,
+    # most of them at 4.7 to 6.2 m.
     "single-tag": CameraNoise(
         along=ErrorModel(
             PowerLaw(0.027, 2.0, 1.35),

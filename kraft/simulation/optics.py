@@ -13,12 +13,12 @@ from ompl_ext.arrays import Floats, Matrix
 WIDTH, HEIGHT = 1280, 720
 """Size of a frame, px."""
 FIELD_OF_VIEW: Final = math.radians(70.4)
-"""Along the width of a frame."""
+"""Along the width of a frame; as of a Logitech C920 (78 degrees along the diagonal), much like a RealSense D435's 69."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Intrinsic parameters: focal length and principal point in px, distortion k1, k2, p1, p2, k3 as OpenCV has them."""
+    """Intrinsic parameters: focal length and principal point in px, OpenCV's distortion k1, k2, p1, p2, k3."""
 
     focal: float = 0.5 * WIDTH / math.tan(0.5 * FIELD_OF_VIEW)
     centre: tuple[float, float] = (0.5 * WIDTH - 0.5, 0.5 * HEIGHT - 0.5)

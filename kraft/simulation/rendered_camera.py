@@ -27,8 +27,8 @@ HEADINGS: Final = 24
 class RenderedCamera:
     """Takes frames of the tag and computes the car's pose from each; the robot gets nothing else.
 
-    The camera stands at the scenario's `sensing.camera`, aimed at the middle of its bounds, the width of the frame along
-    their longer side.  Its calibration is not exact; its errors are drawn once per trial.
+    The camera stands at the scenario's `sensing.camera`, aimed at the middle of its bounds, the width of the frame
+    along their longer side.  Its calibration is not exact; its errors are drawn once per trial.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -89,7 +89,7 @@ def calibrated_side(camera: tuple[float, float, float], x: tuple[float, float], 
     """
     lens, view = Lens(), view_of(camera, Bounds(x=x, y=y))
     imager, vision = Imager(lens, view, Imaging(), np.random.default_rng(0)), TagVision(lens, view)
-    position = _middle(x, y) + [0.0, 0.0, MARKER_HEIGHT]
+    position = _middle(x, y) + np.array([0.0, 0.0, MARKER_HEIGHT])
     distances = []
     for k in range(HEADINGS):
         c, s = math.cos(k / HEADINGS * math.tau), math.sin(k / HEADINGS * math.tau)
