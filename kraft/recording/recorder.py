@@ -88,7 +88,7 @@ class Recorder:
             expected = "expected more free floor, as in the scenario training"
             raise InputError.of(name, problem, expected, Code.GEOMETRY)
         self._world.reset(place.start)
-        plant = Plant(self._world, self._scenario.sensing, int(generator.integers(2**62)), COMMAND_RATE)
+        plant = Plant(self._world, self._scenario, int(generator.integers(2**62)), COMMAND_RATE)
         return _Run(plant, self._free_space, commanded, place).drive(number)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,13 @@ from ompl_ext.arrays import Floats, Matrix
 
 HALF_MARKER = 0.075
 """Half the side of the marker, m."""
+
+
+class Camera(Protocol):
+    """Takes frames and measures the pose of the marker."""
+
+    def expose(self, time: float, position: Floats, rotation: Matrix) -> Observation | None:
+        """Observation from a frame at `time` (s, ascending), None if the marker is not detected."""
 
 
 class MarkerCamera:
@@ -41,6 +49,7 @@ class MarkerCamera:
                 f"expected more than the marker's {marker_height:g} m",
                 Code.GEOMETRY,
             )
+        assert sensing.preset != "rendered", "RenderedCamera renders"
         preset = PRESETS[sensing.preset]
         dropout = preset.dropout if sensing.dropout is None else sensing.dropout
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0xCA3E7A])))
@@ -48,7 +57,7 @@ class MarkerCamera:
         self._camera_position = tuple(float(value) for value in sensing.camera)
         self.latency = sensing.latency
         self.marker_height = marker_height
-        self._noise = PoseNoise(preset, dropout, sensing.noise_scale, generator)
+        self._noise = PoseNoise(preset, dropout, sensing.noise_scale, generator, sensing.correlation_time)
 
     def expose(self, time: float, position: Floats, rotation: Matrix) -> Observation | None:
         """Observation from a frame at `time` (s, ascending), None if the marker is not detected.
@@ -58,9 +67,9 @@ class MarkerCamera:
         """
         x, y, z = position.tolist()
         dx, dy, dz = (HALF_MARKER * part for part in rotation[:, 0].tolist())
-        offset = position - self.camera
         centre = self._on_plane(x, y, z)
-        error = self._noise.draw(time, math.sqrt(offset.dot(offset)), self._sight_direction(x, y))
+        pose = x, y, math.atan2(dy, dx)
+        error = self._noise.draw(time, self._sight(x, y, z), pose)
         if centre is None or error is None:
             return None
         front, rear = self._on_plane(x + dx, y + dy, z + dz), self._on_plane(x - dx, y - dy, z - dz)
@@ -84,6 +93,8 @@ class MarkerCamera:
         share = (z - self.marker_height) / below
         return x + share * (px - x), y + share * (py - y)
 
-    def _sight_direction(self, px: float, py: float) -> float:
-        """Direction of the line of sight on the floor, rad."""
-        return math.atan2(py - self._camera_position[1], px - self._camera_position[0])
+    def _sight(self, px: float, py: float, pz: float) -> tuple[float, float, float]:
+        """Line of sight to a point: length (m), angle from the vertical direction on the floor (rad)."""
+        x, y, z = self._camera_position
+        away = math.hypot(px - x, py - y)
+        return math.hypot(away, z - pz), math.atan2(away, z - pz), math.atan2(py - y, px - x)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
 
 from kraft.driving.messages import Observation
-from kraft.scenario import Sensing
-from kraft.simulation.camera import MarkerCamera
+from kraft.scenario import Scenario
+from kraft.simulation.camera import Camera, MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.world import Ticks, World, steps_of
 
@@ -38,17 +39,22 @@ class Plant:
     A drive repeats: `expose` if `frame_due`, `send` if `command_due`, then `advance`.
     """
 
-    def __init__(self, world: World, sensing: Sensing, seed: int, command_rate: float) -> None:
+    def __init__(self, world: World, scenario: Scenario, seed: int, command_rate: float) -> None:
         """Connect camera and command delay to a world.
 
         Args:
             world: the world, at time 0.
-            sensing: rate and errors of the camera, delay of the commands.
+            scenario: the world's; its `sensing` has rate and errors of the camera and the delay of the commands.
             seed: of the camera's errors.
             command_rate: commands per second.
+
+        Raises:
+            InputError: if the camera is too low, or if frames are rendered and do not show the marker at the start.
+            MissingDependency: if frames are rendered and OpenCV or OpenGL is missing.
         """
+        sensing = scenario.sensing
         self.world = world
-        self._camera = MarkerCamera(sensing, MARKER_HEIGHT, seed)
+        self._camera = _camera(world, scenario, seed)
         self._frames, self._ticks = Ticks(sensing.rate_hz, world.dt), Ticks(command_rate, world.dt)
         self._delay = steps_of(sensing.command_delay, world.dt)
         self._commands: deque[tuple[int, float, float]] = deque()
@@ -82,3 +88,17 @@ class Plant:
         arrival = commands[0][0] if commands else until
         due = min(until, arrival, self._ticks.due, self._frames.due)
         world.step(max(due - world.steps, 1))
+
+
+def _camera(world: World, scenario: Scenario, seed: int) -> Camera:
+    """Camera of the scenario's preset."""
+    if scenario.sensing.preset != "rendered":
+        return MarkerCamera(scenario.sensing, MARKER_HEIGHT, seed)
+    from kraft.simulation.rendered_camera import RenderedCamera
+
+    rendered = RenderedCamera(scenario, seed)
+    c, s = math.cos(scenario.start.heading), math.sin(scenario.start.heading)
+    place = np.array([scenario.start.x, scenario.start.y, MARKER_HEIGHT])
+    heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    rendered.check_sees(world.frame.to_world(place), world.frame.rotation @ heading)
+    return rendered

@@ -45,7 +45,8 @@ def run_trial(
         keep_trees: keep a copy of the planner's tree in each cycle.
 
     Raises:
-        InputError: if the model is not of a car with throttle and steering.
+        InputError: if the model is not of a car with throttle and steering, or the camera does not see the car.
+        MissingDependency: if frames of the camera are rendered and OpenCV or OpenGL is missing.
         Defect: if a plan fails its verification.
     """
     trial = _Trial(spec, keep_trees)
@@ -89,7 +90,7 @@ class _Trial:
     def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
         scenario, method = spec.scenario, spec.method
         self.world = World(scenario)
-        self._plant = Plant(self.world, scenario.sensing, spec.seed, method.controller.rate_hz)
+        self._plant = Plant(self.world, scenario, spec.seed, method.controller.rate_hz)
         if isinstance(method.estimator, Oracle):
             vehicle = true_vehicle(spec.vehicle, scenario.truth.vehicle)
             model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)

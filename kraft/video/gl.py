@@ -1,72 +1,18 @@
-"""Graphics contexts without a window, and checks that a video or a window is possible."""
+"""Checks that a video can be written or a window opened."""
 
 from __future__ import annotations
 
 import importlib
 import os
-import re
 import sys
-import warnings
-from ctypes.util import find_library
 from pathlib import Path
 from typing import Any, Final
 
 from kraft.errors import InputError, MissingDependency
 from kraft.files import check_writable
-
-BACKENDS: Final = ("egl", "osmesa", "glfw")
-ADVICE: Final = (
-    "install Mesa's EGL (on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri) or a graphics driver that has EGL, "
-    "or install OSMesa (libosmesa6) and set MUJOCO_GL=osmesa"
-)
+from kraft.simulation.gl import offscreen_context
 
 INSTEAD: Final = "a video file needs no screen"
-
-
-def offscreen_context(width: int, height: int) -> Any:
-    """Make a current context for pictures of up to this size (px), with the backend of `MUJOCO_GL` or an available one.
-
-    Raises:
-        MissingDependency: with what to install or set.
-    """
-    backend = _backend()
-    with warnings.catch_warnings(record=True) as caught:  # GLFW fails by warnings, several for each call
-        warnings.simplefilter("always")
-        try:
-            context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-            context.make_current()
-            _try_to_draw()
-        except Exception as error:  # the type depends on backend and driver
-            reason = _glfw_message(caught[0].message) if caught else f"{type(error).__name__}: {error}"
-            problem = f"{backend.upper()} cannot draw here ({reason})"
-            raise MissingDependency(f"a video needs OpenGL without a window: {problem}; {_advice()}") from None
-    return context
-
-
-def _advice() -> str:
-    return f"unset MUJOCO_GL, or {ADVICE}" if os.environ.get("MUJOCO_GL") else ADVICE
-
-
-def _glfw_message(warning: Warning | str) -> str:
-    """Text of a GLFW warning, ``(number) b'text'``."""
-    return re.sub(r"^\(\d+\) b?['\"](.*)['\"]$", r"\1", str(warning))
-
-
-def _try_to_draw() -> None:
-    """Raise MuJoCo's error if the current context is missing or insufficient."""
-    mujoco: Any = importlib.import_module("mujoco")
-    mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), mujoco.mjtFontScale.mjFONTSCALE_50).free()
-
-
-def _backend() -> str:
-    requested = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if requested in BACKENDS:
-        return requested
-    if requested:
-        problem = f"MUJOCO_GL={requested} draws nothing"
-        raise MissingDependency(f"a video needs OpenGL without a window: {problem}; unset it or use {BACKENDS[0]}")
-    # the first import of a backend fixes it for the process, so it has to be available
-    return "osmesa" if find_library("EGL") is None and find_library("OSMesa") is not None else "egl"
 
 
 def check_video(path: Path) -> None:

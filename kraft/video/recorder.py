@@ -14,11 +14,12 @@ from PIL import Image as Pillow
 from kraft.driving.messages import Cycle
 from kraft.files import write_whole
 from kraft.scenario import Bounds
+from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.step import Step
 from kraft.trial.trial import run_trial
-from kraft.video.gl import check_video, offscreen_context
+from kraft.video.gl import check_video
 from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import BAND, Overlay
 from kraft.video.renderer import SceneRenderer
@@ -61,6 +62,7 @@ class VideoRecorder:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._file.discard()
+        self._gl.make_current()
         if self._renderer is not None:
             self._renderer.close()
         self._gl.free()
@@ -71,6 +73,7 @@ class VideoRecorder:
 
     def on_step(self, world: World, step: Step) -> None:
         """For `run_trial`; adds a picture of the world if a frame is due."""
+        self._gl.make_current()  # a camera that renders has its own context
         if self._renderer is None:
             self._renderer, self._world = SceneRenderer(world, self._spec, SIZE, self._map_width, BAND), world
         snapshot = self._snapshots.on_step(world, step)
@@ -89,6 +92,7 @@ class VideoRecorder:
         assert self._renderer is not None, "a trial has at least one tick"
         assert self._world is not None, "a trial has at least one tick"
         snapshot = self._snapshots.now(self._world)
+        self._gl.make_current()
         picture = self._overlay.over(self._renderer.picture(snapshot), snapshot, result)
         for _ in range(round(HOLD * FPS)):
             self._file.add(picture)
@@ -119,6 +123,7 @@ def write_still(path: Path, spec: TrialSpec, time: float) -> None:
     def on_step(world: World, step: Step) -> None:
         snapshot = snapshots.on_step(world, step)
         if world.time >= time - 1e-6:
+            gl.make_current()
             renderer = SceneRenderer(world, spec, SIZE, side, BAND)
             write_whole(path, _png(Overlay(spec, SIZE, side).over(renderer.picture(snapshot), snapshot)))
             renderer.close()

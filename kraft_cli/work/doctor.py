@@ -14,9 +14,9 @@ from typing import Final, Literal, TypeAlias
 from kraft.config import bundled
 from kraft.errors import InputError, MissingAsset
 from kraft.files import check_writable
+from kraft.simulation.gl import BACKENDS
 from kraft.text import counted
 from kraft.version import VERSION
-from kraft.video.gl import BACKENDS
 
 State: TypeAlias = Literal["ok", "note", "missing"]
 
@@ -43,10 +43,11 @@ REQUIRED: Final[dict[str, str]] = {
 
 OPTIONAL: Final[dict[str, tuple[str, str]]] = {
     "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
+    "opencv-python-headless": ("cv2", "detects tags in rendered frames (`sensing.preset: rendered`)"),
 }
 """Each optional package: the module to import, and its purpose."""
 
-_GL_TRIAL: Final = "from kraft.video.gl import offscreen_context; offscreen_context(16, 16)"
+_GL_TRIAL: Final = "from kraft.simulation.gl import offscreen_context; offscreen_context(16, 16)"
 
 
 @dataclass(frozen=True)
@@ -123,4 +124,6 @@ def _rendering() -> Finding:
         if trial.returncode == 0:
             return Finding("rendering", "ok", f"MUJOCO_GL={backend}")
     tried = f"MUJOCO_GL={requested} cannot draw here, unset it" if requested else "no EGL, OSMesa or GLFW"
-    return Finding("rendering", "note", f"{tried}; `--video` and `--view` need one of {', '.join(BACKENDS)}")
+    return Finding(
+        "rendering", "note", f"{tried}; `--video`, `--view` and rendered sensing need one of {', '.join(BACKENDS)}"
+    )

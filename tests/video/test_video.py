@@ -19,13 +19,14 @@ from support.paths import ROOT
 from kraft.driving.method import load_method
 from kraft.errors import InputError, MissingDependency
 from kraft.scenario import Scenario, load_scenario
+from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.step import Step
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
-from kraft.video.gl import check_video, check_view, offscreen_context
+from kraft.video.gl import check_video, check_view
 from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import font, wrapped
 from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width, write_still

@@ -1,0 +1,66 @@
+"""OpenGL contexts without a window."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import warnings
+from ctypes.util import find_library
+from typing import Any, Final
+
+from kraft.errors import MissingDependency
+
+BACKENDS: Final = ("egl", "osmesa", "glfw")
+ADVICE: Final = (
+    "install Mesa's EGL (on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri) or a graphics driver that has EGL, "
+    "or install OSMesa (libosmesa6) and set MUJOCO_GL=osmesa"
+)
+
+
+def offscreen_context(width: int, height: int, purpose: str = "a video") -> Any:
+    """Make a current context for pictures of up to this size (px), with the backend of `MUJOCO_GL` or an available one.
+
+    `purpose` names in messages what needs the context.
+
+    Raises:
+        MissingDependency: with what to install or set.
+    """
+    backend = _backend(purpose)
+    with warnings.catch_warnings(record=True) as caught:  # GLFW fails by warnings, several for each call
+        warnings.simplefilter("always")
+        try:
+            context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+            context.make_current()
+            _try_to_draw()
+        except Exception as error:  # the type depends on backend and driver
+            reason = _glfw_message(caught[0].message) if caught else f"{type(error).__name__}: {error}"
+            problem = f"{backend.upper()} cannot draw here ({reason})"
+            raise MissingDependency(f"{purpose} needs OpenGL without a window: {problem}; {_advice()}") from None
+    return context
+
+
+def _advice() -> str:
+    return f"unset MUJOCO_GL, or {ADVICE}" if os.environ.get("MUJOCO_GL") else ADVICE
+
+
+def _glfw_message(warning: Warning | str) -> str:
+    """Text of a GLFW warning, ``(number) b'text'``."""
+    return re.sub(r"^\(\d+\) b?['\"](.*)['\"]$", r"\1", str(warning))
+
+
+def _try_to_draw() -> None:
+    """Raise MuJoCo's error if the current context is missing or insufficient."""
+    mujoco: Any = importlib.import_module("mujoco")
+    mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), mujoco.mjtFontScale.mjFONTSCALE_50).free()
+
+
+def _backend(purpose: str) -> str:
+    requested = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if requested in BACKENDS:
+        return requested
+    if requested:
+        problem = f"MUJOCO_GL={requested} draws nothing"
+        raise MissingDependency(f"{purpose} needs OpenGL without a window: {problem}; unset it or use {BACKENDS[0]}")
+    # the first import of a backend fixes it for the process, so it has to be available
+    return "osmesa" if find_library("EGL") is None and find_library("OSMesa") is not None else "egl"

@@ -1,0 +1,153 @@
+"""The part of a camera's frame that shows the tag: motion blur, lens, sensor noise, 8 bits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from kraft.simulation.camera import HALF_MARKER
+from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.opencv import opencv, tag_cells
+from kraft.simulation.optics import HEIGHT, WIDTH, Lens, View, rotation_about
+from kraft.simulation.tag_renderer import SIDE_MAX, tag_renderer
+from ompl_ext.arrays import Floats, Matrix
+
+CORNERS: Final = HALF_MARKER * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+"""Corners of the tag in its frame, in OpenCV's order, m."""
+OVERSAMPLING: Final = 3
+"""Rendered pixels along each side of a pixel of the frame."""
+ROLL: Final = 0.2
+"""Angle between rows of rendered pixels and of the frame, rad: smooth edges also where tag and frame are parallel."""
+QUIET: Final = 1.34
+"""Side of the paper over that of the tag."""
+
+
+@dataclass(frozen=True)
+class Imaging:
+    """What light suffers on its way to 8 bits.
+
+    Attributes:
+        exposure: time for which the sensor collects light, s.
+        blur: standard deviation of the lens' point spread, px.
+        full_well: electrons of a pixel at value 1.
+        read_noise: standard deviation, electrons.
+        gain: standard deviation of the logarithm of the brightness, of a trial and of its frames about that.
+        gamma: exponent with which the camera encodes light; 2.2 as sRGB.
+    """
+
+    exposure: float = 0.010
+    blur: float = 0.5
+    full_well: float = 6000.0
+    read_noise: float = 12.0
+    gain: tuple[float, float] = (0.15, 0.01)
+    gamma: float = 2.2
+
+
+class Imager:
+    """Makes the frames of one trial, reproducibly for a generator."""
+
+    def __init__(self, lens: Lens, view: View, imaging: Imaging, generator: np.random.Generator) -> None:
+        """Lens and pose of the camera are the true ones.
+
+        Raises:
+            MissingDependency: if OpenCV or OpenGL is missing.
+        """
+        self.lens, self.view, self.imaging = lens, view, imaging
+        self._cells = tag_cells()
+        tag_renderer(self._cells, 2.0 * HALF_MARKER, MARKER_HEIGHT)
+        self._generator = generator
+        self._gain = imaging.gain[0] * float(generator.standard_normal())
+        self._last: tuple[float, Floats, Matrix] | None = None
+
+    def frame(self, time: float, position: Floats, rotation: Matrix) -> tuple[Any, Floats] | None:
+        """Part of the frame at `time` (s) with the tag, uint8, and its first column and row; None if it is not in it.
+
+        The tag's motion during the exposure, the middle of which is `time`, is that since the frame before.
+        """
+        # as many draws in every frame, whatever it shows
+        noise = np.random.Generator(np.random.PCG64(self._generator.integers(2**63)))
+        poses = self._motion(time, position, rotation)
+        corners = self.corners(position, rotation)
+        if corners is None:
+            return None
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        size = 8 * math.ceil((QUIET * float((high - low).max()) + 14.0) / 8.0)
+        first = np.round(0.5 * (low + high) - 0.5 * size).astype(int)
+        start, end = np.maximum(first, 0), np.minimum(first + size, (WIDTH, HEIGHT))
+        if (end <= start).any():
+            return None
+        part = self._developed(self._light(first.astype(float), size, poses), noise)
+        (left, top), (right, bottom) = start - first, end - first
+        return np.ascontiguousarray(part[top:bottom, left:right]), start.astype(float)
+
+    def corners(self, position: Floats, rotation: Matrix) -> Matrix | None:
+        """True pixels (4, 2) of the tag's corners, None if it is not before the camera or turned away."""
+        inside = self.view.points(position + CORNERS @ rotation.T)
+        if (inside[:, 2] < 0.1).any() or rotation[:, 2].dot(self.view.position - position) <= 0.0:
+            return None
+        ahead = inside[:, :2] / inside[:, 2:]
+        return self.lens.distorted(ahead) if (np.abs(ahead) < 1.0).all() else None
+
+    def _motion(self, time: float, position: Floats, rotation: Matrix) -> list[tuple[Floats, Matrix]]:
+        """Poses at equal intervals during the exposure, as many as the motion in the frame needs."""
+        last, self._last = self._last, (time, position, rotation)
+        if last is None or time <= last[0]:
+            return [(position, rotation)]
+        share = self.imaging.exposure / (time - last[0])
+        moved, turned = share * (position - last[1]), share * _rotation_vector(rotation @ last[2].T)
+        reach = math.sqrt(moved.dot(moved)) + HALF_MARKER * math.sqrt(turned.dot(turned))
+        distance = float(np.linalg.norm(position - self.view.position))
+        count = min(8, 1 + math.ceil(1.5 * reach * self.lens.focal / distance - 0.05))
+        times = (np.arange(count) + 0.5) / count - 0.5
+        return [(position + at * moved, rotation_about(at * turned) @ rotation) for at in times]
+
+    def _light(self, first: Floats, size: int, poses: list[tuple[Floats, Matrix]]) -> Any:
+        """Light (size, size), 0 to 1, that reaches the pixels from column and row `first` on."""
+        cv2, fine = opencv(), max(1, min(OVERSAMPLING, SIDE_MAX // (2 * size)))
+        turn = np.array([[math.cos(ROLL), -math.sin(ROLL)], [math.sin(ROLL), math.cos(ROLL)]])
+        rolled = View(self.view.position, np.column_stack([self.view.rotation[:, :2] @ turn, self.view.rotation[:, 2]]))
+        grid = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 7), np.linspace(-1.0, 1.0, 7)), axis=-1).reshape(-1, 2)
+        rays = self.lens.undistorted(first + 0.5 * size * (grid + 1.0) - 0.5) @ turn
+        low, high = rays.min(axis=0), rays.max(axis=0)
+        count = math.ceil(1.17 * size * fine) + 4
+        step = float((high - low).max()) / (count - 2)
+        corner = 0.5 * (low + high) - 0.5 * step * count
+        picture = tag_renderer(self._cells, 2.0 * HALF_MARKER, MARKER_HEIGHT).mean(rolled, corner, step, count, poses)
+        columns, rows = _smooth_maps(grid, (rays - corner) / step - 0.5, size * fine)
+        light = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        light = cv2.GaussianBlur(light, (0, 0), self.imaging.blur * fine)
+        return cv2.resize(light, (size, size), interpolation=cv2.INTER_AREA) / 255.0
+
+    def _developed(self, light: Any, noise: np.random.Generator) -> Any:
+        """The frame, uint8, that the camera makes of light: gain, shot and read noise, gamma."""
+        imaging = self.imaging
+        gain = math.exp(self._gain + imaging.gain[1] * float(noise.standard_normal()))
+        electrons = imaging.full_well * gain * light
+        deviation = np.sqrt(electrons + imaging.read_noise**2)
+        electrons = electrons + deviation * noise.standard_normal(light.shape, np.float32)
+        linear = np.clip(electrons / imaging.full_well, 0.0, 1.0)
+        return np.round(255.0 * linear ** (1.0 / imaging.gamma)).astype(np.uint8)
+
+
+def _smooth_maps(grid: Matrix, values: Matrix, count: int) -> tuple[Any, Any]:
+    """Two maps (count, count), float32, over the square from -1 to 1: cubics through values (n, 2) at `grid` (n, 2).
+
+    Across a tag they fit a lens to 0.001 px.
+    """
+    powers = np.array([(i, j) for i in range(4) for j in range(4 - i)])
+    monomials = grid[:, :1] ** powers[:, 0] * grid[:, 1:] ** powers[:, 1]
+    fitted = np.zeros((4, 4, 2))
+    fitted[powers[:, 0], powers[:, 1]] = np.linalg.lstsq(monomials, values, rcond=None)[0]
+    at = np.vander((2.0 * np.arange(count) + 1.0) / count - 1.0, 4, increasing=True)
+    columns, rows = ((at @ fitted[:, :, axis].T @ at.T).astype(np.float32) for axis in (0, 1))
+    return columns, rows
+
+
+def _rotation_vector(rotation: Matrix) -> Floats:
+    """Rotation vector (3,) of a small rotation, rad."""
+    return 0.5 * np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
