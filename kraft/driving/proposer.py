@@ -14,20 +14,20 @@ import numpy as np
 
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
-from kraft.driving.retainment import retain
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
 from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
-from ompl_ext.query import Safety
+from ompl_ext.query import Safety, remaining_edges
 from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import verify
 
 RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
 MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
+RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 
 
 @dataclass(frozen=True)
@@ -206,3 +206,45 @@ class Proposer:
 def _failure_reason(progress: Progress) -> str:
     unsafe = "; many lack a safe contingency" if progress.unsafe else ""
     return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"
+
+
+def retain(dirt: DirtSolver, root: Floats, plan: Plan, elapsed: float) -> PlanLoss:
+    """Retain the rest of a plan after `elapsed` s in a query that begins at `root` (nx,).
+
+    Returns the reason of a loss: of an edge that was not retained or, if all were, of a cost that is higher from the
+    new root.  Obstacles do not move, so an edge is in collision from the state that the plan predicted only if more
+    distance is required now than when it was planned.
+    """
+    _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
+    retained = dirt.retain(plan, elapsed)
+    if retained == len(durations):
+        now, left = dirt.best_cost, plan.cost + plan.cost_to_go - elapsed
+        return PlanLoss.ESTIMATE if now > left + RETAINED_TOLERANCE else PlanLoss.NONE
+    first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))
+    begun = elapsed - float(plan.durations[:first].sum())
+    planned = dirt.edge(plan.states[first], plan.controls[first], max(begun, 0.0))[0][-1]
+    from_root, from_planned = (_first_loss(dirt, state, controls, durations) for state in (root, planned))
+    if PlanLoss.NONE in (from_planned, from_root):
+        return PlanLoss.ESTIMATE
+    return from_root
+
+
+def _first_loss(dirt: DirtSolver, state: Floats, controls: Floats, durations: Floats) -> PlanLoss:
+    """Reason for which an edge of a path from `state` cannot be executed; none if all can."""
+    safety, time = dirt.safety, 0.0
+    for control, duration in zip(controls, durations, strict=True):
+        samples, slack = dirt.edge(state, control, float(duration))
+        if slack < 0.0:
+            return PlanLoss.COLLISION
+        ends = time + float(duration)
+        if safety.enabled and time < safety.cycle:
+            if dirt.edge(state, control, float(duration), time)[1] < 0.0:
+                return PlanLoss.UNSAFE
+            if ends >= safety.cycle:
+                leaves, _ = dirt.edge(state, control, min(safety.cycle - time, float(duration)))
+                if dirt.contingency(leaves[-1]) is None:
+                    return PlanLoss.UNSAFE
+        state, time = samples[-1], ends
+    if safety.enabled and time < safety.cycle and not math.isclose(time, safety.cycle):
+        return PlanLoss.NONE if dirt.contingency(state) is not None else PlanLoss.UNSAFE
+    return PlanLoss.NONE

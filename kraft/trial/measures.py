@@ -6,13 +6,13 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, ReferenceKind
-from kraft.trial.step import Step
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Footprint
 
@@ -23,6 +23,18 @@ REGRESSION: Final = 0.5
 BAND: Final = (0.2158, 9.3484)
 """2.5 % and 97.5 % quantile of the chi-square distribution with three degrees of freedom: the 95 % band of a pose's
 normalised squared error."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Tick of the controller: true state, estimated state and command."""
+
+    time: float
+    pose: tuple[float, float, float]
+    speed: float
+    estimate: Floats
+    command: Floats
+    cycle: int
 
 
 class _Record(BaseModel):

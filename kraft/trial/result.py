@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 from kraft.driving.messages import Cycle, Observation
 from kraft.driving.method import Method, load_method
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
-from kraft.trial.measures import Measures
-from kraft.trial.step import Step
+from kraft.trial.measures import Measures, Step
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -49,14 +50,21 @@ class TrialSpec:
 
     @classmethod
     def load(
-        cls, scenario: str | Path, method: str | Path = "kraft", vehicle: str | None = None, seed: int = 0
+        cls,
+        scenario: str | Path,
+        method: str | Path = "kraft",
+        vehicle: str | None = None,
+        seed: int = 0,
+        settings: Mapping[str, Any] | None = None,
     ) -> TrialSpec:
-        """Load a trial by bundled names or paths; `vehicle` replaces the method's and the scenario's.
+        """Load a trial by bundled names or paths.
+
+        `vehicle` replaces the method's and the scenario's, `settings` are values of the scenario's dotted keys.
 
         Raises:
-            InputError: with what is wrong with scenario, method or vehicle.
+            InputError: with what is wrong with scenario, settings, method or vehicle.
         """
-        loaded, loaded_method = load_scenario(scenario), load_method(method)
+        loaded, loaded_method = load_scenario(scenario, settings), load_method(method)
         reference = vehicle_reference(loaded, loaded_method, vehicle)
         return cls(loaded, loaded_method, load_planning_vehicle(loaded, reference), seed)
 

@@ -22,11 +22,10 @@ from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.world import World
 from kraft.trial.closest_approach import ClosestApproach
-from kraft.trial.measures import Measures, measure
+from kraft.trial.measures import Measures, Step, measure
 from kraft.trial.oracle import OracleEstimator, true_vehicle
 from kraft.trial.plant import Plant, Radio
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
-from kraft.trial.step import Step
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]

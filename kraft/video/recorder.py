@@ -16,8 +16,8 @@ from kraft.files import write_whole
 from kraft.scenario import Bounds
 from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
+from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
-from kraft.trial.step import Step
 from kraft.trial.trial import run_trial
 from kraft.video.gl import check_video
 from kraft.video.mp4 import Image, Mp4Writer

@@ -9,8 +9,8 @@ import numpy as np
 from kraft.driving.messages import Cycle
 from kraft.planning.workspace import workspace_of
 from kraft.simulation.world import World
+from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
-from kraft.trial.step import Step
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle

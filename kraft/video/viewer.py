@@ -15,8 +15,8 @@ import numpy as np
 from kraft.driving.messages import Cycle
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
+from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
-from kraft.trial.step import Step
 from kraft.video.drawing import draw_cycle, draw_snapshot
 from kraft.video.gl import check_view
 from kraft.video.overlay import outcome_caption

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final, Self
 
 from kraft.driving.messages import Cycle
 from kraft.files import check_all, check_writable
+from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
-from kraft.trial.step import Step
 
 if TYPE_CHECKING:
     from kraft.simulation.world import World

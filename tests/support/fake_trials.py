@@ -20,8 +20,8 @@ from kraft.errors import InputError, MissingDependency
 from kraft.evaluation import cluster, evaluator, job, processes
 from kraft.evaluation.job import Job, Log, StopRequested, perform
 from kraft.evaluation.row import TrialRow
+from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
-from kraft.trial.step import Step
 
 LEFT = "KRAFT_TEST_FOLDER"
 """environment variable: folder in which trials leave what the next ones find"""

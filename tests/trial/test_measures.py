@@ -10,8 +10,7 @@ import pytest
 from support.fake_trials import cycle
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PlanLoss, PredictedMotion
-from kraft.trial.measures import BAND, Measures, farthest_point, measure, pooled
-from kraft.trial.step import Step
+from kraft.trial.measures import BAND, Measures, Step, farthest_point, measure, pooled
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Footprint
 

@@ -21,8 +21,8 @@ from kraft.errors import InputError, MissingDependency
 from kraft.scenario import Scenario, load_scenario
 from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
+from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
-from kraft.trial.step import Step
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video import palette

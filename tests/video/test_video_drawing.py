@@ -16,8 +16,8 @@ from kraft.scenario import Box, Scenario, Start, load_scenario
 from kraft.simulation.hidden import hidden_features
 from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
+from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
-from kraft.trial.step import Step
 from kraft.vehicles.load import load_vehicle
 from kraft.video.drawing import EDGES_MAX, draw_cycle
 from kraft.video.pen import LINE, Pen, resampled
