@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -69,7 +70,13 @@ def parse_document(content: bytes | str, file: str) -> Document:
     Raises:
         InputError: if it is too large, not UTF-8, or not one YAML document.
     """
-    return _Converter(file).document(compose(content, file))
+    return _Converter(file).document(_root(content, file))
+
+
+@lru_cache(maxsize=16)
+def _root(content: bytes | str, file: str) -> yaml.Node:
+    """`compose`, which takes most of the time, once for a file that is read repeatedly; nobody changes the nodes."""
+    return compose(content, file)
 
 
 def read_bytes(path: Path, bytes_max: int = BYTES_MAX, expected: str = "expected a YAML file") -> bytes:

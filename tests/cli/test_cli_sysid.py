@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shutil
+from contextlib import chdir
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
+from support.recorded import recorded_logs
 
 from kraft.sysid import compilation
 from kraft.sysid.auxiliary import affects_motion
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
+from kraft_cli.terminal import Terminal
 from kraft_cli.work import sysid as module
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
 
+PLAIN = ("sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json")
+FOUR = tuple(f"logs/run_{k:02d}" for k in (2, 3, 4, 5))
+"""Logs where eight would show nothing more."""
+
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    logs = tmp_path_factory.mktemp("recorded") / "logs"
-    assert main(["record", "--out", str(logs), "--runs", "8", "--seed", "1", "-q"]) == 0
-    return logs
+    return recorded_logs(tmp_path_factory)
 
 
 @pytest.fixture(autouse=True)
 def logs(folder: Path, recorded: Path) -> None:
     shutil.copytree(recorded, folder / "logs")
+
+
+@pytest.fixture(scope="module")
+def plain(recorded: Path) -> dict[str, Any]:
+    """What `PLAIN` prints."""
+    out = io.StringIO()
+    with chdir(recorded.parent):
+        assert main(PLAIN, Terminal(out, io.StringIO())) == 0
+    content: dict[str, Any] = json.loads(out.getvalue())
+    return content
 
 
 def shorten(run: Path, poses: int, apart: int = 3) -> None:
@@ -39,6 +56,13 @@ def shorten(run: Path, poses: int, apart: int = 3) -> None:
     places = np.loadtxt(rows, delimiter=",")[:, 1:3]
     first = int(np.argmax(np.hypot(*(places[apart * poses :] - places[: -apart * poses]).T)))
     (run / "poses.csv").write_text("".join([heading, *rows[first : first + apart * poses : apart]]))
+
+
+def keep_seconds(run: Path, seconds: float) -> None:
+    """Leave the beginning of a log."""
+    for path in (run / "poses.csv", run / "commands.csv"):
+        heading, *rows = path.read_text().splitlines(keepends=True)
+        path.write_text("".join([heading, *(row for row in rows if float(row.split(",")[0]) <= seconds)]))
 
 
 def weaken(run: Path, factor: float) -> None:
@@ -52,10 +76,8 @@ def said(capsys: pytest.CaptureFixture[str]) -> list[str]:
     return capsys.readouterr().err.splitlines()
 
 
-def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]
-    assert main(arguments) == 0
-    content = json.loads(capsys.readouterr().out)
+def test_the_json_object_holds_what_was_promised(plain: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    content = plain
     assert content["schema"] == "kraft.sysid/1"
     assert set(content) >= KEYS
     assert (content["model"], content["logs"], content["converged"]) == ("mushr-lag", 8, True)
@@ -69,7 +91,7 @@ def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[s
     assert 0 < content["rmse_holdout_m"] < 0.1
     assert len(content["held_out"]) == 2
     assert content["vehicle_file"] is None
-    assert main(arguments) == 0
+    assert main(PLAIN) == 0
     again = json.loads(capsys.readouterr().out)
     assert {**again, "wall_s": 0} == {**content, "wall_s": 0}
 
@@ -88,15 +110,15 @@ def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_mod
 
 
 def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]
-    assert main(arguments) == 0
+    options = ["--model", "mushr-lag", "--extras", "none"]
+    assert main(["sysid", "logs", *options]) == 0
     (wraps,) = (line for line in said(capsys) if "yaw wraps" in line)
     found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v lists them\)", wraps)
     assert found is not None
-    assert main(["-v", *arguments]) == 0
+    assert main(["-v", "sysid", "logs", *options]) == 0
     each = [line for line in said(capsys) if re.match(r"run_\d\d: yaw wraps \d times?, first at line", line)]
     assert len(each) == int(found.group(1)) > 1
-    assert main(["sysid", "logs/run_02", *arguments[2:]]) == 0
+    assert main(["sysid", "logs/run_02", *options]) == 0
     assert any(line.startswith("run_02: yaw wraps 5 times, first at line") for line in said(capsys))
 
 
@@ -147,7 +169,7 @@ def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_r
 
 
 def test_an_identification_that_takes_long_says_how_it_goes(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     heard: list[str] = []
     times = iter([0.0, 1.9, 2.0, 3.9, 4.1])
@@ -156,6 +178,7 @@ def test_an_identification_that_takes_long_says_how_it_goes(
         report(made, 1000.0 / made)
     assert heard == ["iteration 2, cost 500", "iteration 4, cost 250"]
     monkeypatch.setattr(module, "PROGRESS_INTERVAL", 0.0)
+    keep_seconds(folder / "logs" / "run_02", 6.0)
     arguments = ["sysid", "logs/run_02", "--extras", "none", "--graph", "paper"]
     assert main(arguments) == 0
     assert any(re.fullmatch(r"iteration 1, cost [\d.]+", line) for line in said(capsys))
@@ -166,9 +189,9 @@ def test_an_identification_that_takes_long_says_how_it_goes(
 def test_a_file_is_compiled_by_its_own_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["sysid", "logs", "--extras", "none", "--out", "my.yaml", "-q"]) == 0
+    assert main(["sysid", *FOUR, "--extras", "none", "--out", "my.yaml", "-q"]) == 0
     monkeypatch.setattr(compilation, "are_steps_cached", lambda _: False)
-    assert main(["sysid", "logs", "--extras", "none", "--model", "my.yaml"]) == 0
+    assert main(["sysid", *FOUR, "--extras", "none", "--model", "my.yaml"]) == 0
     assert "compiling the model of my.yaml for identification on this machine" in capsys.readouterr().err
 
 
@@ -192,8 +215,8 @@ def test_quiet_leaves_the_tables_and_the_warnings(capsys: pytest.CaptureFixture[
 
 
 def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", "logs", "--model", "mushr-drive", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
-    assert main(arguments) == 0
+    arguments = ["sysid", "logs", "--model", "mushr-drive", "--extras", "none", "--out", "my.yaml"]
+    assert main([*arguments, "--plot", "my.png"]) == 0
     assert "vehicle file my.yaml" in capsys.readouterr().out
     assert (folder / "my.png").stat().st_size > 50_000
     config = load_vehicle_config("my.yaml")
@@ -314,16 +337,14 @@ def test_straight_lines_do_not_identify_a_wheelbase(folder: Path, capsys: pytest
 
 @pytest.mark.parametrize(("factor", "status"), [(0.95, 0), (0.6, 1)])
 def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_not_written(
-    factor: float, status: int, folder: Path, capsys: pytest.CaptureFixture[str]
+    factor: float, status: int, plain: dict[str, Any], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--json"]
-    assert main(arguments) == 0
-    held_out = json.loads(capsys.readouterr().out)["held_out"]
-    (folder / "my.yaml").unlink()
+    assert plain["identifiable"]  # with the logs as they are
+    held_out = plain["held_out"]
     for run in (folder / "logs").iterdir():
         if run.is_dir() and run.name not in held_out:
             weaken(run, factor)
-    assert main(arguments) == status
+    assert main([*PLAIN, "--out", "my.yaml"]) == status
     out, err = capsys.readouterr()
     content = json.loads(out)
     identified, initial = (100 * content[f"rmse_holdout{which}_m"] for which in ("", "_initial"))
@@ -369,12 +390,11 @@ def test_when_all_logs_have_a_few_poses_it_ends_with_1(folder: Path, capsys: pyt
 
 
 def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    runs = [f"logs/run_{k:02d}" for k in (2, 3, 4, 5)]
-    options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
-    assert main(["sysid", *runs, *options, "--json"]) == 0
+    options = ["--model", "mushr-lag", "--extras", "none"]
+    assert main(["sysid", *FOUR, *options, "--json"]) == 0
     (held_out,) = json.loads(capsys.readouterr().out)["held_out"]
     shorten(folder / "logs" / held_out, 7)
-    assert main(["sysid", *runs, *options, "--json"]) == 0
+    assert main(["sysid", *FOUR, *options, "--out", "my.yaml", "--plot", "my.png", "--json"]) == 0
     out, err = capsys.readouterr()
     content = json.loads(out)
     assert content["held_out"] == [held_out]
@@ -389,7 +409,7 @@ def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: py
     assert config.identification is not None
     assert config.identification.held_out is None
     assert why in config.identification.warnings
-    assert main(["sysid", *runs, *options]) == 0
+    assert main(["sysid", *FOUR, *options]) == 0
     assert "OPEN LOOP, fitted logs" in capsys.readouterr().out
 
 
@@ -410,13 +430,13 @@ def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not
 ) -> None:
     with monkeypatch.context() as before:
         before.setattr(compilation, "are_steps_cached", lambda _: False)
-        assert main(["sysid", "logs", "--extras", "none"]) == 0
+        assert main(["sysid", "logs/run_02", "--extras", "none"]) == 0
         err = said(capsys)
         begun = err.index("compiling the model of mushr-lag for identification on this machine: once, about 8 s ...")
         assert err[begun + 1].startswith("compiled in ")
-        assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
+        assert main(["sysid", "logs/run_02", "--extras", "none", "-q"]) == 0
         assert not any("compil" in line for line in said(capsys))
-    assert main(["sysid", "logs", "--extras", "none"]) == 0
+    assert main(["sysid", "logs/run_02", "--extras", "none"]) == 0
     assert not any("compil" in line for line in said(capsys))
 
 
@@ -449,7 +469,7 @@ def test_what_only_the_estimator_refuses_leaves_a_picture_of_the_logs(
 
 
 def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", "logs", "--extras", "none", "--json"]
+    arguments = ["sysid", *FOUR, "--extras", "none", "--json"]
     assert main(arguments) == 0
     before = json.loads(capsys.readouterr().out)
     for run in (folder / "logs").iterdir():
@@ -501,7 +521,7 @@ def test_every_option_and_key_of_kraft_sysid_is_described(capsys: pytest.Capture
     options = set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", capsys.readouterr().out)) - {"--help"}
     assert options
     assert options <= set(re.findall(r"--[a-z]+(?:-[a-z]+)*", text))
-    main(["sysid", "logs", "--json"])
+    main(["sysid", *FOUR, "--json"])
     content = json.loads(capsys.readouterr().out)
     described = set(re.findall(r"`(\w+)`", text))
     assert set(content) <= described

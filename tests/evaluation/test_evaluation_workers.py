@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import fake_trials
+from support import dead_worker, fake_trials
 from support.evaluation import StoppingObserver, kept, places
 from support.paths import ROOT
 
@@ -122,7 +122,7 @@ def test_a_simulator_that_does_not_load_is_a_missing_dependency(monkeypatch: pyt
 
 
 def test_workers_that_do_not_start_are_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "serve", fake_trials.ends)
+    monkeypatch.setattr(processes, "serve", dead_worker.ends)
     with pytest.raises(Defect, match="exit code 9"):
         evaluate(["turns"], ["kraft"], 1, 0, 1)
 

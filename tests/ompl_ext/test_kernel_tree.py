@@ -153,12 +153,12 @@ def test_a_region_ends_at_the_nearest_better_node(settings: Settings) -> None:
 def test_the_nearest_better_node_is_the_one_brute_force_finds(seed: int) -> None:
     tree, rng = grown(1500, seed=seed), np.random.default_rng(seed)
     closed = closed_radius(RESOLUTION, int(tree.count[at.SIZE]))
-    f, radius = column(tree, at.F), column(tree, at.RADIUS)
+    f, radius, listed = column(tree, at.F), column(tree, at.RADIUS), listed_by_cell(tree)
     for _ in range(150):
         heading = rng.uniform(-4, 4)
         q = np.array([rng.uniform(-0.25, 2.25), rng.uniform(-1, 6), 0.05 * math.cos(heading), 0.05 * math.sin(heading)])
         bound, limit = rng.uniform(f.min(), f.max() * 1.05), rng.choice([math.inf, 0.1, 0.5])
-        candidates = np.array([n for n in listed_by_cell(tree) if f[n] < bound and radius[n] >= closed], int)
+        candidates = np.array([n for n in listed if f[n] < bound and radius[n] >= closed], int)
         distance = np.linalg.norm(tree.value[candidates, :4] - q, axis=1)
         expected = min(distance.min(initial=math.inf), limit)
         node, found = nearest_better(tree, q, bound, limit, closed)

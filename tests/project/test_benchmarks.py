@@ -6,7 +6,7 @@ import json
 import math
 import sqlite3
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from benchmarks.ompl_log import DATABASE
 from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
+from benchmarks.synthetic_logs import synthetic_logs
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
@@ -186,7 +187,10 @@ def test_an_unknown_topic_is_refused(capsys: pytest.CaptureFixture[str]) -> None
     assert "expected planner, peers" in capsys.readouterr().err
 
 
-def test_identification_is_timed_and_tried_on_random_problems() -> None:
+def test_identification_is_timed_and_tried_on_random_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With logs of 8 s, and five of them where ten show no more."""
+    monkeypatch.setattr(sysid, "synthetic_logs", partial(synthetic_logs, seconds=8.0))
+    monkeypatch.setattr(sysid, "LOGS", 5)
     found = quantities(sysid.run(SMOKE))
     assert found["20 logs of 20 s, 50 ms steps, 30 Hz"] > 0
     assert found["converged, of 2 problems from wild parameters"] == 1.0

@@ -4,29 +4,38 @@ from __future__ import annotations
 
 import re
 import runpy
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
 from support.paths import ROOT
+from support.recorded import RUNS, SEED, recorded_logs
 
 from kraft.config import bundled
+from kraft.plot import sysid as pages
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
+from kraft_cli.work import record as record_module
 
 SCRIPT = ROOT / "examples" / "07_bundled_vehicles.py"
 MODELS = ("mushr", "mushr-lag", "mushr-drive")
 
 
 def run(folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> int:
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), "--out", str(folder), "--runs", "8", *options])
+    monkeypatch.setattr(
+        sys, "argv", [str(SCRIPT), "--out", str(folder), "--runs", str(RUNS), "--seed", str(SEED), *options]
+    )
     with pytest.raises(SystemExit) as ended:
         runpy.run_path(str(SCRIPT), run_name="__main__")
     return int(ended.value.code or 0)
 
 
 def test_it_identifies_three_models_as_the_commands_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     before = {name: (bundled.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS}
     assert run(tmp_path / "all", monkeypatch) == 0
@@ -39,12 +48,18 @@ def test_it_identifies_three_models_as_the_commands_do(
     assert all((tmp_path / "all" / f"{name}.png").stat().st_size > 50_000 for name in MODELS)
     assert {name: (bundled.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS} == before
     monkeypatch.chdir(tmp_path)
-    assert main(["record", "--runs", "8", "--out", "logs", "-q"]) == 0
+    shutil.copytree(recorded_logs(tmp_path_factory), tmp_path / "logs")
     assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--out", "mushr-lag.yaml", "-q"]) == 0
     assert (tmp_path / "mushr-lag.yaml").read_bytes() == (tmp_path / "all" / "mushr-lag.yaml").read_bytes()
 
 
-def test_what_it_bundles_keeps_head_name_bounds_and_priors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_it_bundles_keeps_head_name_bounds_and_priors(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With logs that are there already, and without pages: the other test records and draws."""
+    logs = recorded_logs(tmp_path_factory)
+    monkeypatch.setattr(record_module, "record_logs", lambda asked, *_: shutil.copytree(logs, asked.out))
+    monkeypatch.setattr(pages, "plot_identification", lambda *_: None)
     for name in MODELS:
         (tmp_path / f"{name}.yaml").write_bytes((bundled.folder("vehicle") / f"{name}.yaml").read_bytes())
     before = {name: load_vehicle_config(tmp_path / f"{name}.yaml") for name in MODELS}

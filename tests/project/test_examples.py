@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from support.paths import ROOT
+from support.recorded import recorded_logs
 
 from kraft_cli.main import main
 
@@ -28,11 +30,10 @@ def run(example: str, folder: Path, *arguments: str) -> str:
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_an_example_runs(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_an_example_runs(example: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     arguments = []
     if example == "04_identify.py":
-        assert main(["record", "--runs", "8", "--out", "logs", "-q"]) == 0
+        shutil.copytree(recorded_logs(tmp_path_factory), tmp_path / "logs")
         arguments = ["logs"]
     assert EXAMPLES[example] in run(example, tmp_path, *arguments)
 

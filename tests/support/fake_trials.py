@@ -141,11 +141,6 @@ def endless(spec: TrialSpec) -> TrialResult:
     return quick(spec)
 
 
-def ends(pipe: Connection) -> None:
-    """A worker that ends before it is ready."""
-    os._exit(9)
-
-
 def cycle(number: int, kind: str) -> Cycle:
     """A cycle in which nothing moves."""
     reference = Reference(ReferenceKind(kind), np.array([0.0, 1.0]), np.zeros((2, 4)), np.zeros((1, 2)), np.zeros(2))

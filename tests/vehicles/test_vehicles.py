@@ -31,7 +31,7 @@ def rate(vehicle: Vehicle, state: Iterable[float], control: Iterable[float]) -> 
 
 
 def after(vehicle: Vehicle, state: list[float], control: list[float], seconds: float) -> np.ndarray:
-    x, h = np.array(state, dtype=float), 1e-3
+    x, h = np.array(state, dtype=float), 2e-3
     for _ in range(round(seconds / h)):
         x = x + h * np.array(rate(vehicle, x + 0.5 * h * np.array(rate(vehicle, x, control)), control))
     return x

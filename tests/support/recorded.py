@@ -1,0 +1,29 @@
+"""Logs that several files of tests read, recorded once for all worker processes."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+
+import pytest
+
+from kraft_cli.main import main
+
+RUNS, SEED = 8, 1
+
+
+def recorded_logs(factory: pytest.TempPathFactory) -> Path:
+    """Folder of `kraft record --runs 8 --seed 1`, not to be written to; the first process to ask for it records it."""
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # which all workers share
+    folder, unfinished = base / "recorded" / "logs", base / "unfinished"
+    with (base / "recorded.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            arguments = ["record", "--out", str(unfinished), "--runs", str(RUNS), "--seed", str(SEED), "-q"]
+            assert main(arguments) == 0
+            folder.parent.mkdir()
+            unfinished.rename(folder)
+    return folder
