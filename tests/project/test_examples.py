@@ -19,6 +19,7 @@ EXAMPLES = {
     "03_compare.py": "| KRAFT |",
     "04_identify.py": "plan with it",
     "06_ompl.py": "RRT",
+    "08_equal_terms.py": "KRAFT, mushr-drive",
 }
 
 
@@ -35,6 +36,8 @@ def test_an_example_runs(example: str, tmp_path: Path, tmp_path_factory: pytest.
     if example == "04_identify.py":
         shutil.copytree(recorded_logs(tmp_path_factory), tmp_path / "logs")
         arguments = ["logs"]
+    if example == "08_equal_terms.py":
+        arguments = ["slip", "--trials", "1"]
     assert EXAMPLES[example] in run(example, tmp_path, *arguments)
 
 
