@@ -1,6 +1,6 @@
 """Compare methods on equal terms: the same model, the same footprint, the same margin, the paper's clearance.
 
-The bundled rows differ in more than their names say: one-shot rows plan with another model and footprint than replanning
+The bundled rows differ in more than their names: one-shot rows plan with another model and footprint than replanning
 rows, and replanning rows keep a margin.  This varies one of these at a time in Turns and Boxes.
 """
 

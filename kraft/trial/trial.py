@@ -21,8 +21,7 @@ from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.world import World
-from kraft.trial.closest_approach import ClosestApproach
-from kraft.trial.measures import Measures, Step, measure
+from kraft.trial.measures import ClosestApproach, Measures, Step, measure
 from kraft.trial.oracle import OracleEstimator, true_vehicle
 from kraft.trial.plant import Plant, Radio
 from kraft.trial.result import Outcome, TrialResult, TrialSpec

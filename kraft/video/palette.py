@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, TypeAlias
 
 import matplotlib
 import numpy as np
 from matplotlib.colors import to_rgb
 
 from kraft.plot.style import CYCLE, GOAL, WARNING
-from kraft.video.pen import Colour
 from ompl_ext.arrays import Floats, Matrix
+
+Colour: TypeAlias = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
 
 
 def colour(name: str, opacity: float = 1.0) -> Colour:

@@ -26,11 +26,11 @@ from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
-from kraft.video.gl import check_video, check_view
 from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import font, wrapped
-from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width, write_still
-from kraft.video.smooth import smoothed
+from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, check_video, map_width, write_still
+from kraft.video.renderer import smoothed
+from kraft.video.viewer import check_view
 
 SECONDS = 0.4
 

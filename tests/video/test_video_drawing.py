@@ -13,14 +13,13 @@ import pytest
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.scenario import Box, Scenario, Start, load_scenario
+from kraft.simulation.floor_frame import Surface
 from kraft.simulation.hidden import hidden_features
-from kraft.simulation.surface import Surface
 from kraft.simulation.world import World
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
 from kraft.vehicles.load import load_vehicle
-from kraft.video.drawing import EDGES_MAX, draw_cycle
-from kraft.video.pen import LINE, Pen, resampled
+from kraft.video.drawing import EDGES_MAX, LINE, Pen, draw_cycle, resampled
 from kraft.video.renderer import ROOF, SOLID, ChaseCamera, map_aim
 from kraft.video.snapshot import SnapshotRecorder
 from ompl_ext.plan import TreeView

@@ -5,8 +5,7 @@ from __future__ import annotations
 from kraft.driving.car_model import CarModel
 from kraft.driving.control.geometric import GeometricController
 from kraft.driving.control.kinodynamic import KinodynamicController
-from kraft.driving.control.open_loop import OpenLoopController
-from kraft.driving.control.protocol import Controller
+from kraft.driving.control.open_loop import Controller, OpenLoopController
 from kraft.driving.method import Geometric, Kinodynamic, OpenLoop
 
 __all__ = ["Controller", "GeometricController", "KinodynamicController", "OpenLoopController", "make_controller"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Estimate, Reference
 from ompl_ext.arrays import Floats
@@ -16,3 +18,10 @@ class OpenLoopController:
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) that the reference holds at the estimate's time."""
         return self._model.clamped(reference.control_at(estimate.time))
+
+
+class Controller(Protocol):
+    """Tracks a reference; each call may pass a new one."""
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) to send at the estimate's time, within the actuators' bounds."""
