@@ -171,12 +171,9 @@ def deviations(preset: Preset, speed: float, seeds: int, frames: int = 150, **se
             x = 1.6 + speed * k / 30
             pose, distance, phi = seen_at(cam, k, x), math.hypot(x - 1.0, 5.0 - HEIGHT), math.atan2(x - 1.0, 5.0 - HEIGHT)
             error = pose[0] - x, pose[1] - 3.0, pose[2]
-            models = (noise.along, noise.across, noise.heading)
-            rows.append(
-                [(e - m.mean.at(distance, phi)) / m.size.at(distance, phi) for e, m in zip(error, models, strict=True)]
-            )
-        sizes = [m.size.at(5.0, 0.2) for m in (noise.along, noise.across, noise.heading)]
-        found.append(np.array(rows) - [b / s for b, s in zip(cam._noise._bias, sizes, strict=True)])
+            of = zip(error, cam._noise._bias, (noise.along, noise.across, noise.heading), strict=True)
+            rows.append([(e - bias - m.mean.at(distance, phi)) / m.size.at(distance, phi) for e, bias, m in of])
+        found.append(np.array(rows))
     return found
 
 
