@@ -120,14 +120,14 @@ PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
     # most of them at 4.7 to 6.2 m.
     "single-tag": CameraNoise(
         along=ErrorModel(
-            PowerLaw(0.027, 2.0, 1.35),
-            (Part(0.12, length=0.4), Part(0.60, length=0.005), Part(0.28)),
+            PowerLaw(0.0285, 2.0, 1.1),
+            (Part(0.12, length=0.4), Part(0.52, length=0.005), Part(0.36)),
             skew=0.6,
             mean=PowerLaw(0.011, 2.8, 1.65),
         ),
-        across=ErrorModel(PowerLaw(0.030, 1.3, -4.7), (Part(0.27, length=0.005), Part(0.73))),
+        across=ErrorModel(PowerLaw(0.030, 1.3, -4.7), (Part(0.25, length=1.0), Part(0.15, length=0.005), Part(0.6))),
         heading=ErrorModel(
-            PowerLaw(0.0158, 2.1, 2.2), (Part(0.43, length=0.5), Part(0.27, length=0.005), Part(0.3)), tail=0.2
+            PowerLaw(0.0168, 2.1, 1.9), (Part(0.41, length=0.5), Part(0.13, length=0.005), Part(0.46)), tail=0.2
         ),
         bias=(0.012, 0.1 * DEGREE),
         dropout=0.02,

@@ -13,7 +13,7 @@ from ompl_ext.arrays import Floats, Matrix
 WIDTH, HEIGHT = 1280, 720
 """Size of a frame, px."""
 FIELD_OF_VIEW: Final = math.radians(70.4)
-"""Along the width of a frame: a Logitech C920 (78 degrees along the diagonal); a RealSense D435 has 69."""
+"""Along the width of a frame; as of a Logitech C920 (78 degrees along the diagonal), a RealSense D435 has 69."""
 
 
 @dataclass(frozen=True)
