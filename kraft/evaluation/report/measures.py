@@ -70,25 +70,20 @@ def measures_table(shown: Shown, results: Sequence[Result]) -> Element | None:
     if not shown.any:
         return None
     each = [_Deviations.of(result) if shown.deviations else _Deviations((), (), ()) for result in results]
-    cycle = _longest([d for d, result in zip(each, results, strict=True) if result.replans]) or _longest(each)
-    drawn = [k for k, d in enumerate(each) if d.until and d.until[-1] <= cycle + 0.15]
-    deltas = [results[k].measures.clearance.delta_mean or 0.0 for k in drawn]
-    top = max([0.01, *deltas, *(value for k in drawn for value in each[k].most)])
+    cycle = max((d.until[-1] for d in each if d.until), default=0.0)
+    deltas = [result.measures.clearance.delta_mean or 0.0 for result in results]
+    top = max([0.01, *deltas, *(value for d in each for value in d.most)])
     heading = [element("th", "what was promised, and what held"), *_headings(shown)]
     if shown.deviations:
         scale = f"0 to {cycle:.1f} s since the commit, to {1000 * top:.0f} mm"
         heading.append(element("th", "deviation from the prediction", element("small", scale)))
     rows = []
-    for k, (result, deviations) in enumerate(zip(results, each, strict=True)):
+    for result, deviations in zip(results, each, strict=True):
         cells = list(_cells(shown, result))
         if shown.deviations:
-            cells.append(_drawing(result, deviations, cycle, top) if k in drawn else _in_words(deviations))
+            cells.append(_drawing(result, deviations, cycle, top) if deviations.until else element("td", NO_VALUE))
         rows.append(element("tr", element("th", result.title, scope="row"), *cells))
     return element("table", element("tr", *heading), *rows, class_="measures")
-
-
-def _longest(each: Sequence[_Deviations]) -> float:
-    return max((d.until[-1] for d in each if d.until), default=0.0)
 
 
 def _headings(shown: Shown) -> Iterator[Element]:
@@ -166,14 +161,6 @@ def _share(share: float | None) -> str:
 
 def _mm(length: float | None) -> str:
     return NO_VALUE if length is None else f"{1000 * length:.0f}"
-
-
-def _in_words(deviations: _Deviations) -> Element:
-    """Deviation of a method that does not replan, whose time since the commit does not fit on the axis."""
-    if not deviations.until:
-        return element("td", NO_VALUE)
-    text = f"99 %: {deviations.most[-1]:.2f} m"
-    return element("td", text, element("small", f"{deviations.until[-1]:.1f} s after its only commit"))
 
 
 def _drawing(result: Result, deviations: _Deviations, cycle: float, top: float) -> Element:

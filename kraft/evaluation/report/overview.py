@@ -48,21 +48,22 @@ class Count:
 
 
 def overview(results: Results) -> Element:
-    """Table of all methods and entries; many entries are in rows, few in columns."""
+    """Table of all methods and entries; entries are in rows if they are many or have settings."""
     by_cell = {(result.entry, result.method): result for result in results.summary.results}
     entries, methods = list(results.entries.values()), results.methods
     names = [_name(results, cell) for cell in entries]
     totals = {m: Count.over(r for r in results.summary.results if r.method == m) for m in methods}
     heading: Sequence[Content]
-    if len(entries) > MANY:
+    several = len(entries) > 1
+    in_rows = len(entries) > MANY or any(cell.set for cell in entries)
+    if in_rows:
         heading = list(methods.values())
         rows = [
             _line(name, [_cell(by_cell.get((cell.name, method))) for method in methods])
             for name, cell in zip(names, entries, strict=True)
         ]
-        rows.append(_line(["all"], [_total(total) for total in totals.values()], class_="totals"))
+        rows += [_line(["all"], [_total(total) for total in totals.values()], class_="totals")] if several else []
     else:
-        several = len(entries) > 1
         heading = [*(element("span", *name) for name in names), *(["all"] if several else [])]
         rows = [
             _line([title], [*(_cell(by_cell.get((cell.name, method))) for cell in entries),
@@ -70,7 +71,7 @@ def overview(results: Results) -> Element:
             for method, title in methods.items()
         ]  # fmt: skip
     first = element("tr", element("th", "successes"), *(element("th", text) for text in heading))
-    table = element("table", first, *rows, class_="overview many" if len(entries) > MANY else "overview")
+    table = element("table", first, *rows, class_="overview many" if in_rows else "overview")
     return element("section", element("div", table, class_="wide"))
 
 

@@ -97,10 +97,10 @@ def _key(shown: Shown) -> Element:
         for name in ("success", "timeout", "collision")
     ]
     words = (
-        "Below a bar stands each trial, by seed; point at one to see how it ended and how to drive it again. "
-        "Black: 95 % Wilson interval of the success rate. Blue above it: the paper's rate and its interval. "
-        "p: exact McNemar test against KRAFT on the same seeds. Times are of successful trials: black their mean, "
-        "the blue ring the paper's."
+        "A cell of the overview is filled with the shares of the outcomes. Below a bar stands each trial, by seed; "
+        "point at one to see how it ended and how to drive it again. Black: 95 % Wilson interval of the success rate. "
+        "Blue above it: the paper's rate and its interval. p: exact McNemar test against KRAFT on the same seeds. "
+        "Times are of successful trials: black their mean, the blue ring the paper's."
     )
     deviation = (
         " Deviation: the largest distance of a point of the true car from where the committed prediction has it, blue "

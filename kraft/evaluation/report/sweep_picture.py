@@ -19,7 +19,7 @@ WIDTH: Final = 1232.0
 LEFT, GAP, RIGHT = 78.0, 26.0, 10.0  # px beside and between panels
 HEIGHT, BETWEEN = 118.0, 20.0  # px of a panel and between two rows of panels
 TITLE, FOOT, APART = 30.0, 46.0, 14.0  # px above and below a column of panels, and between two lines of columns
-PANEL_MAX: Final = 320.0
+PANEL_MAX: Final = 380.0
 COLUMNS_MAX: Final = 6
 DODGE: Final = 5.0  # px between the points of two methods at one value
 INSET: Final = 6.0  # px between the ends of an axis and the edge of a panel
@@ -123,7 +123,7 @@ def _panel(frame: _Frame, measure: _Measure, axis: Axis, *, first: bool, last: b
     for tick in measure.ticks:
         y = frame.up(measure, tick)
         yield element("line", x1=frame.x, x2=right, y1=y, y2=y, stroke=RULE, stroke_width=1.0)
-        labelled = len(measure.ticks) < 6 or tick in measure.ticks[::2]
+        labelled = len(measure.ticks) <= 7 or tick in measure.ticks[::2]
         if first and labelled and (measure.high != 1.0 or tick in (0.0, 0.5, 1.0)):
             yield _text(measure.text(tick), frame.x - 8.0, y + 4.0, anchor="end", fill=GREY)
     yield element("line", x1=frame.x, x2=right, y1=bottom, y2=bottom, stroke=GREY, stroke_width=1.0)
