@@ -59,8 +59,12 @@ def overview(results: Results) -> Element:
     if in_rows:
         heading = list(methods.values())
         rows = [
-            _line(name, [_cell(by_cell.get((cell.name, method))) for method in methods])
-            for name, cell in zip(names, entries, strict=True)
+            _line(
+                names[k],
+                [_cell(by_cell.get((cell.name, method))) for method in methods],
+                class_="begin" if _begins_group(entries, k) else None,
+            )
+            for k, cell in enumerate(entries)
         ]
         rows += [_line(["all"], [_total(total) for total in totals.values()], class_="totals")] if several else []
     else:
@@ -106,6 +110,12 @@ def _name(results: Results, cell: Cell) -> list[Content]:
     settings = settings_of(cell)
     link = element("a", cell.base or cell.name, href=f"#{anchor(results, cell.name)}")
     return [link, element("small", settings) if settings else None]
+
+
+def _begins_group(entries: Sequence[Cell], k: int) -> bool:
+    """Whether an entry is the first one of a sweep; the next one has the same base."""
+    bases = [cell.base or cell.name for cell in entries]
+    return 0 < k < len(bases) - 1 and bases[k] not in bases[:k] and bases[k] == bases[k + 1]
 
 
 def _line(name: Sequence[Content], cells: Sequence[Element], **attributes: Any) -> Element:

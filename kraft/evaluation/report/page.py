@@ -17,8 +17,8 @@ from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.measures import Shown, measures_table
 from kraft.evaluation.report.overview import anchor, chip, overview, settings_of
 from kraft.evaluation.report.results import Results
-from kraft.evaluation.report.sweep_picture import sweep_picture
-from kraft.evaluation.report.sweeps import settings_text, sweeps
+from kraft.evaluation.report.sweep_picture import sweep_pictures
+from kraft.evaluation.report.sweeps import sweeps
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
@@ -34,6 +34,8 @@ def page(results: Results) -> str:
     shown = Shown.of(results)
     sections = [_entry(results, name, shown) for name in results.entries]
     title = f"{results.title} | kraft eval"
+    if len(results.entries) > MANY:
+        sections = [element("section", element("h2", "Entries"), *sections)]
     return document(title, style, *_head(results), _sweeps(results), overview(results), _key(shown), *sections, _foot())
 
 
@@ -73,13 +75,12 @@ def _sweeps(results: Results) -> Element | None:
     if not found:
         return None
     words = (
-        f"Over {found[0].axis.key}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that "
+        f"Over {' and '.join([found[0].axis.key, *found[0].fixed])}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that "
         "leaves its panel has no cap there. The methods are set a little apart, so that equal ones can be seen. Point "
         "at a mark for its numbers."
     )
     figures = []
-    for k, sweep in enumerate(found):
-        drawing = sweep_picture(sweep, results.methods)
+    for k, drawing in enumerate(sweep_pictures(found, results.methods)):
         file = f"sweep-{k + 1}.svg" if len(found) > 1 else "sweep.svg"
         content = quote(ElementTree.tostring(drawing, encoding="unicode"), safe=SAFE)
         save = element("a", "save as SVG", href=f"data:image/svg+xml;charset=utf-8,{content}", download=file)

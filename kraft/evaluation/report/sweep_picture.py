@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Any, Final
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.report.elements import Content, element, number, svg
-from kraft.evaluation.report.sweeps import Axis, Estimate, Point, Sweep, settings_text
+from kraft.evaluation.report.sweeps import Axis, Estimate, Point, Sweep, label_of, settings_text, text_of
 
 INK, GREY, RULE = "#16181d", "#667080", "#e3e6eb"
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#16181d")
@@ -17,11 +18,12 @@ COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e
 FONT: Final = "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif"
 WIDTH: Final = 1232.0
 LEFT, GAP, RIGHT = 78.0, 26.0, 10.0  # px beside and between panels
-HEIGHT, BETWEEN = 118.0, 20.0  # px of a panel and between two rows of panels
+HEIGHT, BETWEEN = 126.0, 20.0  # px of a panel and between two rows of panels
 TITLE, FOOT, APART = 30.0, 46.0, 14.0  # px above and below a column of panels, and between two lines of columns
 PANEL_MAX: Final = 380.0
 COLUMNS_MAX: Final = 6
-DODGE: Final = 5.0  # px between the points of two methods at one value
+DODGE: Final = 5.0  # px between the points of two methods at one value, at most
+NARROW: Final = 250.0  # px; narrower panels have smaller marks
 INSET: Final = 6.0  # px between the ends of an axis and the edge of a panel
 CHARACTER: Final = 6.4  # px, mean width
 
@@ -60,19 +62,24 @@ class _Frame:
         return self.y + HEIGHT - INSET - share * (HEIGHT - 2 * INSET)
 
 
-def sweep_picture(sweep: Sweep, titles: Mapping[str, str]) -> Element:
-    """Draw a sweep; `titles` are those of the methods, by name."""
-    measures = _measures(sweep)
+def sweep_pictures(sweeps: Sequence[Sweep], titles: Mapping[str, str]) -> list[Element]:
+    """Draw sweeps with the same axes; `titles` are those of the methods, by name."""
+    measures = _measures(sweeps)
+    return [_picture(sweep, measures, titles) for sweep in sweeps]
+
+
+def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, str]) -> Element:
     lines = -(-len(sweep.panels) // COLUMNS_MAX)
     columns = -(-len(sweep.panels) // lines)
     step = min(PANEL_MAX, (WIDTH - LEFT - RIGHT + GAP) / columns - GAP)
     width = LEFT + columns * (step + GAP) - GAP + RIGHT
-    legend, top = _legend(titles, width)
+    fixed = ", ".join(f"{label_of(key)} = {text_of(value)}" for key, value in sweep.fixed.items())
+    legend, top = _legend(titles, width, 34.0 if fixed else 14.0)
     tall = TITLE + len(measures) * (HEIGHT + BETWEEN) - BETWEEN + FOOT
     parts: list[Content] = [
         element("rect", x=0.0, y=0.0, width=width, height=top + lines * (tall + APART), fill="#fff")
     ]
-    parts += legend
+    parts += [_text(fixed, LEFT, 14.0, size=14, anchor="start", weight="600") if fixed else None, *legend]
     for k, (base, points) in enumerate(sweep.panels.items()):
         line, column = divmod(k, columns)
         x, y = LEFT + column * (step + GAP), top + line * (tall + APART)
@@ -89,15 +96,14 @@ def sweep_picture(sweep: Sweep, titles: Mapping[str, str]) -> Element:
     return drawing
 
 
-def _measures(sweep: Sweep) -> list[_Measure]:
+def _measures(sweeps: Sequence[Sweep]) -> list[_Measure]:
     shares = (0.0, 0.25, 0.5, 0.75, 1.0)
     found = [
         _Measure("success", lambda p: p.success, 0.0, 1.0, shares, "{:.0%}".format, _successes),
         _Measure("collision", lambda p: p.collision, 0.0, 1.0, shares, "{:.0%}".format, _collisions),
     ]
-    means = [
-        point.time.value for panel in sweep.panels.values() for line in panel.values() for point in line if point.time
-    ]
+    points = [point for sweep in sweeps for panel in sweep.panels.values() for line in panel.values() for point in line]
+    means = [point.time.value for point in points if point.time]
     if means:
         ticks = nice_ticks(min(means), max(means))
         found.append(
@@ -147,8 +153,10 @@ def _lines(
     """Intervals of all methods, then their lines, then their points."""
     below: list[Element] = []
     above: list[Element] = []
+    apart = _apart(frame, axis, len(titles))
+    size = 0.8 if frame.width < NARROW else 1.0
     for k, method in enumerate(titles):
-        shift = DODGE * (k - (len(titles) - 1) / 2)
+        shift = apart * (k - (len(titles) - 1) / 2)
         path: list[str] = []
         joined = False
         for point in panel.get(method, ()):
@@ -160,11 +168,12 @@ def _lines(
             path.append(f"{'L' if joined else 'M'}{number(x)} {number(y)}")
             joined = True
             below += _interval(frame, measure, found, x, colour(k))
-            above.append(_marker(k, x, y, element("title", _title(measure, point, found, titles[method]))))
+            above.append(_marker(k, x, y, size, element("title", _title(measure, point, found, titles[method]))))
         line = element(
             "path", d="".join(path), fill="none", stroke=colour(k), stroke_width=1.8, stroke_linejoin="round"
         )
-        yield line if path else element("g")
+        if path:
+            yield line
     yield from below
     yield from above
 
@@ -179,6 +188,13 @@ def _interval(frame: _Frame, measure: _Measure, found: Estimate, x: float, strok
     for end, y in ends:
         if measure.low <= end <= measure.high:
             yield element("line", x1=x - 2.2, x2=x + 2.2, y1=y, y2=y, **look)
+
+
+def _apart(frame: _Frame, axis: Axis, methods: int) -> float:
+    """Distance between the points of two methods at one value, px: less where the values are close."""
+    across = sorted(frame.across(_share(axis, place)) for place in axis.places)
+    gap = min(after - before for before, after in itertools.pairwise(across))
+    return min(DODGE, 0.6 * gap / methods)
 
 
 def _share(axis: Axis, place: float) -> float:
@@ -206,10 +222,10 @@ def _times(point: Point) -> str:
     return f"mean time of successes {point.result.t_ex:.2f} s"
 
 
-def _legend(titles: Mapping[str, str], width: float) -> tuple[list[Element], float]:
-    """Legend and the height that it takes."""
+def _legend(titles: Mapping[str, str], width: float, y: float) -> tuple[list[Element], float]:
+    """Legend whose first line is at `y`, and where it ends."""
     parts: list[Element] = []
-    x, y = LEFT, 14.0
+    x = LEFT
     for k, title in enumerate(titles.values()):
         long = 40.0 + 7.0 * len(title)
         if x > LEFT and x + long > width:
@@ -226,20 +242,20 @@ def colour(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
 
 
-def _marker(k: int, x: float, y: float, title: Element | None = None) -> Element:
+def _marker(k: int, x: float, y: float, size: float = 1.0, title: Element | None = None) -> Element:
     """Point of the k-th method, with a shape of its own, so that it can be told apart without colours."""
-    look: dict[str, Any] = {"fill": colour(k), "stroke": "#fff", "stroke_width": 1.0}
+    look: dict[str, Any] = {"fill": colour(k), "stroke": "#fff", "stroke_width": size}
     shape = k % 5
     if shape == 0:
-        return element("circle", title, cx=x, cy=y, r=4.0, **look)
+        return element("circle", title, cx=x, cy=y, r=4.0 * size, **look)
     if shape == 1:
-        return element("rect", title, x=x - 3.6, y=y - 3.6, width=7.2, height=7.2, **look)
+        return element("rect", title, x=x - 3.6 * size, y=y - 3.6 * size, width=7.2 * size, height=7.2 * size, **look)
     outlines = {
         2: ((0.0, -4.8), (4.5, 3.4), (-4.5, 3.4)),
         3: ((0.0, -5.2), (5.2, 0.0), (0.0, 5.2), (-5.2, 0.0)),
         4: ((0.0, 4.8), (4.5, -3.4), (-4.5, -3.4)),
     }
-    points = " ".join(f"{number(x + dx)},{number(y + dy)}" for dx, dy in outlines[shape])
+    points = " ".join(f"{number(x + size * dx)},{number(y + size * dy)}" for dx, dy in outlines[shape])
     return element("polygon", title, points=points, **look)
 
 
