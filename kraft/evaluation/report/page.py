@@ -74,20 +74,18 @@ def _sweeps(results: Results) -> Element | None:
     found = sweeps(results)
     if not found:
         return None
+    keys = " and ".join([found[0].axis.key, *found[0].fixed])
     words = (
-        f"Over {' and '.join([found[0].axis.key, *found[0].fixed])}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that "
-        "leaves its panel has no cap there. The methods are set a little apart, so that equal ones can be seen. Point "
-        "at a mark for its numbers."
+        f"Over {keys}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that leaves its panel "
+        "has no cap there. The methods are set a little apart, so that equal ones can be seen. Point at a mark for its "
+        "numbers."
     )
     figures = []
     for k, drawing in enumerate(sweep_pictures(found, results.methods)):
         file = f"sweep-{k + 1}.svg" if len(found) > 1 else "sweep.svg"
         content = quote(ElementTree.tostring(drawing, encoding="unicode"), safe=SAFE)
         save = element("a", "save as SVG", href=f"data:image/svg+xml;charset=utf-8,{content}", download=file)
-        title = element("h3", settings_text(sweep.fixed)) if sweep.fixed else None
-        figures.append(
-            element("figure", title, element("div", drawing, class_="wide"), element("p", save, class_="save"))
-        )
+        figures.append(element("figure", element("div", drawing, class_="wide"), element("p", save, class_="save")))
     return element("section", element("h2", "Sweeps"), element("p", words, class_="key"), *figures, class_="sweeps")
 
 
