@@ -76,9 +76,9 @@ def _sweeps(results: Results) -> Element | None:
         return None
     keys = " and ".join([found[0].axis.key, *found[0].fixed])
     words = (
-        f"Over {keys}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that leaves its panel "
-        "has no cap there. The methods are set a little apart, so that equal ones can be seen. Point at a mark for its "
-        "numbers."
+        f"Over {keys}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that leaves its "
+        "panel has no cap there. The methods are set a little apart, so that equal ones can be seen. Point at a mark "
+        "for its numbers."
     )
     figures = []
     for k, drawing in enumerate(sweep_pictures(found, results.methods)):

@@ -10,7 +10,7 @@ from typing import Any, Final
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.report.elements import Content, element, number, svg
-from kraft.evaluation.report.sweeps import Axis, Estimate, Point, Sweep, label_of, settings_text, text_of
+from kraft.evaluation.report.sweeps import Axis, Estimate, Point, Sweep, label_of, settings_text
 
 INK, GREY, RULE = "#16181d", "#667080", "#e3e6eb"
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#16181d")
@@ -73,13 +73,13 @@ def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, st
     columns = -(-len(sweep.panels) // lines)
     step = min(PANEL_MAX, (WIDTH - LEFT - RIGHT + GAP) / columns - GAP)
     width = LEFT + columns * (step + GAP) - GAP + RIGHT
-    fixed = ", ".join(f"{label_of(key)} = {text_of(value)}" for key, value in sweep.fixed.items())
-    legend, top = _legend(titles, width, 34.0 if fixed else 14.0)
+    fixed = ", ".join(label_of(key, value) for key, value in sweep.fixed.items())
+    legend, top = _legend(titles, width, 40.0 if fixed else 16.0)
     tall = TITLE + len(measures) * (HEIGHT + BETWEEN) - BETWEEN + FOOT
     parts: list[Content] = [
         element("rect", x=0.0, y=0.0, width=width, height=top + lines * (tall + APART), fill="#fff")
     ]
-    parts += [_text(fixed, LEFT, 14.0, size=14, anchor="start", weight="600") if fixed else None, *legend]
+    parts += [_text(fixed, LEFT, 17.0, size=14, anchor="start", weight="600") if fixed else None, *legend]
     for k, (base, points) in enumerate(sweep.panels.items()):
         line, column = divmod(k, columns)
         x, y = LEFT + column * (step + GAP), top + line * (tall + APART)

@@ -109,14 +109,22 @@ def axis_of(key: str, values: Sequence[Any]) -> Axis:
     return Axis(key, label_of(key), places, tuple(text_of(value) for value in values), numeric)
 
 
-def label_of(key: str) -> str:
-    """Name of a key's quantity with its unit: ``communication delay, s``."""
+def label_of(key: str, value: Any = None) -> str:
+    """Name of a key's quantity with its unit, or with a value: ``delay, s``, ``delay = 0.3 s``."""
+    name, unit = _quantity(key)
+    if value is not None:
+        return f"{name} = {text_of(value)} {unit}".rstrip()
+    return f"{name}, {unit}" if unit else name
+
+
+def _quantity(key: str) -> tuple[str, str]:
+    """Name and unit of a key's quantity."""
     *_, name = [part for part in parse_path(key) if isinstance(part, str)] or [key]
     for ending, unit in (("_deg", "degrees"), ("_hz", "Hz")):
         if name.endswith(ending):
-            return f"{_words(name.removesuffix(ending))}, {unit}"
+            return _words(name.removesuffix(ending)), unit
     found = UNIT.search(_description(key))
-    return f"{_words(name)}, {found[1]}" if found else _words(name)
+    return _words(name), found[1] if found else ""
 
 
 def text_of(value: Any) -> str:
