@@ -98,7 +98,8 @@ def chip(result: Result) -> Element:
     count = Count.over([result])
     if not count.trials:
         return element("span", f"{result.title} {NO_VALUE}", class_="chip")
-    text = f"{result.title} ", element("b", str(count.success)), f" of {count.trials}"
+    aligned = str(count.success).rjust(len(str(count.trials)), "\u2007")  # a space as wide as a digit
+    text = f"{result.title} ", element("b", aligned), f" of {count.trials}"
     return element("span", *text, class_="chip ends", style=count.bar, title=count.others or None)
 
 
