@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 REMARK = "95 % CI: Wilson, of the success rate. p: exact McNemar against kraft on the same seeds."
 
+REMARK_MANY = "The tables of the entries, with intervals and measures, are in report.html and summary.json."
+
 
 def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool) -> None:
     """Print labels and values; on a terminal the colour of `result` depends on `good`."""
@@ -34,9 +36,14 @@ def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool
 
 
 def show_tables(terminal: Terminal, summary: Summary) -> None:
-    """Print a table for each scenario; on a terminal with as many columns as fit."""
-    from kraft.evaluation import tables
+    """Print a table for each entry, or one table for many; on a terminal with as many columns as fit."""
+    from kraft.evaluation import overview, tables
+    from kraft.evaluation.summary import MANY
 
+    if len(summary.entries) > MANY:
+        _show_overview(terminal, overview(summary))
+        terminal.data(REMARK_MANY)
+        return
     for table in tables(summary):
         if terminal.out.isatty():
             _rich(terminal, table)
@@ -45,6 +52,43 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
             terminal.table(table.heading, table.rows)
             terminal.data("")
     terminal.data(REMARK)
+
+
+def _show_overview(terminal: Terminal, table: Table) -> None:
+    """Print the table of many entries; on a terminal with as many methods beside each other as fit."""
+    if not terminal.out.isatty():
+        terminal.table(table.heading, table.rows)
+        terminal.data("")
+        return
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as Grid
+
+    console = Console(file=terminal.out, highlight=False, markup=False)
+    headings = [heading.replace(" ", "\n") for heading in table.heading]
+    for columns in _fitting(table, headings, console.width):
+        grid = Grid(box=box.ROUNDED, border_style="dim")
+        grid.add_column(headings[0], overflow="fold")
+        for k in columns:
+            grid.add_column(headings[k], justify="right", no_wrap=True)
+        for row in table.rows[:-1]:
+            grid.add_row(row[0], *(row[k] for k in columns))
+        grid.add_section()
+        grid.add_row(table.rows[-1][0], *(table.rows[-1][k] for k in columns), style="bold")
+        console.print(grid)
+
+
+def _fitting(table: Table, headings: Sequence[str], width: int) -> list[list[int]]:
+    """Columns of the methods, in groups that fit beside the names of the entries, which may be wrapped."""
+    cells = [[*headings[k].split("\n"), *(row[k] for row in table.rows)] for k in range(len(headings))]
+    widths = [max(map(len, column)) + 3 for column in cells]
+    names = min(widths[0], max(20, width // 3)) + 1
+    groups: list[list[int]] = [[]]
+    for k in range(1, len(headings)):
+        if groups[-1] and names + sum(widths[j] for j in [*groups[-1], k]) > width:
+            groups.append([])
+        groups[-1].append(k)
+    return groups
 
 
 def _rich(terminal: Terminal, table: Table) -> None:

@@ -4,7 +4,7 @@ from kraft.evaluation.evaluator import Evaluation, Observer, evaluate, usable_co
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment
 from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import Result, Summary
-from kraft.evaluation.table import markdown, tables
+from kraft.evaluation.table import markdown, overview, tables
 
 __all__ = [
     "METHODS",
@@ -18,6 +18,7 @@ __all__ = [
     "TrialRow",
     "evaluate",
     "markdown",
+    "overview",
     "tables",
     "usable_cores",
 ]

@@ -16,6 +16,8 @@ SCHEMA: Final = "kraft.eval/1"
 FILE: Final = "summary.json"
 REFERENCE: Final = "kraft"
 """The method that the others are compared with."""
+MANY: Final = 8
+"""Largest number of entries of which each has a table of its own in a terminal, and an open section in the report."""
 WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_deadlines")
 """Keys of the JSON object with measured times; all others repeat."""
 
@@ -87,6 +89,11 @@ class Summary:
     realtime: bool
     wall: float
     results: tuple[Result, ...]
+
+    @property
+    def entries(self) -> list[str]:
+        """Names of the entries, in their order."""
+        return list(dict.fromkeys(result.entry for result in self.results))
 
     @property
     def failed(self) -> int:

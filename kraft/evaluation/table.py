@@ -1,4 +1,4 @@
-"""Tables of a summary, one for each scenario."""
+"""Tables of a summary: one for each entry, and one for all of them."""
 
 from __future__ import annotations
 
@@ -45,6 +45,9 @@ _COLUMNS: Final = {
     "paper T_ex": 4,
     "p": 3,
     "cont": 2,
+    "delta": 1,
+    "emerg": 1,
+    "regr": 1,
     "clear m": 1,
     "plan ms p50/p99": 1,
     "missed": 2,
@@ -52,14 +55,58 @@ _COLUMNS: Final = {
 
 
 def tables(summary: Summary) -> list[Table]:
-    """One table for each entry; failed trials and missed deadlines have columns only where they can occur."""
-    left_out = {name for name, wanted in (("failed", summary.failed), ("missed", summary.realtime)) if not wanted}
-    names = [name for name in _COLUMNS if name not in left_out]
+    """One table for each entry; what cannot occur in any row has no column."""
+    results = summary.results
+    replans = any(result.replans for result in results)
+    occurs = {
+        "failed": summary.failed > 0,
+        "missed": summary.realtime,
+        "delta": any(result.measures.clearance.ticks for result in results),
+        "emerg": replans,
+        "regr": replans,
+    }
+    names = [name for name in _COLUMNS if occurs.get(name, True)]
     found = []
-    for entry in dict.fromkeys(result.entry for result in summary.results):
-        cells = [_cells(result) for result in summary.results if result.entry == entry]
+    for entry in summary.entries:
+        cells = [_cells(result) for result in results if result.entry == entry]
         rows = tuple(tuple(row[name] for name in names) for row in cells)
         found.append(Table(entry, tuple(names), rows, tuple(_COLUMNS[name] for name in names)))
+    return found
+
+
+def overview(summary: Summary) -> Table:
+    """One table for all entries, with a column for each method, and its totals in the last row.
+
+    A cell has the numbers of successes, collisions, timeouts and, if any trial failed, failed trials.
+    """
+    titles = {result.method: result.title for result in summary.results}
+    by_cell = {(result.entry, result.method): result for result in summary.results}
+    counted = ("success", "collision", "timeout", *(("failed",) if summary.failed else ()))
+
+    def cell(results: Sequence[Result]) -> str:
+        return "/".join(str(sum(getattr(result, name) for result in results)) for name in counted)
+
+    rows = [
+        (short, *(cell([by_cell[entry, method]]) if (entry, method) in by_cell else "-" for method in titles))
+        for entry, short in _short_names(summary).items()
+    ]
+    totals = [cell([result for result in summary.results if result.method == method]) for method in titles]
+    heading = ("succ/coll/timeout" + ("/failed" if summary.failed else ""), *titles.values())
+    return Table("", heading, (*rows, ("all", *totals)), (9,) * len(heading))
+
+
+def _short_names(summary: Summary) -> dict[str, str]:
+    """Name of each entry, in which the keys have their last part alone if that is unique: ``noise_scale=2``."""
+    last = {key: key.rpartition(".")[2] for result in summary.results for key in result.settings}
+    unique = {key: name for key, name in last.items() if list(last.values()).count(name) == 1}
+    found = {}
+    for entry in summary.entries:
+        words = entry.split(" ")
+        found[entry] = " ".join(
+            f"{unique[key]}={value}" if equals and key in unique else word
+            for word in words
+            for key, equals, value in [word.partition("=")]
+        )
     return found
 
 
@@ -81,6 +128,7 @@ def _line(cells: Sequence[str]) -> str:
 def _cells(result: Result) -> dict[str, str]:
     paper, against = result.paper, result.against
     low, high = result.interval
+    kept = result.measures.clearance.coverage
     return {
         "method": result.title,
         "succ": str(result.success),
@@ -93,6 +141,9 @@ def _cells(result: Result) -> dict[str, str]:
         "paper T_ex": decimals(paper.t_ex if paper else None, 2),
         "p": f"{against.p:.2g}" if against else "-",
         "cont": str(result.contingencies),
+        "delta": "-" if kept is None else f"{kept:.0%}",
+        "emerg": str(result.measures.emergencies) if result.replans else "-",
+        "regr": str(sum(result.measures.regressions.values())) if result.measures.compared else "-",
         "clear m": decimals(result.min_clearance, 3),
         "plan ms p50/p99": f"{decimals(result.planning_p50, 1)}/{decimals(result.planning_p99, 1)}",
         "missed": str(result.missed),

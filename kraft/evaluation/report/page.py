@@ -1,32 +1,42 @@
-"""HTML of the page: an overview, then each scenario with its methods, trials and failures."""
+"""HTML of the page: sweeps, an overview, then each entry with its methods, measures, trials and failures."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from typing import Final
+from urllib.parse import quote
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.ompl_log import file_name
 from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import Content, document, element
 from kraft.evaluation.report.floor import floor_plan
+from kraft.evaluation.report.measures import Shown, measures_table
+from kraft.evaluation.report.overview import anchor, chip, overview, settings_of
 from kraft.evaluation.report.results import Results
+from kraft.evaluation.report.sweep_picture import sweep_pictures
+from kraft.evaluation.report.sweeps import sweeps
 from kraft.evaluation.row import TrialRow
-from kraft.evaluation.summary import Result
+from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 NO_VALUE: Final = "–"
+SAFE: Final = " !$'()*+,/:;=?@~"  # characters that need no escape in an address of data
 
 
 def page(results: Results) -> str:
     """Make the page; it needs no other file and no network."""
     style = files("kraft.evaluation.report").joinpath("style.css").read_text(encoding="utf-8")
-    sections = [_entry(results, name) for name in results.entries]
+    shown = Shown.of(results)
+    sections = [_entry(results, name, shown) for name in results.entries]
     title = f"{results.title} | kraft eval"
-    return document(title, style, *_head(results), _overview(results), _key(), *sections, _foot())
+    if len(results.entries) > MANY:
+        sections = [element("section", element("h2", "Entries"), *sections)]
+    return document(title, style, *_head(results), _sweeps(results), overview(results), _key(shown), *sections, _foot())
 
 
 def _head(results: Results) -> Iterator[Content]:
@@ -59,46 +69,66 @@ def _fact(name: str, value: str) -> Element:
     return element("div", element("dt", name), element("dd", value))
 
 
-def _overview(results: Results) -> Element | None:
-    """Table of successes of every method in every scenario."""
-    names = list(results.entries)
-    by_cell = {(result.entry, result.method): result for result in results.summary.results}
-    heading = [element("th", element("a", name, href=f"#{name}")) for name in names]
-    rows = [
-        element("tr", element("th", title, scope="row"), *(_rate(by_cell.get((name, method))) for name in names))
-        for method, title in results.methods.items()
-    ]
-    table = element("table", element("tr", element("th", "successes"), *heading), *rows, class_="overview")
-    return element("section", element("div", table, class_="wide"))
+def _sweeps(results: Results) -> Element | None:
+    """Pictures of the sweeps; None if no key is varied."""
+    found = sweeps(results)
+    if not found:
+        return None
+    keys = " and ".join([found[0].axis.key, *found[0].fixed])
+    words = (
+        f"Over {keys}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that leaves its "
+        "panel has no cap there. The methods are set a little apart, so that equal ones can be seen. Point at a mark "
+        "for its numbers."
+    )
+    figures = []
+    for k, drawing in enumerate(sweep_pictures(found, results.methods)):
+        file = f"sweep-{k + 1}.svg" if len(found) > 1 else "sweep.svg"
+        content = quote(ElementTree.tostring(drawing, encoding="unicode"), safe=SAFE)
+        save = element("a", "save as SVG", href=f"data:image/svg+xml;charset=utf-8,{content}", download=file)
+        figures.append(element("figure", element("div", drawing, class_="wide"), element("p", save, class_="save")))
+    return element("section", element("h2", "Sweeps"), element("p", words, class_="key"), *figures, class_="sweeps")
 
 
-def _rate(result: Result | None) -> Element:
-    if result is None or not result.trials:
-        return element("td", NO_VALUE)
-    rate = result.success / result.trials
-    paper = element("small", f"paper {result.paper.success} of {result.paper.trials}") if result.paper else None
-    shade = f"background: rgb(0 158 115 / {0.55 * rate:.2f})"
-    of = f" of {result.trials}"
-    return element("td", element("b", str(result.success)), of, paper, style=shade)
-
-
-def _key() -> Element:
+def _key(shown: Shown) -> Element:
     """Legend of the charts."""
     entries = [
         element("span", element("i", class_=f"swatch {name}"), f" {name}")
         for name in ("success", "timeout", "collision")
     ]
     words = (
-        "Below a bar stands each trial, by seed; point at one to see how it ended and how to drive it again. "
-        "Black: 95 % Wilson interval of the success rate. Blue above it: the paper's rate and its interval. "
-        "p: exact McNemar test against KRAFT on the same seeds. Times are of successful trials: black their mean, "
-        "the blue ring the paper's."
+        "A cell of the overview is filled with the shares of the outcomes. Below a bar stands each trial, by seed; "
+        "point at one to see how it ended and how to drive it again. Black: 95 % Wilson interval of the success rate. "
+        "Blue above it: the paper's rate and its interval. p: exact McNemar test against KRAFT on the same seeds. "
+        "Times are of successful trials: black their mean, the blue ring the paper's."
     )
-    return element("p", *entries, " ", words, class_="key")
+    deviation = (
+        " Deviation: the largest distance of a point of the true car from where the committed prediction has it, blue "
+        "its median, red its 99 % quantile, dashed the mean clearance δ(v) that the method asked for."
+    )
+    return element("p", *entries, " ", words, deviation if shown.deviations else None, class_="key")
 
 
-def _entry(results: Results, name: str) -> Element:
+def _entry(results: Results, name: str, shown: Shown) -> Element:
+    """Section of an entry; one of many is closed, and opens when its anchor is followed."""
+    cell = results.entries[name]
     mine = [result for result in results.summary.results if result.entry == name]
+    title, settings = cell.base or name, settings_of(cell)
+    tables = [_table(results, name, mine), measures_table(shown, mine)]
+    wide = [element("div", table, class_="wide") for table in tables if table is not None]
+    content = [
+        element("div", _picture(results, name), element("div", *wide, class_="tables"), class_="scenario"),
+        _unsuccessful(results, name),
+    ]
+    if len(results.entries) <= MANY:
+        heading = element("h2", title, " ", element("span", settings, class_="settings") if settings else None)
+        return element("section", heading, *content, id=anchor(results, name))
+    heading = element("b", title, " ", element("span", settings, class_="settings") if settings else None)
+    line = element("summary", heading, element("span", *(chip(result) for result in mine), class_="chips"))
+    return element("details", line, element("div", *content, id=anchor(results, name)), class_="entry")
+
+
+def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
+    """Table of the outcomes and times of an entry."""
     durations = [row.t_s for row in results.of_cell(name) if row.outcome == "success" and row.t_s is not None]
     times = [*durations, *(r.paper.t_ex for r in mine if r.paper and r.paper.t_ex is not None)]
     longest = 1.02 * max(times, default=1.0)
@@ -107,14 +137,7 @@ def _entry(results: Results, name: str) -> Element:
     columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")
     heading += [element("th", text, class_="number") for text in columns]
     rows = [_row(results, result, longest) for result in mine]
-    table = element("table", element("tr", *heading), *rows)
-    return element(
-        "section",
-        element("h2", name),
-        element("div", _picture(results, name), element("div", table, class_="wide"), class_="scenario"),
-        _unsuccessful(results, name),
-        id=name,
-    )
+    return element("table", element("tr", *heading), *rows)
 
 
 def _picture(results: Results, name: str) -> Element:
@@ -178,7 +201,8 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
     more = len(found) - LISTED
     rest = element("p", f"and {more} more, in trials.jsonl") if more > 0 else None
     title = element("summary", f"The {len(found) if len(found) > 1 else 'one'} that did not succeed")
-    return element("details", title, element("div", element("table", heading, *rows), class_="wide"), rest)
+    table = element("div", element("table", heading, *rows), class_="wide")
+    return element("details", title, table, rest, class_="unsuccessful")
 
 
 def _listed(results: Results, row: TrialRow) -> Element:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -122,7 +123,7 @@ class Results:
         known = {cell.entry.name: cell.scenario for cell in experiment.cells}
         return cls(Manifest.model_validate(content), rows, summary, known, command_line)
 
-    @property
+    @cached_property
     def entries(self) -> dict[str, Cell]:
         """A row of each entry by the entry's name, in their order."""
         found: dict[str, Cell] = {}
@@ -130,7 +131,7 @@ class Results:
             found.setdefault(cell.name, cell)
         return found
 
-    @property
+    @cached_property
     def methods(self) -> dict[str, str]:
         """Titles of the methods by their names, in their order."""
         return {name.method: name.title for name in self.manifest.names}
@@ -158,11 +159,21 @@ class Results:
         """Command that repeats a trial, and films it into `video`; None without `command_line`."""
         if self.command_line is None:
             return None
-        scenario = _scenario_references(self.manifest).get(row.key[0], row.scenario)
-        method = _references(self.manifest, "methods", list(self.methods)).get(row.method, row.method)
+        scenario = self._scenarios.get(row.key[0], row.scenario)
+        method = self._methods.get(row.method, row.method)
         vehicle = self.manifest.arguments.get("vehicle")
         settings = self.entries[row.key[0]].set
         return self.command_line(scenario, method, str(vehicle) if vehicle else None, row.seed, video, settings)
+
+    @cached_property
+    def _scenarios(self) -> dict[str, str]:
+        """Name or path of the scenario of each entry."""
+        return _scenario_references(self.manifest)
+
+    @cached_property
+    def _methods(self) -> dict[str, str]:
+        """Name or path of each method."""
+        return _references(self.manifest, "methods", list(self.methods))
 
 
 def read_results(folder: Path, command_line: CommandLine | None = None) -> Results:
