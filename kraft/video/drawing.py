@@ -22,6 +22,13 @@ EDGES_MAX: Final = 1500
 PREDICTED_HEIGHT, TREE_HEIGHT, TRAIL_HEIGHT = 0.0025, 0.005, 0.006
 PLAN_HEIGHT, CONTINGENCY_HEIGHT, ESTIMATE_HEIGHT = 0.009, 0.012, 0.014
 """Height above the ground, m: what is higher covers what is lower."""
+SPACING: Final = 0.05
+"""Length of the straight pieces of a stroke, m: short enough for curves and bumps."""
+THICKNESS: Final = 0.002
+STAGGER: Final = 2e-5
+"""Each piece lies this much above the one before it, m: where they overlap one of them is in front."""
+
+LINE, BOX, SPHERE = mujoco.mjtGeom.mjGEOM_LINE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
 
 
 class Pen:
@@ -167,12 +174,3 @@ def draw_snapshot(pen: Pen, snapshot: Snapshot, vehicle: Vehicle) -> None:
     pen.shaded(snapshot.trail[:, :2], 0.022, TRAIL_HEIGHT, palette.speed_colours(speeds, vehicle.top_speed))
     estimated = outlines(vehicle.footprint, snapshot.estimate[None, :])[0]
     pen.outline(estimated, 0.01, ESTIMATE_HEIGHT, colour(palette.ESTIMATE))
-
-
-SPACING: Final = 0.05
-"""Length of the straight pieces of a stroke, m: short enough for curves and bumps."""
-THICKNESS: Final = 0.002
-STAGGER: Final = 2e-5
-"""Each piece lies this much above the one before it, m: where they overlap one of them is in front."""
-
-LINE, BOX, SPHERE = mujoco.mjtGeom.mjGEOM_LINE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
