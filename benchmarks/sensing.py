@@ -25,7 +25,7 @@ RESAMPLES = 200
 NOTES = (
     "Errors along and across the line of sight (mm) and of the heading (deg); in brackets 95 % intervals, by",
     "resampling whole drives. Spread is about zero; bias is the mean of all frames. Autocorrelation is about zero as",
-    "well: the mean of each drive is not subtracted, which would hide the part of the error that is constant in a drive.",
+    "well: the mean of a drive is not subtracted, which would hide the part of the error that is constant in it.",
 )
 
 
