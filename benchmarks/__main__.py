@@ -14,7 +14,19 @@ from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.machine import describe
 from benchmarks.report import Report
 
-TOPICS = ("planner", "peers", "scaling", "callbacks", "startup", "safety", "world", "drive", "theorem", "sysid", "sensing")
+TOPICS = (
+    "planner",
+    "peers",
+    "scaling",
+    "callbacks",
+    "startup",
+    "safety",
+    "world",
+    "drive",
+    "theorem",
+    "sysid",
+    "sensing",
+)
 NEEDS_OUT = ("peers",)
 
 

@@ -169,7 +169,11 @@ def deviations(preset: Preset, speed: float, seeds: int, frames: int = 150, **se
         rows = []
         for k in range(frames):
             x = 1.6 + speed * k / 30
-            pose, distance, phi = seen_at(cam, k, x), math.hypot(x - 1.0, 5.0 - HEIGHT), math.atan2(x - 1.0, 5.0 - HEIGHT)
+            pose, distance, phi = (
+                seen_at(cam, k, x),
+                math.hypot(x - 1.0, 5.0 - HEIGHT),
+                math.atan2(x - 1.0, 5.0 - HEIGHT),
+            )
             error = pose[0] - x, pose[1] - 3.0, pose[2]
             of = zip(error, cam._noise._bias, (noise.along, noise.across, noise.heading), strict=True)
             rows.append([(e - bias - m.mean.at(distance, phi)) / m.size.at(distance, phi) for e, bias, m in of])
