@@ -23,9 +23,9 @@ PLACES = ((-1.0, 1.5), (1.5, 3.5), (3.5, 6.0))  # y, m
 UNITS = np.array([1000.0, 1000.0, math.degrees(1.0)])
 RESAMPLES = 200
 NOTES = (
-    "Errors along and across the line of sight (mm) and of the heading (deg); in brackets 95 % intervals, by",
-    "resampling whole drives. Spread is about zero; bias is the mean of all frames. Autocorrelation is about zero as",
-    "well: the mean of a drive is not subtracted, which would hide the part of the error that is constant in it.",
+    "Errors along and across the line of sight (mm) and of the heading (deg); in brackets 95 % intervals by",
+    "resampling whole drives. Spread and autocorrelation are about zero, bias is the mean of all frames: subtracting",
+    "the mean of each drive would hide the part of the error that is constant in a drive.",
 )
 
 

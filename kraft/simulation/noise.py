@@ -120,10 +120,10 @@ PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
     # most of them at 4.7 to 6.2 m.
     "single-tag": CameraNoise(
         along=ErrorModel(
-            PowerLaw(0.0285, 2.0, 1.1),
+            PowerLaw(0.0272, 2.0, 1.1),
             (Part(0.12, length=0.4), Part(0.52, length=0.005), Part(0.36)),
             skew=0.6,
-            mean=PowerLaw(0.011, 2.8, 1.65),
+            mean=PowerLaw(0.0106, 2.8, 1.65),
         ),
         across=ErrorModel(PowerLaw(0.030, 1.3, -4.7), (Part(0.25, length=1.0), Part(0.15, length=0.005), Part(0.6))),
         heading=ErrorModel(

@@ -332,8 +332,9 @@ def test_the_filter_beats_the_newest_pose_behind_the_camera_itself(latency: floa
     filtered, raw = (
         rms(np.array(list(ride.replay(make_estimator(choice, car(), START), poses)))) for choice in (FILTER, LATEST)
     )
-    assert np.hypot(*filtered[:2]) < 0.4 * np.hypot(*raw[:2])
-    assert filtered[2] < 0.4 * raw[2]
+    # what remains: the camera's bias, its mean error away from itself, and headings that err for half a metre
+    assert np.hypot(*filtered[:2]) < 0.6 * np.hypot(*raw[:2])
+    assert filtered[2] < 0.7 * raw[2]
 
 
 def test_the_filter_is_deterministic() -> None:

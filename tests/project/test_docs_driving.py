@@ -79,6 +79,7 @@ def test_every_setting_of_the_camera_is_mentioned() -> None:
 def test_the_table_of_noise_is_the_one_in_the_code() -> None:
     noise = PRESETS["single-tag"]
     row = next(line for line in TEXT.splitlines() if line.startswith("| `single-tag`"))
-    expected = [1000 * law.at(d) for law in (noise.along, noise.across) for d in (3.0, 5.0)]
-    expected += [math.degrees(noise.heading.at(d)) for d in (3.0, 5.0)] + [100 * noise.dropout]
-    assert [float(number) for number in re.findall(r"([\d.]+) (?:mm|deg|%)", row)] == pytest.approx(expected)
+    places = (4.8, 0.0), (5.6, math.radians(30.0))
+    expected = [1000 * model.size.at(*place) for model in (noise.along, noise.across) for place in places]
+    expected += [math.degrees(noise.heading.size.at(*place)) for place in places] + [100 * noise.dropout]
+    assert [float(number) for number in re.findall(r"([\d.]+) (?:mm|deg|%)", row)] == pytest.approx(expected, abs=0.051)
