@@ -20,6 +20,7 @@ from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.terminal import Terminal
 
+SCENARIOS = ("turns", "boxes", "slope", "slip", "bump", "movable")  # of the suite that is run by default
 EVAL = (ROOT / "docs" / "eval.md").read_text(encoding="utf-8")
 
 
@@ -103,6 +104,37 @@ def test_a_terminal_gets_tables_that_fit(inline: None, monkeypatch: pytest.Monke
         assert "Cons. Replanner" in out.getvalue()
         assert ("plan ms" in out.getvalue()) == (width == 160)
         assert "turns kraft" in err.getvalue()
+
+
+SWEEP = ("eval", "turns", "slip", "--methods", "kraft,cons-replanner-openloop,oneshot-openloop", "--trials", "2",
+         "--vary", "sensing.noise_scale=0,1,2,3,4")  # fmt: skip
+
+
+def test_many_entries_get_one_table_with_totals(inline: None, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SWEEP, "--out", "o"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    cells = [re.split(r"  +", line) for line in lines[:12]]
+    assert cells[0] == ["succ/coll/timeout", "KRAFT", "Cons. Replanner + OpenLoop", "OneShot + OpenLoop"]
+    assert [row[0] for row in cells[1:]] == [f"{s} noise_scale={k}" for s in ("turns", "slip") for k in range(5)] + [
+        "all"
+    ]
+    results = json.loads(Path("o/summary.json").read_text())["results"]
+    counts = [f"{r['success']}/{r['collision']}/{r['timeout']}" for r in results]
+    assert [cell for row in cells[1:-1] for cell in row[1:]] == counts
+    mine = [r for r in results if r["method"] == "kraft"]
+    assert cells[-1][1] == "/".join(str(sum(r[name] for r in mine)) for name in ("success", "collision", "timeout"))
+    assert len(lines) == 14
+
+
+def test_the_table_of_many_entries_fits_a_terminal(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    for width in (40, 60, 120):
+        monkeypatch.setenv("COLUMNS", str(width))
+        out, err = Screen(), Screen()
+        assert main([*SWEEP, "--out", f"o{width}"], Terminal(out, err)) == 0
+        lines = [re.sub(r"\033\[[\d;?]*[A-Za-z]", "", line) for line in out.getvalue().splitlines()]
+        assert max(len(line) for line in lines[:-1]) <= width
+        assert (sum("┬" in line for line in lines) == 1) == (width > 40)  # otherwise several tables
+        assert "…" not in out.getvalue()
 
 
 def test_an_existing_folder_is_refused_with_the_command_that_goes_on(

@@ -25,14 +25,17 @@ from support.paths import ROOT
 from kraft.driving.messages import ContingencyOrigin
 from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, evaluate
+from kraft.evaluation.experiment import experiment_of
+from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element
 from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.measures import percent
 from kraft.evaluation.report.sweep_picture import nice_ticks, sweep_pictures
 from kraft.evaluation.report.sweeps import Estimate, label_of, sweeps
+from kraft.evaluation.row import trial_row
 from kraft.evaluation.statistics import wilson
-from kraft.evaluation.summary import measures_json
+from kraft.evaluation.summary import measures_json, summarise
 from kraft.scenario import OccupancyMap, load_scenario
 from kraft.trial.measures import Consistency, Kept, Measures
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
@@ -460,7 +463,7 @@ def test_ticks_are_round_and_enclose_all_values(low: float, high: float) -> None
     ticks = nice_ticks(low, high)
     assert ticks[0] <= low <= high <= ticks[-1]
     assert 3 <= len(ticks) <= 8
-    assert all(f"{tick:.6g}" == f"{tick:.3g}" for tick in ticks)
+    assert all(float(f"{tick:.3g}") == pytest.approx(tick) for tick in ticks)
 
 
 def test_the_measures_are_those_of_the_summary(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -527,11 +530,16 @@ def test_anchors_of_entries_have_no_spaces_and_differ(monkeypatch: pytest.Monkey
     assert links == {f"#{each}" for each in found}
 
 
-def test_a_page_of_many_entries_is_small_and_made_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_trials.use(monkeypatch, measured, inline=True)
+def test_a_page_of_many_entries_is_small_and_made_quickly() -> None:
     methods = ("kraft", "conservative-kraft", "oneshot-openloop", "oneshot-geometric")
-    run(scenarios=None, suite=suite_of(30), methods=methods, trials=30)
-    results = read_results(Path("out"), run_command)
+    experiment = experiment_of((), methods, suite=suite_of(30), trials=30)
+    by_seed = {seed: measured(TrialSpec.load("turns", seed=seed)) for seed in experiment.seeds}
+    rows = {}
+    for job in experiment.jobs():
+        key = (job.entry, job.method.name, job.seed)
+        rows[key] = trial_row(key, by_seed[job.seed], 1.0)
+    results = Results.of(experiment, manifest_of(experiment, {}), rows, summarise(experiment, rows, 1.0), run_command)
+    assert len(results.rows) == results.expected == 3600
     begin = time.process_time()
     text = page(results)
     assert time.process_time() - begin < 2.0

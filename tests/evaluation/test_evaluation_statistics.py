@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kraft.evaluation.statistics import mcnemar, percentile, wilson
+from kraft.evaluation.statistics import mcnemar, mean_interval, percentile, wilson
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,14 @@ from kraft.evaluation.statistics import mcnemar, percentile, wilson
 )
 def test_wilsons_interval_is_that_of_the_literature(successes: int, trials: int, low: float, high: float) -> None:
     assert wilson(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_the_interval_of_a_mean_is_students() -> None:
+    """Critical values 12.706 and 2.776 of the t distribution with 1 and 4 degrees of freedom."""
+    assert mean_interval([3.0, 5.0]) == pytest.approx((4.0 - 12.706, 4.0 + 12.706), abs=1e-3)
+    assert mean_interval([1.0, 2.0, 3.0, 4.0, 5.0]) == pytest.approx((3 - 2.776 / 2**0.5, 3 + 2.776 / 2**0.5), abs=1e-3)
+    assert mean_interval([7.0, 7.0, 7.0]) == (7.0, 7.0)
+    assert mean_interval([7.0]) is mean_interval([]) is None
 
 
 @given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))

@@ -11,7 +11,7 @@ import pytest
 from support.evaluation import KEYS
 
 from kraft.config import bundled
-from kraft.evaluation import markdown, summary, tables
+from kraft.evaluation import markdown, overview, summary, tables
 from kraft.evaluation.experiment import METHODS, Experiment, experiment_of
 from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.ompl_log import write_benchmark
@@ -19,6 +19,7 @@ from kraft.evaluation.paper import paper_row
 from kraft.evaluation.row import Key, Measured, TrialRow
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.suite import load_suite
+from kraft.trial.measures import Kept, Measures
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +125,41 @@ def test_a_table_drops_its_least_important_columns_until_it_fits(
         assert sum(widths) + 2 * (len(widths) - 1) <= width
         assert fitted.heading[:2] == ("method", "succ")
     assert table.fitted(200) == table
+
+
+def test_measures_have_columns_where_they_can_occur(experiment: Experiment, rows: dict[Key, TrialRow]) -> None:
+    plain, *_ = tables(summary.summarise(experiment, rows, 1.0))
+    assert "delta" not in plain.heading
+    measures = Measures(plans=Kept(ticks=200, held=9, delta_sum_m=5.0), emergencies=2, compared=5, regressions={"a": 3})
+    changed = {**rows, ("slip", "kraft", 7): rows["slip", "kraft", 7].model_copy(update={"measures": measures})}
+    turns, slip = tables(summary.summarise(experiment, changed, 1.0))
+    columns = [dict(zip(table.heading, table.rows[0], strict=True)) for table in (turns, slip)]
+    assert [(row["delta"], row["emerg"], row["regr"]) for row in columns] == [("-", "0", "-"), ("4%", "2", "3")]
+    assert {"delta", "emerg", "regr"}.isdisjoint(slip.fitted(80).heading)
+
+
+def test_one_shot_methods_have_no_columns_for_replanning() -> None:
+    alone = experiment_of(["boxes"], ["oneshot-openloop"], trials=1)
+    row = TrialRow(scenario="boxes", method="oneshot-openloop", seed=0, outcome="collision", t_s=2.0, cycles=1)
+    (table,) = tables(summary.summarise(alone, {row.key: row}, 0.0))
+    assert {"delta", "emerg", "regr"}.isdisjoint(table.heading)
+
+
+def test_the_table_of_all_entries_has_totals(experiment: Experiment, rows: dict[Key, TrialRow]) -> None:
+    table = overview(summary.summarise(experiment, rows, 1.0))
+    assert table.heading == ("succ/coll/timeout/failed", "KRAFT", "OneShot + OpenLoop")
+    assert table.rows == (
+        ("turns", "2/1/1/0", "1/1/1/1"),
+        ("slip", "2/1/1/0", "1/1/1/1"),
+        ("all", "4/2/2/0", "2/2/2/2"),
+    )
+
+
+def test_names_in_the_table_of_all_entries_are_short_where_that_is_clear() -> None:
+    vary = {"sensing.noise_scale": [1, 2], "truth.vehicle.mass_scale": [1]}
+    found = experiment_of(["turns"], ["kraft"], vary=vary)
+    table = overview(summary.summarise(found, {}, 0.0))
+    assert [row[0] for row in table.rows[:-1]] == [f"turns noise_scale={k}, mass_scale=1" for k in (1, 2)]
 
 
 def test_markdown_has_a_table_for_each_scenario(experiment: Experiment, rows: dict[Key, TrialRow]) -> None:
