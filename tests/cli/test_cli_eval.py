@@ -20,7 +20,6 @@ from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.terminal import Terminal
 
-SCENARIOS = ("turns", "boxes", "slope", "slip", "bump", "movable")  # of the suite that is run by default
 EVAL = (ROOT / "docs" / "eval.md").read_text(encoding="utf-8")
 
 
