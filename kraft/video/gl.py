@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from kraft.errors import InputError, MissingDependency
 from kraft.files import check_writable
-from kraft.simulation.gl import offscreen_context
+from kraft.gl import offscreen_context
 
 INSTEAD: Final = "a video file needs no screen"
 

@@ -13,8 +13,8 @@ from PIL import Image as Pillow
 
 from kraft.driving.messages import Cycle
 from kraft.files import write_whole
+from kraft.gl import offscreen_context
 from kraft.scenario import Bounds
-from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
 from kraft.trial.result import Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial

@@ -18,8 +18,8 @@ from support.paths import ROOT
 
 from kraft.driving.method import load_method
 from kraft.errors import InputError, MissingDependency
+from kraft.gl import offscreen_context
 from kraft.scenario import Scenario, load_scenario
-from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
