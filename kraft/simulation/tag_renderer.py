@@ -9,8 +9,8 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from kraft.gl import offscreen_context
 from kraft.simulation.car import FRONT, REAR, SIDE
-from kraft.simulation.gl import offscreen_context
 from kraft.simulation.opencv import PURPOSE
 from kraft.simulation.optics import View
 from ompl_ext.arrays import Floats, Matrix

@@ -12,10 +12,9 @@ import numpy as np
 from PIL import Image as Pillow
 
 from kraft.driving.messages import Cycle
-from kraft.errors import InputError
-from kraft.files import check_writable, write_whole
+from kraft.files import write_whole
+from kraft.gl import check_video, offscreen_context
 from kraft.scenario import Bounds
-from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
@@ -142,17 +141,3 @@ def _png(picture: Image) -> bytes:
     content = io.BytesIO()
     Pillow.fromarray(rounded).save(content, "PNG", optimize=True)
     return content.getvalue()
-
-
-def check_video(path: Path) -> None:
-    """Check before the drive that a video can be written at `path`.
-
-    Raises:
-        InputError: if its suffix is not .mp4 or nothing can be written there.
-        MissingDependency: if nothing can be drawn without a window here.
-    """
-    if path.suffix.lower() != ".mp4":
-        problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
-        raise InputError.of(str(path), f"the video's name {problem}", "expected .mp4")
-    check_writable(path)
-    offscreen_context(16, 16).free()

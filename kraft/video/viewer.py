@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
-import sys
 import threading
 import time as clock
 from types import TracebackType
@@ -15,7 +13,7 @@ import mujoco
 import numpy as np
 
 from kraft.driving.messages import Cycle
-from kraft.errors import MissingDependency
+from kraft.gl import check_view
 from kraft.simulation.floor_frame import Surface
 from kraft.simulation.world import World
 from kraft.trial.measures import Step
@@ -134,30 +132,3 @@ def _state(snapshot: Snapshot) -> Any:
 
 def _text(left: str, right: str) -> Any:
     return mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_TOPLEFT, left, right
-
-
-def check_view() -> None:
-    """Check before the drive that a window can be opened.
-
-    Raises:
-        MissingDependency: if there is no screen, or nothing to open a window with.
-    """
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise MissingDependency("a window needs a screen, and DISPLAY is not set; a video file needs no screen")
-    try:
-        glfw = importlib.import_module("glfw")
-        importlib.import_module("mujoco.viewer")
-    except Exception as error:  # the type depends on what is missing
-        raise MissingDependency(f"a window needs MuJoCo's viewer: {error}; a video file needs no screen") from error
-    # the viewer opens its window in a thread and would wait forever if that failed
-    if not glfw.init() or not _can_open(glfw):
-        raise MissingDependency("a window with OpenGL cannot be opened on this screen; a video file needs no screen")
-
-
-def _can_open(glfw: Any) -> bool:
-    glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-    window = glfw.create_window(16, 16, "kraft", None, None)
-    if window:
-        glfw.destroy_window(window)
-    glfw.default_window_hints()
-    return bool(window)

@@ -14,7 +14,7 @@ from typing import Final, Literal, TypeAlias
 from kraft.config import bundled
 from kraft.errors import InputError, MissingAsset
 from kraft.files import check_writable
-from kraft.simulation.gl import BACKENDS
+from kraft.gl import BACKENDS
 from kraft.text import counted
 from kraft.version import VERSION
 
@@ -47,7 +47,7 @@ OPTIONAL: Final[dict[str, tuple[str, str]]] = {
 }
 """Each optional package: the module to import, and its purpose."""
 
-_GL_TRIAL: Final = "from kraft.simulation.gl import offscreen_context; offscreen_context(16, 16)"
+_GL_TRIAL: Final = "from kraft.gl import offscreen_context; offscreen_context(16, 16)"
 
 
 @dataclass(frozen=True)

@@ -42,12 +42,12 @@ class OutputOptions:
 
             checks += [partial(picture_format, self.plot), partial(check_writable, self.plot)]
         if self.video is not None:
-            from kraft.video.recorder import check_video
+            from kraft.gl import check_video
 
             checks.append(partial(check_video, self.video))
         check_all(*checks)
         if self.view:
-            from kraft.video.viewer import check_view
+            from kraft.gl import check_view
 
             check_view()
 

@@ -13,10 +13,10 @@ import pytest
 
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError, MissingDependency
+from kraft.gl import offscreen_context
 from kraft.scenario import Scenario, load_scenario, parse_scenario
 from kraft.simulation import opencv
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.gl import offscreen_context
 from kraft.simulation.imager import Imager, Imaging
 from kraft.simulation.optics import Calibration, Lens, View, rotation_about
 from kraft.simulation.rendered_camera import RenderedCamera, calibrated_side, view_of

@@ -18,8 +18,8 @@ from support.paths import ROOT
 
 from kraft.driving.method import load_method
 from kraft.errors import InputError, MissingDependency
+from kraft.gl import check_video, check_view, offscreen_context
 from kraft.scenario import Scenario, load_scenario
-from kraft.simulation.gl import offscreen_context
 from kraft.simulation.world import World
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
@@ -28,9 +28,8 @@ from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
 from kraft.video.mp4 import Image, Mp4Writer
 from kraft.video.overlay import font, wrapped
-from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, check_video, map_width, write_still
+from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width, write_still
 from kraft.video.renderer import smoothed
-from kraft.video.viewer import check_view
 
 SECONDS = 0.4
 

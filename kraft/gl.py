@@ -1,16 +1,20 @@
-"""OpenGL contexts without a window."""
+"""OpenGL contexts without a window, and checks that a video or a window is possible."""
 
 from __future__ import annotations
 
 import importlib
 import os
 import re
+import sys
 import warnings
 from ctypes.util import find_library
+from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import MissingDependency
+from kraft.errors import InputError, MissingDependency
+from kraft.files import check_writable
 
+INSTEAD: Final = "a video file needs no screen"
 BACKENDS: Final = ("egl", "osmesa", "glfw")
 ADVICE: Final = (
     "install Mesa's EGL (on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri) or a graphics driver that has EGL, "
@@ -64,3 +68,44 @@ def _backend(purpose: str) -> str:
         raise MissingDependency(f"{purpose} needs OpenGL without a window: {problem}; unset it or use {BACKENDS[0]}")
     # the first import of a backend fixes it for the process, so it has to be available
     return "osmesa" if find_library("EGL") is None and find_library("OSMesa") is not None else "egl"
+
+
+def check_video(path: Path) -> None:
+    """Check before the drive that a video can be written at `path`.
+
+    Raises:
+        InputError: if its suffix is not .mp4 or nothing can be written there.
+        MissingDependency: if nothing can be drawn without a window here.
+    """
+    if path.suffix.lower() != ".mp4":
+        problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
+        raise InputError.of(str(path), f"the video's name {problem}", "expected .mp4")
+    check_writable(path)
+    offscreen_context(16, 16).free()
+
+
+def check_view() -> None:
+    """Check before the drive that a window can be opened.
+
+    Raises:
+        MissingDependency: if there is no screen, or nothing to open a window with.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise MissingDependency(f"a window needs a screen, and DISPLAY is not set; {INSTEAD}")
+    try:
+        glfw = importlib.import_module("glfw")
+        importlib.import_module("mujoco.viewer")
+    except Exception as error:  # the type depends on what is missing
+        raise MissingDependency(f"a window needs MuJoCo's viewer: {error}; {INSTEAD}") from error
+    # the viewer opens its window in a thread and would wait forever if that failed
+    if not glfw.init() or not _can_open(glfw):
+        raise MissingDependency(f"a window with OpenGL cannot be opened on this screen; {INSTEAD}")
+
+
+def _can_open(glfw: Any) -> bool:
+    glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+    window = glfw.create_window(16, 16, "kraft", None, None)
+    if window:
+        glfw.destroy_window(window)
+    glfw.default_window_hints()
+    return bool(window)
