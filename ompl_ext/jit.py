@@ -8,8 +8,8 @@ removes the zero-division branch that would keep a loop from vectorising.
 
 *Cache.*  numba's key of a cached kernel is its own source file; a change of an inlined function goes unnoticed.  Here
 the cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the
-vehicle's source): after any edit a new folder is used, and a stale kernel is impossible.  numba looks up a kernel by the
-path of its source file, so every copy of the package has folders of its own.
+vehicle's source): after any edit a new folder is used, and a stale kernel is impossible.  numba looks up a kernel by
+the path of its source file, so every copy of the package has folders of its own.
 """
 
 from __future__ import annotations

@@ -86,6 +86,8 @@ def cycle_content(cycle: Cycle) -> dict[str, Any]:
         "iterations": cycle.iterations,
         "nodes": cycle.nodes,
         "retained": cycle.retained,
+        "lost": str(cycle.lost),
+        "contingency_origin": None if cycle.contingency_origin is None else str(cycle.contingency_origin),
         "planning_ms": cycle.planning_ms,
         "missed": bool(cycle.missed),
         "reference": _reference(cycle.reference),

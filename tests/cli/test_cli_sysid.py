@@ -99,14 +99,16 @@ def test_the_json_object_holds_what_was_promised(plain: dict[str, Any], capsys: 
 def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_model(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """On drives that it has not seen, after 2 s, without any number of the bundled vehicles."""
+    """On drives that it has not seen, after 1 to 3 s, without any number of the bundled vehicles."""
     errors = {}
     for model in ("MUSHR", "MUSHR_LAG"):
         main(["sysid", "logs", "--model", f"kraft.vehicles.mushr:{model}", "--extras", "none", "--json"])
         prediction = json.loads(capsys.readouterr().out)["prediction"]
-        errors[model] = prediction["holdout"]["position_m"]["2"], prediction["holdout_initial"]["position_m"]["2"]
-    assert errors["MUSHR_LAG"][0] < 0.9 * errors["MUSHR_LAG"][1]
-    assert errors["MUSHR_LAG"][0] < 0.5 * errors["MUSHR"][0]
+        errors[model] = prediction["holdout"]["position_m"], prediction["holdout_initial"]["position_m"]
+    identified, nominal = errors["MUSHR_LAG"]
+    assert all(identified[seconds] < nominal[seconds] for seconds in ("1", "2", "3"))
+    assert identified["1"] < 0.9 * nominal["1"]
+    assert all(identified[seconds] < 0.5 * errors["MUSHR"][0][seconds] for seconds in ("1", "2", "3"))
 
 
 def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
@@ -118,8 +120,9 @@ def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.Captu
     assert main(["-v", "sysid", "logs", *options]) == 0
     each = [line for line in said(capsys) if re.match(r"run_\d\d: yaw wraps \d times?, first at line", line)]
     assert len(each) == int(found.group(1)) > 1
-    assert main(["sysid", "logs/run_02", *options]) == 0
-    assert any(line.startswith("run_02: yaw wraps 5 times, first at line") for line in said(capsys))
+    run = each[0].partition(":")[0]
+    assert main(["sysid", f"logs/{run}", *options]) == 0
+    assert any(line.startswith(each[0].partition(", first")[0]) for line in said(capsys))
 
 
 @pytest.mark.parametrize(
