@@ -11,8 +11,8 @@ import numpy as np
 
 from kraft.errors import Diagnostic
 from kraft.logs.log import Array
+from kraft.logs.names import FACTOR, Unit
 from kraft.logs.table import LOG_TIME, STAMP, Flags, Table
-from kraft.logs.units import FACTOR, Unit
 
 STAMP_TOLERANCE: Final = 1.0
 """Largest difference between the clocks of senders and recorder, s."""

@@ -13,9 +13,8 @@ from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic
 from kraft.logs.choice import Channel
 from kraft.logs.mapping import Column, Mapping
-from kraft.logs.names import SYNONYMS, YAW, parse, time_score
+from kraft.logs.names import ALLOWED, SYNONYMS, YAW, Quantity, Unit, parse, time_score
 from kraft.logs.table import LOG_TIME, STAMP, Table
-from kraft.logs.units import ALLOWED, Quantity, Unit
 from kraft.text import nearest, suggestion
 
 Score = Callable[[str], int | None]

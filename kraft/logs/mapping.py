@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_vali
 from kraft.config.schema import NonNegative, Positive, StrictModel, refuse
 from kraft.config.source import KeyPath, Source
 from kraft.config.validation import read_model
-from kraft.logs.units import ALLOWED, Quantity, Unit
+from kraft.logs.names import ALLOWED, Quantity, Unit
 
 Scale = Annotated[float, Field(ge=-1e9, le=1e9)]
 _SHORT: Final[dict[str, Any]] = {"type": "string", "description": "its name alone"}

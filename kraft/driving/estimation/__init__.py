@@ -2,14 +2,44 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.latest import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
-from kraft.driving.estimation.protocol import Estimator
+from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Filter, Latest
 from ompl_ext.arrays import Floats
 
 __all__ = ["Estimator", "LatestPose", "PoseFilter", "make_estimator"]
+
+
+class Estimator(Protocol):
+    """Estimates the state from poses as they arrive and commands as they are sent.
+
+    A command is taken to act `horizon` s after it is sent.  Estimates are that far ahead of the time of the call, so
+    that the controller computes commands for the state in which they act.
+    """
+
+    @property
+    def horizon(self) -> float:
+        """Delay of commands that estimates make up for, s."""
+
+    @property
+    def belief(self) -> PoseBelief | None:
+        """Pose with its covariance after the newest observation; None before one, or without a covariance."""
+
+    def observe(self, observation: Observation) -> None:
+        """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing."""
+
+    def commanded(self, time: float, control: Floats) -> None:
+        """Record that `control` (nu,) is sent at `time` (s, ascending) and held until the next one."""
+
+    def estimate(self, time: float) -> Estimate:
+        """Estimate at `time` (s) plus the horizon, predicted from the newest observation with the commands."""
+
+    def replanning_estimate(self, time: float) -> Estimate:
+        """Estimate for a decision that holds for a whole cycle; it may combine several observations."""
 
 
 def make_estimator(settings: Latest | Filter, model: CarModel, start_state: Floats) -> Estimator:
