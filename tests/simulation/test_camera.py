@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, Literal
 
@@ -170,6 +171,7 @@ def test_a_moving_tag_is_blurred_and_errs_more() -> None:
         assert spread == pytest.approx(of_standing, rel=0.12)
 
 
+@functools.cache
 def deviations(preset: Preset, speed: float, seeds: int, frames: int = 150, **sensing: Any) -> list[Matrix]:
     """Errors (frames, 3) of drives along the line of sight, in units of their stated spread, without mean and bias."""
     noise, found = PRESETS[preset], []
