@@ -134,7 +134,7 @@ def entries_of(
             base = replace(draft, overrides=(*draft.overrides, *common)).load()
             entries += list(_varied(draft, base, common, sweeps))
         except InputError as error:
-            problems += error.diagnostics
+            problems += [*error.diagnostics, *_sweep_problems(draft, sweeps)]
     problems += _repeated_names(entries) if suite is None else []
     if problems:
         raise InputError(problems)
@@ -158,6 +158,15 @@ def _varied(
             problems += error.diagnostics
     if problems:
         raise InputError(problems)
+
+
+def _sweep_problems(draft: _Draft, sweeps: tuple[tuple[Override, ...], ...]) -> Iterator[Diagnostic]:
+    """Problems of the varied values alone, where the entry itself has problems."""
+    for override in itertools.chain.from_iterable(sweeps):
+        try:
+            replace(draft, overrides=(override,)).load()
+        except InputError as error:
+            yield from error.diagnostics
 
 
 def _drafts(scenarios: Sequence[ScenarioLike], problems: list[Diagnostic]) -> list[_Draft]:

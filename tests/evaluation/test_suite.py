@@ -90,6 +90,15 @@ def test_what_an_entry_sets_is_not_set_again() -> None:
     assert len(problems) == 3  # the entries with lost messages
 
 
+def test_wrong_values_of_set_and_varied_keys_are_reported_together() -> None:
+    settings, vary = {"sensing.noise_scal": 2}, {"sensing.rate_hz": ["x", 5], "sensing.dropout": [0.1, 2]}
+    problems = raised(lambda: entries_of(["turns", "slip"], settings=settings, vary=vary))
+    assert sorted(located(problems)) == [
+        "sensing.dropout value", "sensing.noise_scal unknown", "sensing.rate_hz type",
+    ]  # fmt: skip
+    assert {d.file for d in problems} == {"settings", "vary"}
+
+
 def test_keys_of_a_loaded_scenario_cannot_be_set() -> None:
     problems = raised(lambda: entries_of([load_scenario("turns")], settings={"sensing.rate_hz": 5}))
     assert [d.code for d in problems] == [Code.CONFLICT]
