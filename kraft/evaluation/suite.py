@@ -86,7 +86,8 @@ class _Draft:
         if isinstance(self.scenario, Scenario):
             if self.overrides:
                 expected = "expected a name or a path, whose keys can be set"
-                raise InputError.of(self.name, "is a scenario that was loaded before", expected, Code.CONFLICT)
+                name = self.name or self.scenario.name
+                raise InputError.of(name, "is a scenario that was loaded before", expected, Code.CONFLICT)
             return Entry(self.name or self.scenario.name, self.base or self.scenario.name, "", self.scenario)
         scenario = load_scenario(self.scenario, self.overrides)
         settings = {each.key: plain_value(each.value) for each in self.overrides}
