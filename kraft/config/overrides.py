@@ -6,16 +6,21 @@ problem of its value is reported where it was given, not in the file that it cha
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from kraft.config.source import KeyPath, Place, format_path, parse_path
 from kraft.config.yaml_reader import Document, Value, parse_document
 from kraft.errors import Code, Diagnostic, InputError
 
-EXAMPLE = "expected KEY=VALUE, as in sensing.noise_scale=2"
+EXAMPLE: Final = "expected KEY=VALUE, as in sensing.noise_scale=2"
+_WORD: Final = re.compile(r"[A-Za-z_./][\w./-]*")
+"""Text that needs no quotes in YAML, unless it is `_UNQUOTED`."""
+_UNQUOTED: Final = re.compile(r"null|true|false|[-+.]?(inf|nan|[\d.]+.*)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -134,14 +139,16 @@ def overridden(document: Document, overrides: Sequence[Override]) -> Document:
     return replace(document, data=data, source=replace(document.source, replaced=places), unusable=usable)
 
 
-def value_text(value: Value) -> str:
-    """Value in one line, as it would be written in a file."""
+def value_text(value: Any) -> str:
+    """Value in one line of YAML; lists may be tuples."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {value_text(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, tuple):
+    if isinstance(value, (tuple, list)):
         return "[" + ", ".join(value_text(each) for each in value) + "]"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, str):
+        return value if _WORD.fullmatch(value) and not _UNQUOTED.fullmatch(value) else json.dumps(value)
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 from collections.abc import Callable, Mapping
@@ -169,10 +168,7 @@ def run_command(
     """Command that repeats a trial with `settings` of the scenario's keys, and films it into `video`."""
     words = ["kraft", "run", scenario, "--method", method]
     for key, value in (settings or {}).items():
-        words += [
-            "--set",
-            f"{key}={json.dumps(value, ensure_ascii=False) if isinstance(value, list | dict) else value_text(value)}",
-        ]
+        words += ["--set", f"{key}={value_text(value)}"]
     words += [] if vehicle is None else ["--vehicle", vehicle]
     words += ["--seed", str(seed)]
     words += [] if video is None else ["--video", video]

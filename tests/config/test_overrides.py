@@ -114,7 +114,25 @@ def test_a_wrong_sweep_is_refused(texts: list[str], codes: list[Code]) -> None:
     assert [d.code for d in raised(lambda: parse_sweeps(texts, "vary"))] == codes
 
 
-@pytest.mark.parametrize("value", [None, True, 3, 0.1, "word", [1, [2.5, "x"]], {"a": {"b": [False]}}])
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        True,
+        3,
+        0.1,
+        "word",
+        "true",
+        "12",
+        "a: b",
+        "a, b",
+        "1:30",
+        ".5",
+        "-",
+        [1, [2.5, "x"]],
+        {"a": {"b": [False]}},
+    ],
+)
 def test_the_text_of_a_value_is_read_as_that_value(value: Any) -> None:
     (override,) = overrides_of({"key": value})
     assert parse_overrides([f"key={value_text(override.value)}"], "set") == (override,)

@@ -84,7 +84,7 @@ class Tags(HTMLParser):
         return Counter(attributes.get("class") for name, attributes in self.found if name == tag)
 
 
-def text_of(tags: Tags) -> str:
+def value_text(tags: Tags) -> str:
     return " ".join(" ".join(tags.words).split())
 
 
@@ -103,7 +103,7 @@ def test_an_evaluation_ends_with_a_page_that_needs_nothing_else() -> None:
 def test_every_trial_is_a_cell_that_says_how_it_ended_and_how_to_drive_it_again() -> None:
     found = run()
     tags = Tags(page(read_results(Path("out"), run_command)))
-    text = text_of(tags)
+    text = value_text(tags)
     for row in found.rows:
         where = f" with {row.obstacle}" if row.obstacle else ""
         assert f"seed {row.seed}: {row.outcome}{where} after {row.t_s:.1f} s" in text
@@ -118,7 +118,7 @@ def test_every_trial_is_a_cell_that_says_how_it_ended_and_how_to_drive_it_again(
 
 def test_the_numbers_are_those_of_the_summary() -> None:
     found = run(trials=8)
-    text = text_of(Tags(page(read_results(Path("out")))))
+    text = value_text(Tags(page(read_results(Path("out")))))
     assert "32 trials, 2 scenarios, 2 methods" in text
     assert "5 to 12, the same for all methods" in text
     for result in found.summary.results:
@@ -140,7 +140,7 @@ def test_the_same_page_comes_from_the_folder_alone() -> None:
 
 def test_without_a_command_line_a_page_names_scenario_method_and_seed_only() -> None:
     found = run()
-    text = text_of(Tags(page(read_results(Path("out")))))
+    text = value_text(Tags(page(read_results(Path("out")))))
     assert "kraft run" not in text
     assert "--method" not in text
     for row in found.rows:
@@ -156,21 +156,21 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
     assert (out, err) == ("out/report.html\n", "8 of 12 trials not run yet\n")
     text = Path("out/report.html").read_text()
     tags = Tags(text)
-    assert "8 of 12 trials not run yet: this page is of those that were." in text_of(tags)
+    assert "8 of 12 trials not run yet: this page is of those that were." in value_text(tags)
     assert tags.classes("rect")["missing"] == 8
 
 
 def test_failed_trials_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_trials.use(monkeypatch, fake_trials.raises, inline=True)
     evaluate(["turns"], ["kraft"], trials=2, seed=0, out="out")
-    text = text_of(Tags(Path("out/report.html").read_text()))
+    text = value_text(Tags(Path("out/report.html").read_text()))
     assert "1 trial failed, which is a defect in kraft" in text
     assert "seed 1: failed: ZeroDivisionError: no speed at all" in text
 
 
 def test_what_did_not_succeed_is_listed_with_the_command_that_films_it() -> None:
     found = run(trials=8, vehicle="mushr-lag", arguments={"vehicle": "mushr-lag"})
-    text = text_of(Tags(Path("out/report.html").read_text()))
+    text = value_text(Tags(Path("out/report.html").read_text()))
     for row in found.rows:
         film = (
             f"kraft run {row.scenario} --method {row.method} --vehicle mushr-lag --seed {row.seed} "
@@ -183,7 +183,7 @@ def test_commands_name_the_files_that_were_given(tmp_path: Path) -> None:
     Path("my scene.yaml").write_text((ROOT / "scenarios/turns.yaml").read_text())
     arguments = {"scenarios": ["my scene.yaml"], "methods": ["kraft"]}
     evaluate(["my scene.yaml"], ["kraft"], trials=1, out="out", arguments=arguments, command_line=run_command)
-    assert "kraft run 'my scene.yaml' --method kraft --seed 0" in text_of(Tags(Path("out/report.html").read_text()))
+    assert "kraft run 'my scene.yaml' --method kraft --seed 0" in value_text(Tags(Path("out/report.html").read_text()))
 
 
 def test_a_scenario_that_changed_has_no_picture_and_the_page_says_so() -> None:
@@ -470,7 +470,7 @@ def test_the_measures_are_those_of_the_summary(monkeypatch: pytest.MonkeyPatch) 
     fake_trials.use(monkeypatch, measured, inline=True)
     found = run(trials=8)
     tags = Tags(Path("out/report.html").read_text())
-    text = text_of(tags)
+    text = value_text(tags)
     assert tags.classes("table")["measures"] == 2
     assert tags.classes("svg")["deviation"] == 4
     assert tags.classes("line")["delta"] == 2
@@ -505,7 +505,7 @@ def test_many_entries_are_rows_with_totals_and_closed_sections(monkeypatch: pyte
     fake_trials.use(monkeypatch, measured, inline=True)
     found = run(scenarios=None, suite=suite_of(9))
     tags = Tags(Path("out/report.html").read_text())
-    text = text_of(tags)
+    text = value_text(tags)
     assert tags.classes("details")["entry"] == 9
     assert tags.classes("tr")["totals"] == 1
     anchors = {attributes["href"] for tag, attributes in tags.found if tag == "a"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -98,7 +97,7 @@ def varied(results: Results) -> dict[str, list[Any]]:
             values = _distinct(cell.set.get(key) for cell in cells)
             if len(values) > 1:
                 known = found.setdefault(key, [])
-                known += [value for value in values if text_of(value) not in map(text_of, known)]
+                known += [value for value in values if value_text(value) not in map(value_text, known)]
     return found
 
 
@@ -106,14 +105,14 @@ def axis_of(key: str, values: Sequence[Any]) -> Axis:
     """Axis of a key with its values."""
     numeric = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values)
     places = tuple(float(value) if numeric else float(k) for k, value in enumerate(values))
-    return Axis(key, label_of(key), places, tuple(text_of(value) for value in values), numeric)
+    return Axis(key, label_of(key), places, tuple(value_text(value) for value in values), numeric)
 
 
 def label_of(key: str, value: Any = None) -> str:
     """Name of a key's quantity with its unit, or with a value: ``delay, s``, ``delay = 0.3 s``."""
     name, unit = _quantity(key)
     if value is not None:
-        return f"{name} = {text_of(value)} {unit}".rstrip()
+        return f"{name} = {value_text(value)} {unit}".rstrip()
     return f"{name}, {unit}" if unit else name
 
 
@@ -127,14 +126,9 @@ def _quantity(key: str) -> tuple[str, str]:
     return _words(name), found[1] if found else ""
 
 
-def text_of(value: Any) -> str:
-    """Value of a key in one line."""
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, (list, dict)) else value_text(value)
-
-
 def settings_text(settings: Mapping[str, Any]) -> str:
     """Keys with their values in one line."""
-    return ", ".join(f"{key} = {text_of(value)}" for key, value in settings.items())
+    return ", ".join(f"{key} = {value_text(value)}" for key, value in settings.items())
 
 
 def _bases(results: Results) -> dict[str, list[Cell]]:
@@ -146,18 +140,18 @@ def _bases(results: Results) -> dict[str, list[Cell]]:
 
 
 def _distinct(values: Iterator[Any]) -> list[Any]:
-    return list({text_of(value): value for value in values}.values())
+    return list({value_text(value): value for value in values}.values())
 
 
 def _sweep(results: Results, axis: Axis, values: Sequence[Any], fixed: Mapping[str, Any]) -> Sweep:
     by_cell = {(result.entry, result.method): result for result in results.summary.results}
-    texts = {key: text_of(value) for key, value in fixed.items()}
+    texts = {key: value_text(value) for key, value in fixed.items()}
     panels: dict[str, dict[str, list[Point]]] = {}
     for base, cells in _bases(results).items():
-        mine = [cell for cell in cells if all(text_of(cell.set.get(key)) == text for key, text in texts.items())]
-        entries = {text_of(cell.set[axis.key]): cell.name for cell in mine if axis.key in cell.set}
-        places = sorted((place, entries[text_of(value)]) for place, value in zip(axis.places, values, strict=True)
-                        if text_of(value) in entries)  # fmt: skip
+        mine = [cell for cell in cells if all(value_text(cell.set.get(key)) == text for key, text in texts.items())]
+        entries = {value_text(cell.set[axis.key]): cell.name for cell in mine if axis.key in cell.set}
+        places = sorted((place, entries[value_text(value)]) for place, value in zip(axis.places, values, strict=True)
+                        if value_text(value) in entries)  # fmt: skip
         if places:
             panels[base] = {
                 method: [
