@@ -62,7 +62,6 @@ class ErrorModel:
         skew: Tukey's g; positive for more large errors away from the camera, or to the left.
         tail: Tukey's h, at least 0 and below 1/2; with 0 and without skew the distribution is normal.
         mean: systematic error.
-        still: factor on the deviation while the marker stands, because nothing blurs the picture then.
     """
 
     size: PowerLaw
@@ -70,11 +69,6 @@ class ErrorModel:
     skew: float = 0.0
     tail: float = 0.0
     mean: PowerLaw = PowerLaw(0.0)
-    still: float = 1.0
-
-    def blurred(self, speed: float) -> float:
-        """Factor on the deviation at a speed (m/s) of the marker."""
-        return self.still + (1.0 - self.still) * min(speed / BLURRED_SPEED, 1.0)
 
     def deviation(self, normal: float) -> float:
         """Deviation, in units of `size`, at a value of the standard normal distribution."""
@@ -119,8 +113,6 @@ NORMAL_MAX: Final = 4.0
 """Largest value of the normal distribution that `ErrorModel` accepts, which bounds its tails."""
 TURNING_RADIUS: Final = 0.1
 """Travel of the marker's corners for each radian of turn, m."""
-BLURRED_SPEED: Final = 0.3
-"""Speed of the marker from which on its picture counts as blurred, m/s: 3 mm in an exposure of 10 ms."""
 PLANAR_POSITION: Final = PowerLaw.through(0.0011, 0.0013)
 PLANAR_PARTS: Final = (Part(0.55, time=5.0), Part(0.45))
 PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
@@ -182,7 +174,6 @@ class PoseNoise:
         self._parts = [[0.0] * len(parts) for _, parts in self._models]
         self._draws = sum(len(parts) for parts in self._parts)
         self._last: tuple[float, float, float, float] | None = None
-        self._speed = 0.0
 
     def draw(
         self, time: float, sight: tuple[float, float, float], pose: tuple[float, float, float]
@@ -202,7 +193,6 @@ class PoseNoise:
         along, across, heading = (
             model.mean.at(distance, phi)
             + model.size.at(distance, phi)
-            * model.blurred(self._speed)
             * model.deviation(sum(math.sqrt(part.share) * value for part, value in zip(parts, values, strict=True)))
             for (model, parts), values in zip(self._models, self._parts, strict=True)
         )
@@ -223,7 +213,6 @@ class PoseNoise:
             turned = math.remainder(pose[2] - last[3], math.tau)
             travelled = math.hypot(pose[0] - last[1], pose[1] - last[2]) + TURNING_RADIUS * abs(turned)
             elapsed = max(time - last[0], 0.0)
-            self._speed = travelled / elapsed if elapsed else 0.0
         draws = iter(self._normal(self._draws))
         for (_, parts), values in zip(self._models, self._parts, strict=True):
             for k, part in enumerate(parts):

@@ -31,7 +31,7 @@ class Dask:
         self._file = folder / "scheduler.json"
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
         limit = time.monotonic() + 60
-        while not self._file.exists():
+        while not self._file.exists() or not self._file.read_text().endswith("}"):  # it is being written
             assert time.monotonic() < limit
             time.sleep(0.05)
         self.address: str = json.loads(self._file.read_text())["address"]
