@@ -1,8 +1,9 @@
-"""Phrases for messages: counts with nouns, lists of alternatives, suggestions for misspelt names."""
+"""Phrases for messages and names of files: counts with nouns, lists of alternatives, suggestions for misspelt names."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -51,6 +52,27 @@ def alternatives(options: Iterable[str]) -> str:
 def decimals(value: float | None, digits: int, none: str = "-") -> str:
     """A number with `digits` after the point; `none` where it is None, infinite or not a number."""
     return none if finite(value) is None else f"{value:.{digits}f}"
+
+
+def percent(share: float | None, none: str = "-") -> str:
+    """A share in percent, ``100%`` only if it is all; `none` where it is None."""
+    if share is None:
+        return none
+    text = f"{share:.0%}"
+    return f"{share:.1%}" if text == "100%" and share < 1.0 else text
+
+
+def slugs(names: Iterable[str]) -> dict[str, str]:
+    """Each name as a part of a file's name or of an address, with hyphens for other characters; all are different."""
+    found: dict[str, str] = {}
+    for name in names:
+        slug = unique = re.sub(r"[^\w.=+-]+", "-", name)
+        number = 1
+        while unique in found.values():
+            number += 1
+            unique = f"{slug}-{number}"
+        found[name] = unique
+    return found
 
 
 def metres(value: float | None, none: str = "no obstacle") -> str:

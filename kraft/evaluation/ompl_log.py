@@ -14,6 +14,7 @@ from kraft.evaluation.experiment import Cell, Experiment
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.statistics import percentile
 from kraft.files import EXPECTED, Replacement, write_whole
+from kraft.text import slugs
 
 DATABASE: Final = "benchmark.db"
 OUTCOMES: Final = ("success", "collision", "timeout", "failed")
@@ -45,8 +46,8 @@ def write_benchmark(
     Raises:
         InputError: if a file cannot be written.
     """
-    names = list(dict.fromkeys(cell.entry.name for cell in experiment.cells))
-    logs = [folder / ("benchmark.log" if len(names) == 1 else f"benchmark-{file_name(name)}.log") for name in names]
+    names = slugs(dict.fromkeys(cell.entry.name for cell in experiment.cells))
+    logs = [folder / ("benchmark.log" if len(names) == 1 else f"benchmark-{slug}.log") for slug in names.values()]
     for name, log in zip(names, logs, strict=True):
         cells = [cell for cell in experiment.cells if cell.entry.name == name]
         write_whole(log, ("\n".join(_log(cells, experiment, rows, manifest, wall)) + "\n").encode())
@@ -117,11 +118,6 @@ def _run(row: TrialRow) -> list[str]:
 
 def _keys(cell: Cell, experiment: Experiment) -> Iterator[Key]:
     return ((*cell.key, seed) for seed in experiment.seeds)
-
-
-def file_name(entry: str) -> str:
-    """Name of an entry as a part of a file's name."""
-    return "".join(c if c.isalnum() or c in "-_.=+" else "-" for c in entry)
 
 
 def _settings(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -6,21 +6,16 @@ import hashlib
 from typing import Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from kraft.text import finite
-from kraft.trial.measures import Measures
+from kraft.trial.measures import Measures, Record
 from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
 """Entry, method and seed; the entry of a plain scenario has the scenario's name."""
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class Measured(_Record):
+class Measured(Record):
     """Measured times, the only part of a row that differs between repetitions.
 
     `planning_ms` has one value per cycle, `missed` is the number of cycles that exceeded their planning time, `wall_s`
@@ -32,7 +27,7 @@ class Measured(_Record):
     wall_s: float = 0.0
 
 
-class TrialRow(_Record):
+class TrialRow(Record):
     """Data of a trial that the tables need.
 
     Attributes:

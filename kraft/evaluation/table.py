@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from kraft.evaluation.summary import Result, Summary
-from kraft.text import decimals
+from kraft.text import decimals, percent
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _cells(result: Result) -> dict[str, str]:
         "paper T_ex": decimals(paper.t_ex if paper else None, 2),
         "p": f"{against.p:.2g}" if against else "-",
         "cont": str(result.contingencies),
-        "delta": "-" if kept is None else f"{kept:.0%}",
+        "delta": percent(kept),
         "emerg": str(result.measures.emergencies) if result.replans else "-",
         "regr": str(sum(result.measures.regressions.values())) if result.measures.compared else "-",
         "clear m": decimals(result.min_clearance, 3),

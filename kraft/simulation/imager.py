@@ -26,6 +26,14 @@ ROLL: Final = 0.2
 """Angle between rows of rendered pixels and of the frame, rad: smooth edges also where tag and frame are parallel."""
 QUIET: Final = 1.34
 """Side of the paper over that of the tag."""
+SIDE_MAX: Final = 512
+"""Largest width and height of a picture, px."""
+WIDTH_MAX: Final = 2 * SIDE_MAX
+NEAR, FAR = 0.05, 200.0
+THICKNESS: Final = 2e-4
+"""Height of the layers of roof, paper and ink above each other, m."""
+FLOOR, ROOF, PAPER, INK = 0.35, 0.15, 0.80, 0.05
+"""Reflectances."""
 
 
 @dataclass(frozen=True)
@@ -154,16 +162,6 @@ def _rotation_vector(rotation: Matrix) -> Floats:
     return 0.5 * np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )
-
-
-SIDE_MAX: Final = 512
-"""Largest width and height of a picture, px."""
-WIDTH_MAX: Final = 2 * SIDE_MAX
-NEAR, FAR = 0.05, 200.0
-THICKNESS: Final = 2e-4
-"""Height of the layers of roof, paper and ink above each other, m."""
-FLOOR, ROOF, PAPER, INK = 0.35, 0.15, 0.80, 0.05
-"""Reflectances."""
 
 
 class TagRenderer:

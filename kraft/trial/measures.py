@@ -38,11 +38,13 @@ class Step:
     cycle: int
 
 
-class _Record(BaseModel):
+class Record(BaseModel):
+    """Part of a line of `trials.jsonl`."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Kept(_Record):
+class Kept(Record):
     """Ticks of the controller with a clearance delta(v) that the method asked for.
 
     At `held` of the `ticks` no point of the true car was farther from the committed prediction than delta(v);
@@ -64,7 +66,7 @@ class Kept(_Record):
         return self.delta_sum_m / self.ticks if self.ticks else None
 
 
-class Consistency(_Record):
+class Consistency(Record):
     """Normalised squared errors of an estimator's poses: their number and sum, and how many were in the 95 % band."""
 
     poses: int = 0
@@ -82,7 +84,7 @@ class Consistency(_Record):
         return self.in_band / self.poses if self.poses else None
 
 
-class Measures(_Record):
+class Measures(Record):
     """Measures of one trial, or of several together.
 
     Attributes:

@@ -25,15 +25,12 @@ PARAMETERS: Final = ("L", "phi_diff", "v_delta", "tau", "u_0")
 class OracleEstimator:
     """True state, predicted to the time at which a command acts, with the commands that are on their way."""
 
+    belief: Final = None
+
     def __init__(self, world: World, command_delay: float, model: CarModel, start_state: Floats) -> None:
         """Estimate the state of `world`, whose commands act `command_delay` s after they are sent."""
         self._world, self._model, self.horizon = world, model, command_delay
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
-
-    @property
-    def belief(self) -> None:
-        """None: the oracle states no covariance."""
-        return None
 
     def observe(self, observation: Observation) -> None:
         """Ignore the observation."""

@@ -89,14 +89,15 @@ class _Trial:
         scenario, method = spec.scenario, spec.method
         self.world = World(scenario)
         self._plant = Plant(self.world, scenario, spec.seed, method.controller.rate_hz)
-        if isinstance(method.estimator, Oracle):
-            vehicle = true_vehicle(spec.vehicle, scenario.truth.vehicle)
-            model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
-            self._estimator: Estimator = OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
-        else:
-            vehicle = spec.vehicle
-            model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
-            self._estimator = make_estimator(method.estimator, model, start)
+        settings, vehicle = method.estimator, spec.vehicle
+        if isinstance(settings, Oracle):
+            vehicle = true_vehicle(vehicle, scenario.truth.vehicle)
+        model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
+        self._estimator: Estimator = (
+            OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
+            if isinstance(settings, Oracle)
+            else make_estimator(settings, model, start)
+        )
         self._model = model
         self._controller = make_controller(method.controller, model)
         period = 1.0 / method.controller.rate_hz

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kraft.config.overrides import parse_overrides, plain_value
+from kraft.config.overrides import Override, parse_overrides, plain_value
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
@@ -78,7 +78,8 @@ def run_plan(
         Defect: if a plan of DIRT fails verification.
     """
     timer = StageTimer(detail)
-    task = _task(request)
+    settings = parse_overrides(request.settings, "set")
+    task = _task(request, settings)
     vehicle = _vehicle(request, task)
     previous = _previous(request, task, report)
     target = None if request.out is None else request.out / NAME
@@ -89,8 +90,8 @@ def run_plan(
     result = plan_task(task, vehicle, seed=request.seed, previous=previous)
     timer.report("planned, with maps and verification,")
     if target is not None and result.plan is not None:
-        settings = {each.key: plain_value(each.value) for each in parse_overrides(request.settings, "set")}
-        origin = Origin(request.scenario, request.vehicle or task.vehicle, previous, settings)
+        changed = {each.key: plain_value(each.value) for each in settings}
+        origin = Origin(request.scenario, request.vehicle or task.vehicle, previous, changed)
         write_plan(target, task, vehicle, result, origin)
     else:
         target = None
@@ -113,8 +114,8 @@ def _check_places(target: Path | None, plot: Path | None) -> None:
     check_all(*checks)
 
 
-def _task(request: PlanRequest) -> Task:
-    task = load_scenario(request.scenario, parse_overrides(request.settings, "set")).task()
+def _task(request: PlanRequest, settings: Sequence[Override]) -> Task:
+    task = load_scenario(request.scenario, settings).task()
     planning: Planning = task.planning
     if request.time is not None or request.iterations is not None:
         planning = planning.with_budget(iterations=request.iterations, time=request.time)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kraft.config.overrides import parse_overrides, plain_value, value_text
+from kraft.config.overrides import parse_overrides, value_text
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
@@ -41,10 +41,11 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class Run:
-    """Request with its resolved trial and the result."""
+    """Request with its resolved trial, the values of keys that were set, and the result."""
 
     request: RunRequest
     spec: TrialSpec
+    settings: Mapping[str, Any]
     result: TrialResult = field(repr=False)
 
 
@@ -81,7 +82,7 @@ def run_scenario(
         result = run_trial(spec, outputs.on_cycle, outputs.on_step, keep_trees=outputs.keep_trees)
         outputs.finish(result)
     timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
-    run = Run(request, spec, result)
+    run = Run(request, spec, cell.entry.settings, result)
     if request.out is not None:
         arguments = {
             "scenario": request.scenario,
@@ -131,7 +132,7 @@ def run_json(run: Run) -> dict[str, Any]:
         "planning_ms_p50": percentile(planning, 0.5),
         "planning_ms_p99": percentile(planning, 0.99),
         "missed_deadlines": result.missed,
-        "set": {each.key: plain_value(each.value) for each in parse_overrides(run.request.settings, "set")},
+        "set": dict(run.settings),
         **measures_json(result.measures),
         "folder": str(run.request.out) if run.request.out else None,
     }

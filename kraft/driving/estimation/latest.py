@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 import numpy as np
 
@@ -22,22 +23,15 @@ class LatestPose:
     whole cycle, so one bad pose could admit a bad plan: replanning therefore uses the mean of the newest poses.
     """
 
+    horizon: Final = 0.0
+    belief: Final = None
+
     def __init__(self, settings: Latest, model: CarModel, start_state: Floats) -> None:
         self._model = model
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
         self._newest_time = -math.inf
         self._window = settings.replanning_window
         self._window_poses: deque[tuple[float, Floats]] = deque()
-
-    @property
-    def horizon(self) -> float:
-        """No delay is made up for."""
-        return 0.0
-
-    @property
-    def belief(self) -> None:
-        """None: this estimator states no covariance."""
-        return None
 
     def observe(self, observation: Observation) -> None:
         """Predict from this pose on, unless a newer one has arrived before."""

@@ -48,6 +48,8 @@ class PoseFilter:
     scaled by its distance over the limit (Huber's weight), so its influence is bounded.
     """
 
+    horizon: Final = 0.0
+
     def __init__(self, settings: Filter, model: CarModel, start_state: Floats) -> None:
         self._model, self._process_model = model, ExcessSpeedModel(model)
         heading, drift = math.radians(settings.heading_noise_deg), math.radians(settings.heading_drift_deg)
@@ -70,11 +72,6 @@ class PoseFilter:
     def posterior(self) -> Posterior:
         """Posterior after the newest observation."""
         return self._posteriors[-1]
-
-    @property
-    def horizon(self) -> float:
-        """No delay is made up for."""
-        return 0.0
 
     @property
     def belief(self) -> PoseBelief | None:

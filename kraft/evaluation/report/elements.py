@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Final, TypeAlias
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+NO_VALUE: Final = "–"
+"""Text of a cell without a value."""
 Content: TypeAlias = Element | str | None
 Value: TypeAlias = str | float | None
 

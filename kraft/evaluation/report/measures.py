@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Final
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.report.elements import Content, element, number, svg
+from kraft.evaluation.report.elements import NO_VALUE, Content, element, number, svg
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.summary import Result
-from kraft.text import counted
+from kraft.text import counted, percent
 from kraft.trial.measures import BAND
 
 WIDTH, HEIGHT = 170.0, 46.0
 EDGE: Final = 4.0
-NO_VALUE: Final = "–"
 NO_REASON: Final = "retained, and yet longer"
 
 
@@ -112,8 +111,9 @@ def _cells(shown: Shown, result: Result) -> Iterator[Element]:
     measures = result.measures
     if shown.clearance:
         kept = measures.clearance
-        title = f"plans {_share(measures.plans.coverage)}, contingencies {_share(measures.contingencies.coverage)}"
-        yield _cell(percent(kept.coverage), f"{_mm(kept.delta_mean)} mm", title)
+        title = f"plans {percent(measures.plans.coverage)}, contingencies {percent(measures.contingencies.coverage)}"
+        delta = f"{_mm(kept.delta_mean)} mm"
+        yield _cell(None if kept.coverage is None else percent(kept.coverage), delta, title)
     if shown.contingencies:
         yield _contingencies(result) if result.replans else _cell(None)
     if shown.regressions:
@@ -145,18 +145,6 @@ def _cell(text: str | None, small: str | None = None, title: str = "") -> Elemen
 
 def _reason(reason: str) -> str:
     return NO_REASON if reason == "none" else reason
-
-
-def percent(share: float | None) -> str | None:
-    """Share in percent; a share that is not all is never rounded to 100 %."""
-    if share is None:
-        return None
-    text = f"{share:.0%}"
-    return f"{share:.1%}" if text == "100%" and share < 1.0 else text
-
-
-def _share(share: float | None) -> str:
-    return percent(share) or NO_VALUE
 
 
 def _mm(length: float | None) -> str:

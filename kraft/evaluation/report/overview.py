@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.report.elements import Content, element
+from kraft.evaluation.report.elements import NO_VALUE, Content, element
 from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.report.sweeps import settings_text
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted
-
-NO_VALUE = "–"
 
 
 @dataclass(frozen=True)
@@ -79,13 +76,6 @@ def overview(results: Results) -> Element:
     return element("section", element("div", table, class_="wide"))
 
 
-def anchor(results: Results, name: str) -> str:
-    """Anchor of an entry's section: its name, with a hyphen for each character that an anchor should not have."""
-    text = _anchor(name)
-    same = [entry for entry in results.entries if _anchor(entry) == text]
-    return text if same[0] == name else f"{text}-{same.index(name) + 1}"
-
-
 def settings_of(cell: Cell) -> str:
     """What an entry sets, and its scenario where the name does not state it."""
     label = cell.base or cell.name
@@ -103,13 +93,9 @@ def chip(result: Result) -> Element:
     return element("span", *text, class_="chip ends", style=count.bar, title=count.others or None)
 
 
-def _anchor(name: str) -> str:
-    return re.sub(r"[^\w.=+-]+", "-", name)
-
-
 def _name(results: Results, cell: Cell) -> list[Content]:
     settings = settings_of(cell)
-    link = element("a", cell.base or cell.name, href=f"#{anchor(results, cell.name)}")
+    link = element("a", cell.base or cell.name, href=f"#{results.slugs[cell.name]}")
     return [link, element("small", settings) if settings else None]
 
 
@@ -126,20 +112,19 @@ def _line(name: Sequence[Content], cells: Sequence[Element], **attributes: Any) 
 def _cell(result: Result | None) -> Element:
     if result is None or not result.trials:
         return element("td", NO_VALUE)
-    count = Count.over([result])
     paper = f"paper {result.paper.success} of {result.paper.trials}" if result.paper else None
-    small = [element("small", text) for text in (count.others, paper) if text]
-    return element(
-        "td", element("b", str(count.success)), f" of {count.trials}", *small, class_="ends", style=count.bar
-    )
+    return _counts(Count.over([result]), paper)
 
 
 def _total(count: Count) -> Element:
     if not count.trials:
         return element("td", NO_VALUE)
     low, high = wilson(count.collision, count.trials)
-    share = f"collided {count.collision / count.trials:.0%} ({low:.0%} to {high:.0%})"
-    small = [element("small", text) for text in (count.others, share) if text]
+    return _counts(count, f"collided {count.collision / count.trials:.0%} ({low:.0%} to {high:.0%})")
+
+
+def _counts(count: Count, note: str | None) -> Element:
+    small = [element("small", text) for text in (count.others, note) if text]
     return element(
         "td", element("b", str(count.success)), f" of {count.trials}", *small, class_="ends", style=count.bar
     )

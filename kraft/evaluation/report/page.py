@@ -10,12 +10,11 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.ompl_log import file_name
 from kraft.evaluation.report import charts
-from kraft.evaluation.report.elements import Content, document, element
+from kraft.evaluation.report.elements import NO_VALUE, Content, document, element
 from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.measures import Shown, measures_table
-from kraft.evaluation.report.overview import anchor, chip, overview, settings_of
+from kraft.evaluation.report.overview import chip, overview, settings_of
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.report.sweep_picture import sweep_pictures
 from kraft.evaluation.report.sweeps import sweeps
@@ -24,7 +23,6 @@ from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
-NO_VALUE: Final = "–"
 SAFE: Final = " !$'()*+,/:;=?@~"  # characters that need no escape in an address of data
 
 
@@ -121,10 +119,10 @@ def _entry(results: Results, name: str, shown: Shown) -> Element:
     ]
     if len(results.entries) <= MANY:
         heading = element("h2", title, " ", element("span", settings, class_="settings") if settings else None)
-        return element("section", heading, *content, id=anchor(results, name))
+        return element("section", heading, *content, id=results.slugs[name])
     heading = element("b", title, " ", element("span", settings, class_="settings") if settings else None)
     line = element("summary", heading, element("span", *(chip(result) for result in mine), class_="chips"))
-    return element("details", line, element("div", *content, id=anchor(results, name)), class_="entry")
+    return element("details", line, element("div", *content, id=results.slugs[name]), class_="entry")
 
 
 def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
@@ -206,7 +204,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
 
 
 def _listed(results: Results, row: TrialRow) -> Element:
-    command = results.command(row, video=f"{file_name(row.key[0])}-{row.method}-{row.seed}.mp4")
+    command = results.command(row, video=f"{results.slugs[row.key[0]]}-{row.method}-{row.seed}.mp4")
     ended = charts.trial_text(row).split(": ", 1)[1]
     return element(
         "tr",

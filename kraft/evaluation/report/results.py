@@ -18,7 +18,7 @@ from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import RowName, Summary, tabulate
 from kraft.scenario import Scenario, load_scenario
-from kraft.text import grouped
+from kraft.text import grouped, slugs
 
 EXPECTED = "expected the results folder of a kraft eval"
 
@@ -164,6 +164,11 @@ class Results:
         vehicle = self.manifest.arguments.get("vehicle")
         settings = self.entries[row.key[0]].set
         return self.command_line(scenario, method, str(vehicle) if vehicle else None, row.seed, video, settings)
+
+    @cached_property
+    def slugs(self) -> dict[str, str]:
+        """Each entry's name as an anchor and as a part of a file's name."""
+        return slugs(self.entries)
 
     @cached_property
     def _scenarios(self) -> dict[str, str]:

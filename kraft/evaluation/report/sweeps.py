@@ -8,10 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from pydantic import BaseModel
-
 from kraft.config.overrides import value_text
 from kraft.config.source import parse_path
+from kraft.config.validation import lookup
 from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.statistics import mean_interval, wilson
 from kraft.evaluation.summary import Result
@@ -122,7 +121,7 @@ def _quantity(key: str) -> tuple[str, str]:
     for ending, unit in (("_deg", "degrees"), ("_hz", "Hz")):
         if name.endswith(ending):
             return _words(name.removesuffix(ending)), unit
-    found = UNIT.search(_description(key))
+    found = UNIT.search(lookup(ScenarioFile, parse_path(key)).description or "")
     return _words(name), found[1] if found else ""
 
 
@@ -177,22 +176,3 @@ def _share(count: int, result: Result) -> Estimate | None:
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _description(key: str) -> str:
-    """Description of a scenario's key in its schema; empty if there is none."""
-    model: Any = ScenarioFile
-    text = ""
-    for part in parse_path(key):
-        fields = model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
-        if part not in fields:
-            return ""
-        text = fields[part].description or ""
-        model = _model(fields[part].annotation)
-    return text
-
-
-def _model(annotation: Any) -> Any:
-    """Model of a field that may be None."""
-    options = [annotation, *getattr(annotation, "__args__", ())]
-    return next((each for each in options if isinstance(each, type) and issubclass(each, BaseModel)), None)
