@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from multiprocessing import connection, get_context
+from multiprocessing import connection, get_context, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
@@ -176,6 +176,7 @@ def _one_thread_each() -> Iterator[None]:
 @contextmanager
 def _no_interrupt() -> Iterator[None]:
     """Block SIGINT within the block, also in processes that start in it, until they unblock it."""
+    resource_tracker.ensure_running()  # otherwise the first start within the block starts it, which unblocks SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

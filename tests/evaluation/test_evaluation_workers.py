@@ -158,6 +158,18 @@ def test_workers_end_when_the_process_that_gave_the_jobs_is_killed(tmp_path: Pat
     assert len(list(left.iterdir())) == before
 
 
+def test_interrupts_stay_blocked_where_the_first_worker_starts() -> None:
+    program = (
+        "import signal; from multiprocessing import resource_tracker; from kraft.evaluation.processes import _no_interrupt\n"
+        "with _no_interrupt():\n"
+        "    resource_tracker.getfd()\n"
+        "    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"
+    )
+    assert (
+        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "True\n"
+    )
+
+
 def test_an_interrupt_finishes_what_runs_and_names_the_command_that_resumes(
     tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
