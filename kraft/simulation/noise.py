@@ -62,6 +62,7 @@ class ErrorModel:
         skew: Tukey's g; positive for more large errors away from the camera, or to the left.
         tail: Tukey's h, at least 0 and below 1/2; with 0 and without skew the distribution is normal.
         mean: systematic error.
+        standing: factor on mean and deviation while the marker stands, without motion blur.
     """
 
     size: PowerLaw
@@ -69,6 +70,15 @@ class ErrorModel:
     skew: float = 0.0
     tail: float = 0.0
     mean: PowerLaw = PowerLaw(0.0)
+    standing: float = 1.0
+
+    def error(self, normal: float, distance: float, phi: float, blur: float) -> float:
+        """Error at a value of the standard normal distribution; see `PowerLaw` for distance and phi.
+
+        `blur` is 0 for a marker that stands and 1 for one that moves.
+        """
+        error = self.mean.at(distance, phi) + self.size.at(distance, phi) * self.deviation(normal)
+        return (self.standing + (1.0 - self.standing) * blur) * error
 
     def deviation(self, normal: float) -> float:
         """Deviation, in units of `size`, at a value of the standard normal distribution."""
@@ -111,6 +121,8 @@ class CameraNoise:
 DEGREE: Final = math.pi / 180.0
 NORMAL_MAX: Final = 4.0
 """Largest value of the normal distribution that `ErrorModel` accepts, which bounds its tails."""
+BLURRED_SPEED: Final = 0.1
+"""Speed of the marker from which on its errors are those of a moving one, m/s."""
 TURNING_RADIUS: Final = 0.1
 """Travel of the marker's corners for each radian of turn, m."""
 PLANAR_POSITION: Final = PowerLaw.through(0.0011, 0.0013)
@@ -120,14 +132,18 @@ PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
     # most of them at 4.7 to 6.2 m.
     "single-tag": CameraNoise(
         along=ErrorModel(
-            PowerLaw(0.0272, 2.0, 1.1),
-            (Part(0.12, length=0.4), Part(0.52, length=0.005), Part(0.36)),
+            PowerLaw(0.0290, 2.0, 1.1),
+            (Part(0.12, length=0.4), Part(0.45, length=0.005), Part(0.43)),
             skew=0.6,
-            mean=PowerLaw(0.0106, 2.8, 1.65),
+            mean=PowerLaw(0.0116, 2.8, 1.65),
+            standing=0.84,
         ),
-        across=ErrorModel(PowerLaw(0.030, 1.3, -4.7), (Part(0.25, length=1.0), Part(0.15, length=0.005), Part(0.6))),
+        across=ErrorModel(PowerLaw(0.030, 1.3, -4.7), (Part(0.25, length=1.0), Part(0.2, length=0.005), Part(0.55))),
         heading=ErrorModel(
-            PowerLaw(0.0168, 2.1, 1.9), (Part(0.41, length=0.5), Part(0.13, length=0.005), Part(0.46)), tail=0.2
+            PowerLaw(0.0178, 2.1, 1.9),
+            (Part(0.41, length=0.5), Part(0.13, length=0.005), Part(0.46)),
+            tail=0.2,
+            standing=0.76,
         ),
         bias=(0.012, 0.1 * DEGREE),
         dropout=0.02,
@@ -173,6 +189,7 @@ class PoseNoise:
         self._bias = [size * draw for size, draw in zip(bias, self._normal(3), strict=True)]
         self._parts = [[0.0] * len(parts) for _, parts in self._models]
         self._draws = sum(len(parts) for parts in self._parts)
+        self._blur = 0.0
         self._last: tuple[float, float, float, float] | None = None
 
     def draw(
@@ -191,9 +208,12 @@ class PoseNoise:
             return None
         distance, phi, direction = sight
         along, across, heading = (
-            model.mean.at(distance, phi)
-            + model.size.at(distance, phi)
-            * model.deviation(sum(math.sqrt(part.share) * value for part, value in zip(parts, values, strict=True)))
+            model.error(
+                sum(math.sqrt(part.share) * value for part, value in zip(parts, values, strict=True)),
+                distance,
+                phi,
+                self._blur,
+            )
             for (model, parts), values in zip(self._models, self._parts, strict=True)
         )
         c, s = math.cos(direction), math.sin(direction)
@@ -213,6 +233,7 @@ class PoseNoise:
             turned = math.remainder(pose[2] - last[3], math.tau)
             travelled = math.hypot(pose[0] - last[1], pose[1] - last[2]) + TURNING_RADIUS * abs(turned)
             elapsed = max(time - last[0], 0.0)
+            self._blur = min(travelled / (BLURRED_SPEED * elapsed), 1.0) if elapsed > 0.0 else self._blur
         draws = iter(self._normal(self._draws))
         for (_, parts), values in zip(self._models, self._parts, strict=True):
             for k, part in enumerate(parts):
