@@ -269,6 +269,12 @@ class DirtSolver:
         self.safety = replace(self.safety, delta=delta)
         self._problem.scalar[at.DELTA] = delta
 
+    def set_parameters(self, values: Floats) -> None:
+        """Set the parameters of the vehicle (np,), in its order; the cost-to-go stays that of the first ones."""
+        names = self.vehicle.parameters
+        self.vehicle = replace(self.vehicle, parameters=dict(zip(names, map(float, values), strict=True)))
+        self._problem.parameters[: len(names)] = values
+
     def set_goal_radius(self, radius: float) -> None:
         """Set the radius of the goal region, m; the cost-to-go stays that of the initial radius."""
         if self.goal is None:

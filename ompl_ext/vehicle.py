@@ -48,6 +48,15 @@ class Footprint:
 
 
 @dataclass(frozen=True)
+class ParameterRange:
+    """Bounds of a parameter and the standard deviation of its prior, which is centred at its value."""
+
+    low: float
+    high: float
+    std: float
+
+
+@dataclass(frozen=True)
 class Vehicle:
     """Vehicle model: functions, names and bounds of its components, footprint, parameters.
 
@@ -77,6 +86,8 @@ class Vehicle:
     manoeuvres: tuple[str, ...] = ("coast",)
     rest: tuple[str, ...] = ("v",)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ranges: Mapping[str, ParameterRange] = field(default_factory=dict)
+    """of the parameters that may be estimated while the vehicle drives; planning does not use them"""
 
     def __post_init__(self) -> None:
         problems = [*_shape_problems(self)]

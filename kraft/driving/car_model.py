@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from kraft.errors import Code, InputError
-from ompl_ext.arrays import Floats
-from ompl_ext.kernels.specialise import kernels
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels.specialise import kernels, step_kernels
 from ompl_ext.vehicle import Vehicle
 
 MAX_STEP: Final = 0.05
@@ -23,6 +23,9 @@ SETTLING_TIME: Final = 20.0
 """Time after which the response to a constant control is taken as steady, s."""
 CONTROLS: Final = ("throttle", "steering")
 TABLE_SIZE: Final = 65  # rows of a table of steady responses
+UPDATED_SIZE: Final = 33
+UPDATED_TIME: Final = 6.0
+"""Size of the tables, and time until a response is taken as steady (s), when parameters change during a drive."""
 Tables = tuple[list[float], list[float], list[float], list[float], list[float]]
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
 
@@ -55,8 +58,44 @@ class CarModel:
         self._tabulate()
 
     def __deepcopy__(self, memo: object) -> CarModel:
-        """Return the model itself, because it is immutable."""
+        """Return the model itself: copies of a controller or an estimator are of the same car."""
         return self
+
+    def set_parameters(self, values: Floats) -> None:
+        """Change the parameters (np,), in the vehicle's order, for all who use this model.
+
+        The tables are made of fewer and shorter simulations than at first, in 1 ms.  If the car does not move at full
+        throttle, the tables of the speed stay as they are.
+        """
+        self._parameters = np.ascontiguousarray(values, dtype=np.float64)
+        throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], UPDATED_SIZE)
+        speeds = self._responses(self.throttle, throttles, 0.0)[:, self.v]
+        if speeds[-1] > 0.0:
+            self._throttles, self._speeds = throttles.tolist(), np.maximum.accumulate(speeds).tolist()
+        steerings = np.linspace(self.low[self.steering], self.high[self.steering], UPDATED_SIZE)
+        throttle = self.throttle_for(0.5 * self._speeds[-1])
+        before = self._responses(self.steering, steerings, throttle)
+        before[:, self._pose] = 0.0
+        curvatures, slips = [], []
+        for steering, state in zip(steerings.tolist(), before, strict=True):
+            curvature, slip = self._turn(state, self.command(throttle, steering))
+            curvatures.append(curvature)
+            slips.append(slip)
+        self._steerings, self._curvatures = steerings.tolist(), np.maximum.accumulate(curvatures).tolist()
+        self._slips = slips
+
+    def _responses(self, varied: int, values: Floats, throttle: float) -> Matrix:
+        """States (n, nx) after `UPDATED_TIME` s from standstill with each of `values` (n,) of the control `varied`."""
+        kernels = step_kernels(self.vehicle)
+        steps, count = round(UPDATED_TIME / MAX_STEP), len(values)
+        controls = np.tile(self.command(throttle, 0.0), (steps, count, 1))
+        controls[:, :, varied] = values
+        states = np.empty((steps + 1, count, len(self.vehicle.state)))
+        kernels.simulate(
+            np.zeros((count, len(self.vehicle.state))), controls, np.tile(self._parameters, (count, 1)),
+            np.full(count, MAX_STEP), np.zeros(kernels.block), states,
+        )  # fmt: skip
+        return states[-1]
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx,) after holding a control (nu,) for `duration` s; a copy of the state if that is not above 0."""
@@ -128,11 +167,15 @@ class CarModel:
         curvatures, slips = [], []
         for steering in steerings:
             control = self.command(throttle, float(steering))
-            before = self._steady_state(control)
-            dx, dy, turn = (float(d) for d in self.advance(before, control, MAX_STEP)[self._pose])  # from the origin
-            curvatures.append(turn / (MAX_STEP * float(before[self.v])))
-            slips.append(math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau))
+            curvature, slip = self._turn(self._steady_state(control), control)
+            curvatures.append(curvature)
+            slips.append(slip)
         return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures))), slips
+
+    def _turn(self, before: Floats, control: Floats) -> tuple[float, float]:
+        """Curvature (1/m) and slip angle (rad) of a step from a state (nx,) at the origin."""
+        dx, dy, turn = (float(d) for d in self.advance(before, control, MAX_STEP)[self._pose])
+        return turn / (MAX_STEP * float(before[self.v])), math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau)
 
     def _steady_state(self, control: Floats) -> Floats:
         """Steady state after holding a control from standstill, moved to the origin."""

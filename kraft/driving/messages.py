@@ -35,15 +35,26 @@ class PoseBelief:
 
 
 @dataclass(frozen=True)
+class Uncertainty:
+    """Covariance (nx, nx) of an estimated state."""
+
+    state: Matrix
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Estimated state (nx,) at `time`.
 
     `age` is the age of the newest observation that the estimate rests on (s), infinite before the first one.
+    `parameters` are those of the vehicle (np,) if they are estimated too, `uncertainty` is that of an estimator that
+    states one.
     """
 
     time: float
     state: Floats
     age: float
+    parameters: Floats | None = None
+    uncertainty: Uncertainty | None = None
 
 
 class ReferenceKind(StrEnum):

@@ -155,6 +155,49 @@ class Filter(StrictModel):
     """an observation that is farther off than this share of them is given less weight"""
 
 
+class Adaptive(StrictModel):
+    """A Kalman filter that knows correlated pose errors, and online identification of car, delay and noise."""
+
+    kind: Literal["adaptive"]
+    """which estimator"""
+    identify: bool = True
+    """estimate the parameters of the vehicle"""
+    compensate: bool = True
+    """estimate the delay of commands and make up for it"""
+    correlated: bool = True
+    """take a share of the pose error as correlated in time"""
+    window: Annotated[Seconds, Field(ge=1, le=60)] = 6.0
+    """moving time from which parameters and delay are identified, s"""
+    step: Annotated[Seconds, Field(ge=0.02, le=0.5)] = 0.1
+    """time between two states of the identification, s"""
+    iterations: Annotated[int, Field(ge=1, le=50)] = 2
+    """largest number of iterations of the identification in a cycle"""
+    delay_std: Positive = 0.15
+    """standard deviation of the prior of the delay, s"""
+    position_noise: Positive = 0.04
+    """standard deviation of an observed position before residuals are known, m"""
+    heading_noise_deg: Positive = 2.5
+    """standard deviation of an observed heading before residuals are known, degrees"""
+    correlated_share: Probability = 0.4
+    """share of the pose error's variance that is correlated, before residuals are known"""
+    correlation_time: Seconds = 0.7
+    """time constant of the correlated pose error, s"""
+    start_position_noise: Positive = 0.02
+    """standard deviation of the start that the scenario gives, m"""
+    start_heading_noise_deg: Positive = 2.0
+    """standard deviation of the start's heading, degrees"""
+    drift: Positive = 0.01
+    """standard deviation of the position that the model loses in one second, m"""
+    heading_drift_deg: Positive = 1.5
+    """standard deviation of the heading that the model loses in one second, degrees"""
+    speed_drift: Positive = 0.06
+    """standard deviation of the speed that the model loses in one second, m/s"""
+    control_share: Probability = 0.015
+    """standard deviation of an applied control from its command, as a share of its range"""
+    confidence: Annotated[Probability, Field(gt=0.5, lt=1)] = 0.997
+    """an observation that is farther off than this share of them is given less weight"""
+
+
 class Oracle(StrictModel):
     """The truth: true state, true car, known delay of commands.  It shows what is possible; no robot has it."""
 
@@ -162,7 +205,7 @@ class Oracle(StrictModel):
     """which estimator"""
 
 
-EstimatorSettings = Annotated[Latest | Filter | Oracle, Field(discriminator="kind")]
+EstimatorSettings = Annotated[Latest | Filter | Adaptive | Oracle, Field(discriminator="kind")]
 
 
 class Method(StrictModel):

@@ -73,6 +73,12 @@ class Solvers:
         larger_vehicle = replace(vehicle, footprint=larger)
         return cls(DirtSolver(larger_vehicle, workspace, goal, safety, settings_of(task), settings.capacity), checking)
 
+    def set_parameters(self, values: Floats) -> None:
+        """Set the parameters of the vehicle (np,) in both."""
+        self.checking.set_parameters(values)
+        if self.planning is not self.checking:
+            self.planning.set_parameters(values)
+
 
 def method_safety(settings: PlannerSettings) -> Safety:
     """SAFETY with the clearance of a method, disabled if the method has none."""

@@ -65,16 +65,20 @@ class Replanner:
         realtime: bool = False,
         keep_trees: bool = False,
     ) -> None:
-        self._settings, self.dirt = settings, solvers.checking
+        self._settings, self._solvers, self.dirt = settings, solvers, solvers.checking
         self._proposer = Proposer(solvers, settings, seed, realtime=realtime, keep_trees=keep_trees)
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._one_shot = settings.mode == "one-shot"
-        self._cycle_offset = max(0.0, delay - settings.lead)
+        self.set_delay(delay)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         self._number = 0
         self._proposal = Proposal(None, "no plan has been made yet")
         self._contingency: Reference | None = None
         self._in_transit: list[tuple[float, Reference]] = []
+
+    def set_delay(self, delay: float) -> None:
+        """Set the delay from the replanner to the effect of a command (s), as far as it is known now."""
+        self._cycle_offset = max(0.0, delay - self._settings.lead)
 
     def begin(self, state: Floats) -> Reference:
         """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest."""
@@ -100,6 +104,8 @@ class Replanner:
         `current` is the reference that the controller tracks now.  The controller has to track the reference of the
         result from the start of the cycle on, which is when the reference has arrived.
         """
+        if estimate.parameters is not None:
+            self._solvers.set_parameters(estimate.parameters)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         root, current = self._root(estimate, cycle_start, current)
         decision = self._decide(root, cycle_start, estimate, current)

@@ -100,10 +100,11 @@ class _Trial:
         )
         self._model = model
         self._controller = make_controller(method.controller, model)
+        self._communication_delay = scenario.sensing.communication_delay
         period = 1.0 / method.controller.rate_hz
         self._replanner = Replanner(
             Solvers.of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
-            period=period, delay=scenario.sensing.communication_delay + self._estimator.horizon,
+            period=period, delay=self._communication_delay + self._estimator.horizon,
             realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._radio = Radio(scenario.sensing.message_loss, spec.seed)
@@ -151,7 +152,9 @@ class _Trial:
         now = self.world.time
         if now < self._replanner.next_step - 1e-9:
             return
-        cycle = self._replanner.step(self._estimator.replanning_estimate(now), self._reference)
+        estimate = self._estimator.replanning_estimate(now)
+        self._replanner.set_delay(self._communication_delay + self._estimator.horizon)
+        cycle = self._replanner.step(estimate, self._reference)
         if self._radio.delivers():
             self._sent.append((cycle.time, cycle.reference))
         self.receive()  # without lead and delay the cycle begins now

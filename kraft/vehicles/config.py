@@ -23,6 +23,7 @@ from kraft.config.validation import build, describe, read_model
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles.reference import is_attribute, split_file
+from ompl_ext.vehicle import ParameterRange
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
@@ -96,6 +97,15 @@ class VehicleConfig(StrictModel):
     def values(self) -> dict[str, float]:
         """Nominal value of each parameter, in the model's order."""
         return {name: parameter.value for name, parameter in self.parameters.items()}
+
+    @property
+    def ranges(self) -> dict[str, ParameterRange]:
+        """Range of each parameter for which the file states min, max and std."""
+        return {
+            name: ParameterRange(p.min, p.max, p.std)
+            for name, p in self.parameters.items()
+            if p.min is not None and p.max is not None and p.std is not None
+        }
 
     def with_values(self, values: Mapping[str, float]) -> VehicleConfig:
         """Same vehicle with other nominal values of some parameters.

@@ -71,6 +71,13 @@ def driven(x: Values, u: Values, p: Values) -> Values:
 
 
 @derivative
+def pushed(x: Values, u: Values, p: Values) -> Values:
+    """Derivative of the car of `driven` on which a force acts, as on a slope: accelerations a_x, a_y (m/s^2)."""
+    dx, dy, turn, dv = driven(x, u, p)
+    return dx, dy, turn, dv + p[5] * cos(x[2]) + p[6] * sin(x[2])
+
+
+@derivative
 def stop(x: Values, p: Values, k: int) -> Values:
     """Throttle off, wheels straight, half or fully turned."""
     return 0.0, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
@@ -81,6 +88,15 @@ def brake(x: Values, p: Values, k: int) -> Values:
     """Throttle against the motion, in proportion to the speed near standstill; wheels as in `stop`."""
     proportional = -BRAKING * x[3]
     throttle = REVERSE if proportional < REVERSE else (-REVERSE if proportional > -REVERSE else proportional)
+    return throttle, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
+
+
+@derivative
+def brake_against_force(x: Values, p: Values, k: int) -> Values:
+    """Manoeuvres of `brake`, with the throttle that balances the force along the car."""
+    force = p[5] * cos(x[2]) + p[6] * sin(x[2])
+    throttle = -BRAKING * x[3] - force * p[3] * (1.0 - p[4]) / p[2]
+    throttle = REVERSE if throttle < REVERSE else (-REVERSE if throttle > -REVERSE else throttle)
     return throttle, (0.0, 0.19, -0.19, 0.38, -0.38)[k]
 
 
@@ -114,4 +130,12 @@ MUSHR_DRIVE = replace(
     parameters={"L": 0.3405, "phi_diff": 0.0031, "v_delta": 0.6861, "tau": 0.8813, "u_0": 0.1274},
     footprint=Footprint(0.44, 0.28, -0.005),
     top_speed=0.6861,
+)
+
+MUSHR_FORCE = replace(
+    MUSHR_DRIVE,
+    name="mushr-force",
+    derivative=pushed,
+    stop=brake_against_force,
+    parameters={**MUSHR_DRIVE.parameters, "a_x": 0.0, "a_y": 0.0},
 )

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Protocol
 
 from kraft.driving.car_model import CarModel
+from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.estimation.latest import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.messages import Estimate, Observation, PoseBelief
-from kraft.driving.method import Filter, Latest
+from kraft.driving.method import Adaptive, Filter, Latest
 from ompl_ext.arrays import Floats
 
-__all__ = ["Estimator", "LatestPose", "PoseFilter", "make_estimator"]
+__all__ = ["AdaptiveEstimator", "Estimator", "LatestPose", "PoseFilter", "make_estimator"]
 
 
 class Estimator(Protocol):
@@ -42,8 +43,14 @@ class Estimator(Protocol):
         """Estimate for a decision that holds for a whole cycle; it may combine several observations."""
 
 
-def make_estimator(settings: Latest | Filter, model: CarModel, start_state: Floats) -> Estimator:
-    """Make the estimator of a method; the state at time 0 is `start_state` (nx,)."""
+def make_estimator(settings: Latest | Filter | Adaptive, model: CarModel, start_state: Floats) -> Estimator:
+    """Make the estimator of a method; the state at time 0 is `start_state` (nx,).
+
+    Raises:
+        InputError: if parameters are to be estimated whose ranges the vehicle does not state.
+    """
+    if isinstance(settings, Adaptive):
+        return AdaptiveEstimator(settings, model, start_state)
     if isinstance(settings, Filter):
         return PoseFilter(settings, model, start_state)
     return LatestPose(settings, model, start_state)

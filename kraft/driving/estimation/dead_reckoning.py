@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from typing import Final
 
 from ompl_ext.arrays import Floats
 
@@ -12,10 +13,18 @@ Advance = Callable[[Floats, Floats, float], Floats]
 """Function from a state (nx,), a control (nu,) and a duration (s) to the next state (nx,)."""
 
 
+DELAY_MAX: Final = 0.5
+"""Longest delay of commands, s: commands are kept that much longer than their effects are needed."""
+
+
 class Commands:
-    """History of commands: each control (nu,) is held until the next one; before the first one `rest` is held."""
+    """History of commands: each control (nu,) is held until the next one; before the first one `rest` is held.
+
+    A command acts `delay` s after its time.
+    """
 
     def __init__(self, rest: Floats) -> None:
+        self.delay = 0.0
         self._times: list[float] = [-math.inf]
         self._controls: list[Floats] = [rest.copy()]
 
@@ -30,7 +39,8 @@ class Commands:
         self._controls.append(control.copy())
 
     def between(self, begin: float, end: float) -> Iterator[tuple[Floats, float]]:
-        """Controls held from `begin` to `end` (s), each with its duration (s)."""
+        """Controls that act from `begin` to `end` (s), each with its duration (s)."""
+        begin, end = begin - self.delay, end - self.delay
         if begin < self._times[0]:
             raise ValueError(f"the commands before {self._times[0]} s are forgotten, {begin} s is asked for")
         k = bisect_right(self._times, begin) - 1
@@ -41,7 +51,7 @@ class Commands:
 
     def forget(self, before: float) -> None:
         """Drop the commands that are not needed for times from `before` (s) on."""
-        k = bisect_right(self._times, before) - 1
+        k = bisect_right(self._times, before - DELAY_MAX) - 1
         del self._times[:k], self._controls[:k]
 
 
@@ -62,9 +72,14 @@ class DeadReckoning:
         self._latest = self.time, self._state
         self.commands.forget(min(time, keep))
 
+    def set_delay(self, delay: float) -> None:
+        """Set the delay of all commands (s, at most `DELAY_MAX`), those of the past included."""
+        self.commands.delay = delay
+        self._latest = self.time, self._state
+
     def command(self, time: float, control: Floats) -> None:
-        """Hold `control` (nu,) from `time` (s) on."""
-        if time < self._latest[0]:
+        """Hold `control` (nu,) from `time` (s) on; it acts after the delay."""
+        if time + self.commands.delay < self._latest[0]:
             self._latest = self.time, self._state
         self.commands.add(time, control)
 

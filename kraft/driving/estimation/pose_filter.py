@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -41,6 +41,18 @@ class Posterior:
     outliers: tuple[Floats, ...] = ()
 
 
+class ProcessModel(Protocol):
+    """Motion of the filter's state (size,): first the vehicle's state, then the excess of its speed."""
+
+    size: int
+
+    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
+        """State after holding a control (nu,) for `duration` s."""
+
+    def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
+        """State after `duration` s and its Jacobian (size, size) with respect to the state before."""
+
+
 class PoseFilter:
     """Fuses all poses with the model by their covariances.
 
@@ -50,21 +62,25 @@ class PoseFilter:
 
     horizon: Final = 0.0
 
-    def __init__(self, settings: Filter, model: CarModel, start_state: Floats) -> None:
-        self._model, self._process_model = model, ExcessSpeedModel(model)
+    def __init__(
+        self, settings: Filter, model: CarModel, start_state: Floats, process_model: ProcessModel | None = None
+    ) -> None:
+        self._model = model
+        self._process_model = process_model or ExcessSpeedModel(model)
         heading, drift = math.radians(settings.heading_noise_deg), math.radians(settings.heading_drift_deg)
         self._pose = [model.x, model.y, model.theta]
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
         self._variance_rate = np.zeros(self._process_model.size)  # variance that the model adds per second
         self._variance_rate[self._pose] = settings.drift**2, settings.drift**2, drift**2
-        self._variance_rate[-1] = settings.speed_drift**2
+        self._variance_rate[len(start_state)] = settings.speed_drift**2
         self._limit = math.sqrt(2.0 * float(gammaincinv(1.5, settings.confidence)))  # of chi with three degrees
         variance = np.zeros(self._process_model.size)
         variance[self._pose] = (
             *[settings.start_position_noise**2] * 2,
             math.radians(settings.start_heading_noise_deg) ** 2,
         )
-        mean = np.append(np.asarray(start_state, dtype=np.float64), 0.0)
+        mean = np.zeros(self._process_model.size)
+        mean[: len(start_state)] = start_state
         self._posteriors = [Posterior(0.0, mean, np.diag(variance))]
         self._reckoning = DeadReckoning(self._process_model.advance, model.rest, 0.0, mean)
 
@@ -104,9 +120,10 @@ class PoseFilter:
     def estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s); its speed includes the estimated excess over the model's speed."""
         state = self._reckoning.at(time)
-        state[self._model.v] += state[-1]
+        nx = len(self._model.vehicle.state)
+        state[self._model.v] += state[nx]
         newest = self.posterior.time if self.posterior.observation is not None else -math.inf
-        return Estimate(time, state[:-1], time - newest)
+        return Estimate(time, state[:nx], time - newest)
 
     def replanning_estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s), the same as `estimate`, which already rests on all observations."""
@@ -122,10 +139,9 @@ class PoseFilter:
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose: the Kalman update with Huber's weight."""
         mean, covariance = self._predict(posterior, pose.time)
-        x, y, theta = mean[self._pose]
+        (x, y, theta), cross_covariance, pose_covariance = self._expected(mean, covariance)
         innovation = np.array([pose.x - x, pose.y - y, math.remainder(pose.theta - theta, math.tau)])
-        cross_covariance = covariance[:, self._pose]
-        pose_covariance, noise = covariance[np.ix_(self._pose, self._pose)], self._noise
+        noise = self._noise
         whitened = np.linalg.solve(np.linalg.cholesky(pose_covariance + noise), innovation)
         outliers: tuple[Floats, ...] = ()
         if (distance := float(np.linalg.norm(whitened))) > self._limit:
@@ -137,6 +153,10 @@ class PoseFilter:
         gain = np.linalg.solve(pose_covariance + noise, cross_covariance.T).T
         after = covariance - gain @ cross_covariance.T
         return Posterior(pose.time, mean + gain @ innovation, 0.5 * (after + after.T), pose, outliers)
+
+    def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
+        """Expected pose (3,), its covariance with the state (n, 3), and its covariance without noise (3, 3)."""
+        return mean[self._pose], covariance[:, self._pose], covariance[np.ix_(self._pose, self._pose)]
 
     def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
         """Posterior with the pose reset to a measured one."""

@@ -1,0 +1,289 @@
+"""Adaptive estimator: a filter for the state, and online identification of the car, the delay and the noise.
+
+Between cycles a Kalman filter with correlated pose errors follows the state.  Each cycle the sliding window identifies
+the model's parameters and the delay of commands from the same poses; the planner, the controller and the filter use
+them from then on.  Only the sum of the delays of commands and of time stamps shows in the data, and only their sum
+matters: in the time of the stamps, a command acts that much later.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter
+from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
+from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
+from kraft.driving.method import Adaptive, Filter
+from kraft.errors import Code, InputError
+from kraft.sysid.parameters import Parameters, ParameterSpec
+from kraft.sysid.settings import Noise
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.vehicle import Vehicle
+
+DELAY: Final = "delay"
+MOVING: Final = 0.05
+"""Speed above which the vehicle moves, m/s."""
+REST_BEFORE: Final = 0.5
+"""Time before the drive in which the vehicle rested at its start, s."""
+PRIOR_POSES: Final = 40.0
+"""Number of poses that the stated noise counts for beside the measured residuals."""
+LAG: Final = 0.2
+"""Time over which the correlation of residuals is measured, s."""
+
+
+class AdaptiveEstimator:
+    """Estimates state, parameters, delay and noise; see the module."""
+
+    def __init__(self, settings: Adaptive, model: CarModel, start_state: Floats) -> None:
+        """Begin at rest at `start_state` (nx,).
+
+        Raises:
+            InputError: if the vehicle states no ranges of its parameters.
+        """
+        self._settings, self._model = settings, model
+        self._noise = NoiseEstimate.of(settings)
+        self._filter = CorrelatedFilter(settings, model, start_state)
+        self._filter.set_noise(self._noise)
+        parameters = online_parameters(model.vehicle, settings)
+        process = np.full(len(model.vehicle.state), settings.speed_drift)
+        process[[model.x, model.y]], process[model.theta] = settings.drift, math.radians(settings.heading_drift_deg)
+        low, high = model.vehicle.control_bounds.T
+        self._window = SlidingWindow(
+            parameters, settings.window, settings.step, process, settings.control_share * (high - low),
+            settings.iterations,
+        )  # fmt: skip
+        self._identified: Identified | None = None
+        self._history = _History(start_state, model)
+        self._delay_index = parameters.index(DELAY)
+        self.horizon = 0.0
+
+    @property
+    def belief(self) -> PoseBelief | None:
+        """Pose with its covariance after the newest observation; None before one."""
+        return self._filter.belief
+
+    def observe(self, observation: Observation) -> None:
+        """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing."""
+        self._filter.observe(observation)
+        self._history.observe(observation, self._filter.posterior.mean[: len(self._model.vehicle.state)])
+
+    def commanded(self, time: float, control: Floats) -> None:
+        """Record that `control` (nu,) is sent at `time` (s, ascending) and held until the next one."""
+        self._filter.commanded(time, control)
+        speed = abs(float(self._filter.posterior.mean[self._model.v]))
+        self._history.command(time, control, speed > MOVING)
+
+    def estimate(self, time: float) -> Estimate:
+        """Estimate at `time` (s) plus the horizon."""
+        estimate = self._filter.estimate(time + self.horizon)
+        return Estimate(estimate.time, estimate.state, estimate.age - self.horizon)
+
+    def replanning_estimate(self, time: float) -> Estimate:
+        """Estimate at `time` (s) plus the horizon, after an update of the identification, with its uncertainty."""
+        self._identify(time)
+        estimate = self.estimate(time)
+        identified, covariance = self._identified, self._filter.covariance_at(time + self.horizon)
+        parameters = None
+        if identified is not None and self._settings.identify:
+            parameters = self._window.parameters.model_values(identified.rho)
+        return Estimate(estimate.time, estimate.state, estimate.age, parameters, Uncertainty(covariance))
+
+    def _identify(self, time: float) -> None:
+        """Update parameters, delay and noise from the poses until `time` (s)."""
+        drive = self._history.drive(time - DRIVE_MAX)
+        noise = self._noise.of_one_pose(drive.interval) if drive is not None else None
+        if drive is None or noise is None:
+            return
+        identified = self._window.update(drive, self._history.moving, noise)
+        if identified is None:
+            return
+        self._identified = identified
+        self._noise = self._noise.updated(identified, drive.interval)
+        self._filter.set_noise(self._noise)
+        if self._settings.identify:
+            self._model.set_parameters(self._window.parameters.model_values(identified.rho))
+        if self._delay_index >= 0:
+            self.horizon = float(identified.rho[self._delay_index])
+            self._filter.set_delay(self.horizon)
+
+
+DRIVE_MAX: Final = 30.0
+"""Age of the oldest poses that are kept for the window, s."""
+
+
+def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
+    """Parameters of the model and the delay, with their priors; those that the method does not identify are frozen.
+
+    Raises:
+        InputError: if the vehicle states no range of a parameter.
+    """
+    missing = [name for name in vehicle.parameters if name not in vehicle.ranges]
+    if missing or not vehicle.parameters:
+        problem = f"states no min, max and std of {', '.join(missing)}" if missing else "has no parameters"
+        expected = "expected them in its file, because the method estimates parameters while it drives"
+        raise InputError.of(vehicle.name, problem, expected, Code.MISSING)
+    specs = [
+        ParameterSpec(name, value, vehicle.ranges[name].low, vehicle.ranges[name].high, vehicle.ranges[name].std,
+                      "", "", True)
+        for name, value in vehicle.parameters.items()
+    ]  # fmt: skip
+    frozen = frozenset() if settings.identify else frozenset(vehicle.parameters)
+    if settings.compensate:
+        specs.append(ParameterSpec(DELAY, 0.0, 0.0, DELAY_MAX, settings.delay_std, "s", "", True))
+    return Parameters(vehicle, tuple(specs), frozen)
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """Noise of poses: variances (3,), of which the share `share` (3,) decays with the time constant `time` (s)."""
+
+    variance: Floats
+    share: Floats
+    time: float
+    stated_variance: Floats
+    stated_share: Floats
+
+    @classmethod
+    def of(cls, settings: Adaptive) -> NoiseEstimate:
+        """Noise that the settings state."""
+        sigmas = np.array([settings.position_noise, settings.position_noise, math.radians(settings.heading_noise_deg)])
+        share = np.full(3, settings.correlated_share if settings.correlated else 0.0)
+        return cls(sigmas**2, share, settings.correlation_time, sigmas**2, share)
+
+    def updated(self, identified: Identified, interval: float) -> NoiseEstimate:
+        """Noise measured by residuals, weighed with the stated noise as `PRIOR_POSES` poses."""
+        residuals, count = identified.residuals, len(identified.residuals)
+        squares = np.minimum(residuals**2, 16.0 * self.variance)  # outliers are the robust loss's
+        variance = (PRIOR_POSES * self.stated_variance + squares.sum(axis=0)) / (PRIOR_POSES + count)
+        share = self.share
+        lag = max(1, round(LAG / interval))
+        if self.stated_share.any() and count > 2 * lag:
+            products = np.clip(residuals[lag:] * residuals[:-lag], -4.0 * self.variance, 4.0 * self.variance)
+            correlation = products.mean(axis=0) / np.maximum(squares.mean(axis=0), 1e-9)
+            weight = count * interval / self.time / PRIOR_CORRELATION
+            measured = np.clip(correlation * math.exp(lag * interval / self.time), 0.0, SHARE_MAX)
+            share = (self.stated_share + weight * measured) / (1.0 + weight)
+        return NoiseEstimate(variance, share, self.time, self.stated_variance, self.stated_share)
+
+    def of_one_pose(self, interval: float) -> Noise:
+        """Noise of a pose as if poses, `interval` s apart, were independent: with the same information together."""
+        kept = math.exp(-interval / self.time)
+        inflation = 1.0 - self.share + self.share * (1.0 + kept) / (1.0 - kept)
+        sigma = np.sqrt(self.variance * inflation)
+        return Noise(float(math.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2))), float(sigma[2]))
+
+
+PRIOR_CORRELATION: Final = 4.0
+"""Number of correlation times of residuals that weigh as much as the stated share."""
+SHARE_MAX: Final = 0.95
+
+
+class CorrelatedFilter(PoseFilter):
+    """Filter whose state (nx + 4,) has the correlated part of the pose error beside the excess of the speed."""
+
+    def __init__(self, settings: Adaptive, model: CarModel, start_state: Floats) -> None:
+        stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
+        self._errors = CorrelatedErrorModel(model)
+        super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, self._errors)
+
+    def set_noise(self, noise: NoiseEstimate) -> None:
+        """Set the noise of poses from now on."""
+        self._noise = np.diag(noise.variance * (1.0 - noise.share))
+        correlated = noise.variance * noise.share
+        self._errors.time = noise.time
+        self._variance_rate[-3:] = 2.0 * correlated / noise.time
+        if self.posterior.observation is None:  # the error of the first pose is of full size
+            self.posterior.covariance[range(-3, 0), range(-3, 0)] = correlated
+
+    def set_delay(self, delay: float) -> None:
+        """Set the delay of commands, s."""
+        self._reckoning.set_delay(delay)
+
+    def covariance_at(self, time: float) -> Matrix:
+        """Covariance (nx, nx) of the state at `time` (s); its speed includes the excess."""
+        nx = len(self._model.vehicle.state)
+        _, covariance = self._predict(self.posterior, max(time, self.posterior.time))
+        joined = np.zeros((nx, len(covariance)))
+        joined[range(nx), range(nx)] = 1.0
+        joined[self._model.v, nx] = 1.0
+        found: Matrix = joined @ covariance @ joined.T
+        return found
+
+    def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
+        cross = covariance[:, self._pose] + covariance[:, -3:]
+        return mean[self._pose] + mean[-3:], cross, cross[self._pose] + cross[-3:]
+
+
+class CorrelatedErrorModel:
+    """Process model of the state (nx + 4,): as `ExcessSpeedModel`, and the correlated part of the pose error."""
+
+    def __init__(self, model: CarModel) -> None:
+        self._motion = ExcessSpeedModel(model)
+        self.size = self._motion.size + 3
+        self.time = 1.0
+        """time constant of the pose error, s"""
+
+    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
+        """State (nx + 4,) after holding a control (nu,) for `duration` s."""
+        kept = math.exp(-duration / self.time)
+        return np.concatenate([self._motion.advance(state[:-3], control, duration), kept * state[-3:]])
+
+    def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
+        """State (nx + 4,) after `duration` s and its Jacobian (nx + 4, nx + 4) with respect to the state before."""
+        after, jacobian = self._motion.linearised(state[:-3], control, duration)
+        kept = math.exp(-duration / self.time)
+        full = np.zeros((self.size, self.size))
+        full[:-3, :-3] = jacobian
+        full[range(-3, 0), range(-3, 0)] = kept
+        return np.concatenate([after, kept * state[-3:]]), full
+
+
+class _History:
+    """Recorded poses with the filter's states, commands and times of motion, the last `DRIVE_MAX` s of them."""
+
+    def __init__(self, start_state: Floats, model: CarModel) -> None:
+        self._theta = model.theta
+        pose = start_state[[model.x, model.y, model.theta]]
+        before = np.arange(-REST_BEFORE, -0.05, 0.1)
+        self._poses = [(float(t), pose, start_state) for t in before]
+        self._commands = [(-math.inf, model.rest)]
+        self.moving: list[tuple[float, float]] = []
+
+    def observe(self, observation: Observation, state: Floats) -> None:
+        """Add a pose with the state (nx,) that the filter has at its time; late ones are left out."""
+        if observation.time <= self._poses[-1][0]:
+            return
+        yaw = state[self._theta] + math.remainder(observation.theta - state[self._theta], math.tau)
+        self._poses.append((observation.time, np.array([observation.x, observation.y, yaw]), state.copy()))
+
+    def command(self, time: float, control: Floats, moves: bool) -> None:
+        """Add a command, and whether the vehicle moves at its time."""
+        last = self._commands[-1][0]
+        self._commands.append((time, control))
+        if moves:
+            if self.moving and self.moving[-1][1] >= last:
+                self.moving[-1] = self.moving[-1][0], time
+            else:
+                self.moving.append((time, time))
+
+    def drive(self, begin: float) -> Drive | None:
+        """The recorded drive from `begin` (s) on; None before two poses."""
+        self._poses = [entry for entry in self._poses if entry[0] >= begin]
+        keep = max((k for k, entry in enumerate(self._commands) if entry[0] <= begin - DELAY_MAX), default=0)
+        del self._commands[:keep]
+        self.moving = [span for span in self.moving if span[1] >= begin]
+        if len(self._poses) < 2:
+            return None
+        times, poses, states = zip(*self._poses, strict=True)
+        command_times, commands = zip(*self._commands, strict=True)
+        first = min(times[0], command_times[1] if len(command_times) > 1 else times[0]) - 1.0
+        return Drive(
+            np.array(times), np.array(poses), np.array(states),
+            np.array([max(t, first) for t in command_times]), np.array(commands),
+        )  # fmt: skip
