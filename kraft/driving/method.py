@@ -182,6 +182,12 @@ class Adaptive(StrictModel):
     """share of the pose error's variance that is correlated, before residuals are known"""
     correlation_time: Seconds = 0.7
     """time constant of the correlated pose error, s"""
+    position_offset: Positive = 0.03
+    """standard deviation of the camera's offset, which differs from place to place, m"""
+    heading_offset_deg: Positive = 0.5
+    """the same of the heading, degrees"""
+    offset_time: Seconds = 4.0
+    """time in which the vehicle comes to a place with another offset, s"""
     start_position_noise: Positive = 0.02
     """standard deviation of the start that the scenario gives, m"""
     start_heading_noise_deg: Positive = 2.0

@@ -185,21 +185,31 @@ SHARE_MAX: Final = 0.95
 
 
 class CorrelatedFilter(PoseFilter):
-    """Filter whose state (nx + 4,) has the correlated part of the pose error beside the excess of the speed."""
+    """Filter whose state (nx + 7,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
+
+    The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.
+    """
 
     def __init__(self, settings: Adaptive, model: CarModel, start_state: Floats) -> None:
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
-        self._errors = CorrelatedErrorModel(model)
+        self._errors = PoseErrorModel(model, settings.offset_time)
         super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, self._errors)
+        offset = settings.position_offset, settings.position_offset, math.radians(settings.heading_offset_deg)
+        self._set_variance(OFFSET, np.square(offset), settings.offset_time)
 
     def set_noise(self, noise: NoiseEstimate) -> None:
         """Set the noise of poses from now on."""
         self._noise = np.diag(noise.variance * (1.0 - noise.share))
-        correlated = noise.variance * noise.share
-        self._errors.time = noise.time
-        self._variance_rate[-3:] = 2.0 * correlated / noise.time
+        self._errors.times[CORRELATED] = noise.time
+        self._set_variance(CORRELATED, noise.variance * noise.share, noise.time)
+
+    def _set_variance(self, part: slice, variance: Floats, time: float) -> None:
+        """Set the stationary variance (3,) of a part of the pose error, whose time constant is `time` s."""
+        first = len(self._variance_rate) - len(self._errors.times)
+        components = range(first, len(self._variance_rate))[part]
+        self._variance_rate[components] = 2.0 * variance / time
         if self.posterior.observation is None:  # the error of the first pose is of full size
-            self.posterior.covariance[range(-3, 0), range(-3, 0)] = correlated
+            self.posterior.covariance[components, components] = variance
 
     def set_delay(self, delay: float) -> None:
         """Set the delay of commands, s."""
@@ -216,32 +226,36 @@ class CorrelatedFilter(PoseFilter):
         return found
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
-        cross = covariance[:, self._pose] + covariance[:, -3:]
-        return mean[self._pose] + mean[-3:], cross, cross[self._pose] + cross[-3:]
+        cross = covariance[:, self._pose] + covariance[:, -6:-3] + covariance[:, -3:]
+        return mean[self._pose] + mean[-6:-3] + mean[-3:], cross, cross[self._pose] + cross[-6:-3] + cross[-3:]
 
 
-class CorrelatedErrorModel:
-    """Process model of the state (nx + 4,): as `ExcessSpeedModel`, and the correlated part of the pose error."""
+CORRELATED, OFFSET = slice(0, 3), slice(3, 6)
+"""Parts of the pose error within its six components."""
 
-    def __init__(self, model: CarModel) -> None:
+
+class PoseErrorModel:
+    """Process model of the state (nx + 7,): as `ExcessSpeedModel`, and two parts of the pose error that decay."""
+
+    def __init__(self, model: CarModel, offset_time: float) -> None:
         self._motion = ExcessSpeedModel(model)
-        self.size = self._motion.size + 3
-        self.time = 1.0
-        """time constant of the pose error, s"""
+        self.times = np.full(6, offset_time)
+        """time constants of the components of the pose error, s"""
+        self.size = self._motion.size + len(self.times)
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx + 4,) after holding a control (nu,) for `duration` s."""
-        kept = math.exp(-duration / self.time)
-        return np.concatenate([self._motion.advance(state[:-3], control, duration), kept * state[-3:]])
+        """State (nx + 7,) after holding a control (nu,) for `duration` s."""
+        kept = np.exp(-duration / self.times)
+        return np.concatenate([self._motion.advance(state[:-6], control, duration), kept * state[-6:]])
 
     def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
-        """State (nx + 4,) after `duration` s and its Jacobian (nx + 4, nx + 4) with respect to the state before."""
-        after, jacobian = self._motion.linearised(state[:-3], control, duration)
-        kept = math.exp(-duration / self.time)
+        """State (nx + 7,) after `duration` s and its Jacobian (nx + 7, nx + 7) with respect to the state before."""
+        after, jacobian = self._motion.linearised(state[:-6], control, duration)
+        kept = np.exp(-duration / self.times)
         full = np.zeros((self.size, self.size))
-        full[:-3, :-3] = jacobian
-        full[range(-3, 0), range(-3, 0)] = kept
-        return np.concatenate([after, kept * state[-3:]]), full
+        full[:-6, :-6] = jacobian
+        full[range(-6, 0), range(-6, 0)] = kept
+        return np.concatenate([after, kept * state[-6:]]), full
 
 
 class _History:
