@@ -36,9 +36,10 @@ class PoseBelief:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariance (nx, nx) of an estimated state."""
+    """Covariance (nx, nx) of an estimated state, and standard deviation of the delay of commands (s)."""
 
     state: Matrix
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,31 @@ class Clearance(StrictModel):
     """time for which a plan keeps the clearance, if that is longer than the cycle, s"""
 
 
+class CalibratedBound(StrictModel):
+    """SAFETY's clearance from the estimator's covariance, calibrated while the vehicle drives: delta(t, v)."""
+
+    level: Annotated[Probability, Field(ge=0.5, le=0.9999)] = 0.99
+    """share of the deviations that the bound shall hold"""
+    growth: NonNegative = 0.015
+    """standard deviation that the prediction gains in a second, m/s"""
+    horizon: Seconds = 2.0
+    """time after which the deviation grows no further, because the controller corrects it, s"""
+    initial: Positive = 1.0
+    """scale of the bound before deviations are observed"""
+    prior_cycles: Positive = 10.0
+    """number of cycles that the initial scale counts for"""
+    memory_cycles: Annotated[float, Field(ge=2, le=1e6)] = 30.0
+    """number of cycles after which an observed deviation has lost most of its weight"""
+    expected_ratio: Positive = 0.35
+    """root mean square of observed deviations over the bound where the stated covariance is right"""
+    limits: tuple[Positive, Positive] = (0.7, 2.5)
+    """least and largest scale"""
+    shares: tuple[Probability, ...] = (1.0, 0.7, 0.45, 0.25)
+    """shares of the bound that plans keep: the first one that leaves a way to the goal"""
+    foresight: NonNegative = 0.0
+    """time for which a plan keeps the clearance, if that is longer than the cycle, s"""
+
+
 RESERVE = 0.2
 """Share of a cycle that real-time planning leaves unused, as in the original system."""
 

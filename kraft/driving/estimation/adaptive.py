@@ -92,7 +92,19 @@ class AdaptiveEstimator:
         parameters = None
         if identified is not None and self._settings.identify:
             parameters = self._window.parameters.model_values(identified.rho)
-        return Estimate(estimate.time, estimate.state, estimate.age, parameters, Uncertainty(covariance))
+        return Estimate(
+            estimate.time, estimate.state, estimate.age, parameters, Uncertainty(covariance, self._delay_deviation)
+        )
+
+    @property
+    def _delay_deviation(self) -> float:
+        """Standard deviation of the delay of commands, s."""
+        k = self._delay_index
+        if k < 0:
+            return 0.0
+        if self._identified is None:
+            return self._settings.delay_std
+        return math.sqrt(float(self._identified.covariance[k, k]))
 
     def _identify(self, time: float) -> None:
         """Update parameters, delay and noise from the poses until `time` (s)."""
