@@ -173,7 +173,7 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
         steps=np.full(width, steps),
         block=np.zeros((nx + inputs + 5) * width),
         trajectory=np.zeros((steps + 1) * nx * width),
-        pose=np.zeros((steps + 1) * 3 * width),
+        deviation=np.zeros((steps + 1) * width),
         end=np.zeros(Q_DIM * width),
         togo=np.zeros(width),
         at_goal=np.zeros(width, np.int64),
