@@ -54,6 +54,7 @@ class PoseFilter:
         self._model, self._process_model = model, ExcessSpeedModel(model)
         heading, drift = math.radians(settings.heading_noise_deg), math.radians(settings.heading_drift_deg)
         self._pose = [model.x, model.y, model.theta]
+        self._pose_block = np.ix_(self._pose, self._pose)
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
         self._variance_rate = np.zeros(self._process_model.size)  # variance that the model adds per second
         self._variance_rate[self._pose] = settings.drift**2, settings.drift**2, drift**2
@@ -79,7 +80,7 @@ class PoseFilter:
         newest = self.posterior
         if newest.observation is None:
             return None
-        return PoseBelief(newest.time, newest.mean[self._pose], newest.covariance[np.ix_(self._pose, self._pose)])
+        return PoseBelief(newest.time, newest.mean[self._pose], newest.covariance[self._pose_block])
 
     def observe(self, observation: Observation) -> None:
         """Process a pose at its stamp; after one that arrives out of order, process the newer ones again."""
@@ -125,7 +126,7 @@ class PoseFilter:
         x, y, theta = mean[self._pose]
         innovation = np.array([pose.x - x, pose.y - y, math.remainder(pose.theta - theta, math.tau)])
         cross_covariance = covariance[:, self._pose]
-        pose_covariance, noise = covariance[np.ix_(self._pose, self._pose)], self._noise
+        pose_covariance, noise = covariance[self._pose_block], self._noise
         whitened = np.linalg.solve(np.linalg.cholesky(pose_covariance + noise), innovation)
         outliers: tuple[Floats, ...] = ()
         if (distance := float(np.linalg.norm(whitened))) > self._limit:
@@ -143,7 +144,7 @@ class PoseFilter:
         mean, covariance = mean.copy(), covariance.copy()
         mean[self._pose] += innovation
         covariance[self._pose, :] = covariance[:, self._pose] = 0.0
-        covariance[np.ix_(self._pose, self._pose)] = self._noise
+        covariance[self._pose_block] = self._noise
         return Posterior(pose.time, mean, covariance, pose)
 
 
