@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import fcl
 import numpy as np
@@ -19,10 +20,7 @@ class ExactClearance:
     """Exact distance between a footprint and the obstacles of a workspace."""
 
     def __init__(self, workspace: Workspace, footprint: Footprint) -> None:
-        self._obstacles = [part for obstacle in workspace.obstacles for part in _prisms(obstacle)]
-        self._manager = fcl.DynamicAABBTreeCollisionManager()
-        self._manager.registerObjects(self._obstacles)
-        self._manager.setup()
+        self._obstacles, self._manager = _scene(workspace)
         self._offset = footprint.offset
         self._body = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT), fcl.Transform())
 
@@ -49,6 +47,16 @@ class ExactClearance:
     def distances(self, poses: Matrix) -> Floats:
         """`distance` for each row x, y, theta of `poses`."""
         return np.array([self.distance(*pose) for pose in poses])
+
+
+@lru_cache(8)  # the replanner and the measures of every trial use the same one
+def _scene(workspace: Workspace) -> tuple[list[fcl.CollisionObject], fcl.DynamicAABBTreeCollisionManager]:
+    """Prisms of all obstacles, and a manager of them, which queries do not change."""
+    prisms = [part for obstacle in workspace.obstacles for part in _prisms(obstacle)]
+    manager = fcl.DynamicAABBTreeCollisionManager()
+    manager.registerObjects(prisms)
+    manager.setup()
+    return prisms, manager
 
 
 def _prisms(obstacle: Polygon | Circle | OccupancyGrid) -> list[fcl.CollisionObject]:

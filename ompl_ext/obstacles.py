@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -75,9 +77,12 @@ def box(center: tuple[float, float], size: tuple[float, float], yaw: float = 0.0
     return Polygon(half @ turn.T + np.array(center))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Workspace:
-    """Bounds of the body frame's position, ((x_low, x_high), (y_low, y_high)), and its obstacles."""
+    """Bounds of the body frame's position, ((x_low, x_high), (y_low, y_high)), and its obstacles.
+
+    Workspaces with the same content are equal, so that what is computed from one can be cached.
+    """
 
     bounds: tuple[tuple[float, float], tuple[float, float]]
     obstacles: tuple[Obstacle, ...] = ()
@@ -86,3 +91,13 @@ class Workspace:
         for low, high in self.bounds:
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise ValueError(f"workspace bounds must be finite with low < high, got {self.bounds}")
+
+    def __eq__(self, other: object) -> bool:
+        return self._content == other._content if isinstance(other, Workspace) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    @cached_property
+    def _content(self) -> bytes:
+        return pickle.dumps((self.bounds, self.obstacles))

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix32
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.clearance import clearance_field, cover
+from ompl_ext.kernels.clearance import ClearanceField, clearance_field, cover
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
 from ompl_ext.obstacles import Workspace
-from ompl_ext.vehicle import Vehicle
+from ompl_ext.vehicle import Footprint, Vehicle
 
 MAX_STEPS = 100_000  # integration steps of an edge or a manoeuvre
+CACHED_MAPS = 8  # maps of the latest queries that a process keeps: those of the methods of an evaluation in one scene
 
 
 @dataclass(frozen=True)
@@ -115,17 +117,15 @@ class Settings:
 def make_problem(
     vehicle: Vehicle, workspace: Workspace, goal: Goal | None, safety: Safety, settings: Settings
 ) -> Problem:
-    """Arrays of a query; computes the clearance field and the cost-to-go, once per goal and map.
+    """Arrays of a query, with the clearance field and the cost-to-go, which are computed once per map and goal.
 
     Without a goal there is no cost-to-go: edges and SAFETY can be checked, a tree cannot grow.
     """
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
-    field = clearance_field(workspace, reach + 2 * settings.cell, settings.cell)
-    seconds = np.zeros((1, 1), np.float32)
+    field, seconds = _field(workspace, reach, settings.cell), np.zeros((1, 1), np.float32)
     if goal is not None:
-        inscribed = vehicle.footprint.inscribed
-        seconds = cost_to_go(field, inscribed, goal.center, goal.radius, vehicle.top_speed, workspace.bounds).seconds
+        seconds = _seconds(workspace, vehicle.footprint, settings.cell, goal.center, goal.radius, vehicle.top_speed)
     limits = vehicle.state_limits.copy()
     for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
         k = vehicle.index(name)
@@ -164,6 +164,26 @@ def make_problem(
     )
 
 
+@lru_cache(CACHED_MAPS)
+def _field(workspace: Workspace, reach: float, cell: float) -> ClearanceField:
+    """Clearance field for a footprint of that reach; kernels only read it."""
+    return clearance_field(workspace, reach + 2 * cell, cell)
+
+
+@lru_cache(CACHED_MAPS)
+def _seconds(
+    workspace: Workspace,
+    footprint: Footprint,
+    cell: float,
+    goal: tuple[float, float],
+    goal_radius: float,
+    top_speed: float,
+) -> Matrix32:
+    """Cost-to-go on the cells of the clearance field; kernels only read it."""
+    field = _field(workspace, footprint.reach, cell)
+    return cost_to_go(field, footprint.inscribed, goal, goal_radius, top_speed, workspace.bounds).seconds
+
+
 def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
     """Working memory for edges of up to `steps` integration steps."""
     width = LANE_WIDTH
@@ -173,7 +193,7 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
         steps=np.full(width, steps),
         block=np.zeros((nx + inputs + 5) * width),
         trajectory=np.zeros((steps + 1) * nx * width),
-        pose=np.zeros((steps + 1) * 3 * width),
+        deviation=np.zeros((steps + 1) * width),
         end=np.zeros(Q_DIM * width),
         togo=np.zeros(width),
         at_goal=np.zeros(width, np.int64),

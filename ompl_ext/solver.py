@@ -288,31 +288,25 @@ class DirtSolver:
 
     def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
         """States (samples + 1, nx) at equal intervals along a control held for `duration` s, unchecked."""
-        states, state = [np.asarray(state, dtype=float)], np.asarray(state, dtype=float)
-        for _ in range(samples):
-            self._propagate(state, control, duration / samples, steps=1)
-            state = self._end_state()
-            states.append(state)
-        return np.array(states)
+        states = np.empty((samples + 1, len(self.vehicle.state)))
+        states[0], step = state, duration / samples
+        held, parameters = np.ascontiguousarray(control, dtype=float), self._problem.parameters
+        for k in range(samples):
+            self._kernels.advance(states[k], held, parameters, step, states[k + 1])
+        return states
 
     @cached_property
     def exact(self) -> ExactClearance:
         """Exact clearance of the vehicle's footprint in the workspace."""
         return ExactClearance(self.workspace, self.vehicle.footprint)
 
-    def _end_state(self) -> Floats:
-        last = int(self._work.steps[0])
-        return self._work.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)[last, :, 0].copy()
-
-    def _propagate(
-        self, state: Floats, control: Floats, duration: float, start_time: float = math.inf, steps: int = 0
-    ) -> float:
+    def _propagate(self, state: Floats, control: Floats, duration: float, start_time: float = math.inf) -> float:
         work, problem = self._work, self._problem
         work.source[:] = state
         for k, value in enumerate(control):
             work.control[k * LANE_WIDTH] = value
-        work.duration[0], work.steps[0] = duration, steps or problem.option[at.STEPS]
-        if not steps and self.settings.quantum > 0.0 and duration > 0.0:
+        work.duration[0], work.steps[0] = duration, problem.option[at.STEPS]
+        if self.settings.quantum > 0.0 and duration > 0.0:
             work.steps[0] = max(1, round(duration / self.settings.quantum))
         if not 1 <= work.steps[0] <= problem.option[at.STEPS]:
             raise ValueError(f"an edge of {duration} s is longer than the longest of {self.settings.longest} s")

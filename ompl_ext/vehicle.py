@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -112,11 +112,7 @@ class Vehicle:
     @cached_property
     def source(self) -> str:
         """Text of everything that the functions depend on; empty without source (functions from a prompt)."""
-        functions = [f for f in (self.derivative, self.actuation, self.stop) if f is not None]
-        try:
-            return "\n".join(fingerprint(function) for function in functions)
-        except OSError:  # compiled in every process, never cached
-            return ""
+        return _source(tuple(f for f in (self.derivative, self.actuation, self.stop) if f is not None))
 
     @property
     def hash(self) -> str:
@@ -146,6 +142,15 @@ class Vehicle:
     def rest_indices(self) -> tuple[int, ...]:
         """State components that vanish at standstill; the first one is the speed."""
         return tuple(self.state.index(name) for name in self.rest)
+
+
+@cache
+def _source(functions: tuple[Callable[..., Any], ...]) -> str:
+    """Text of everything that some functions depend on when it is first asked for; empty without source."""
+    try:
+        return "\n".join(fingerprint(function) for function in functions)
+    except OSError:  # compiled in every process, never cached
+        return ""
 
 
 def _shape_problems(vehicle: Vehicle) -> list[str]:

@@ -127,7 +127,7 @@ class CarModel:
 
     def curvature(self, steering: float) -> float:
         """Curvature of the path at a constant steering, 1/m, positive to the left."""
-        return float(np.interp(steering, self._steerings, self._curvatures))
+        return interpolate(steering, self._steerings, self._curvatures)
 
     def steering_for(self, curvature: float) -> float:
         """Steering whose path has a curvature (1/m), or the nearest possible one."""
@@ -135,7 +135,7 @@ class CarModel:
 
     def slip(self, steering: float) -> float:
         """Slip angle at a constant steering: direction of motion relative to the heading, rad."""
-        return float(np.interp(steering, self._steerings, self._slips))
+        return interpolate(steering, self._steerings, self._slips)
 
     @property
     def wheelbase(self) -> float:

@@ -189,6 +189,7 @@ class TagRenderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene: Any = mujoco.MjvScene(self._model, self._model.ngeom + 8)
         self._scene.flags[:] = 0
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1  # the undersides of plates are half of all pixels
         self._options: Any = mujoco.MjvOption()
         self._camera: Any = mujoco.MjvCamera()
 

@@ -6,7 +6,9 @@ is vertical.  Without a tilt the two are the same.
 
 from __future__ import annotations
 
+import copy
 import math
+from functools import lru_cache
 from typing import Any, Final
 
 import mujoco
@@ -44,7 +46,7 @@ class World:
         """
         truth = scenario.truth
         self.frame: Final = FloorFrame.of(truth.tilt)
-        self.model: Final[Any] = build(scenario, self.frame, TIMESTEP)
+        self.model: Final[Any] = copy.copy(_compiled(scenario))
         self.data: Final[Any] = mujoco.MjData(self.model)
         self._start, self._goal, self._truth_vehicle = scenario.start, scenario.goal, truth.vehicle
         self._contacts = CollisionDetector(self.model, self.data, scenario, self.frame)
@@ -184,6 +186,12 @@ class World:
         x, y = self.frame.along_floor(body.xpos - self.frame.origin)
         ahead, left = self.frame.along_floor(body.xmat[0::3])
         return x, y, math.atan2(left, ahead)
+
+
+@lru_cache(4)
+def _compiled(scenario: Scenario) -> Any:
+    """Compiled model of a scenario, kept because compiling takes as long as a second of a drive; copy it before use."""
+    return build(scenario, FloorFrame.of(scenario.truth.tilt), TIMESTEP)
 
 
 def steps_of(duration: float, dt: float) -> int:

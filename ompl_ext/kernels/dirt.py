@@ -109,8 +109,8 @@ def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
 
 
 @part
-def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
-    """Free lane with the smallest f at its end, if that is below `bound`; -1 if there is none.
+def most_promising_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
+    """Lane with the smallest f at its end among those not known to collide, if f is below `bound`; -1 without one.
 
     f uses the cost-to-go of the end point, so that it is a lower bound of the cost of plans through the edge.
     """
@@ -120,6 +120,29 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float) -> int:
         if work.slack[i] >= 0.0 and f < best and work.togo[i] < UNREACHABLE:
             best, lane = f, i
     return lane
+
+
+@inlined
+def best_lane(work: Lanes, lanes: int, start: float, bound: float, problem: Problem, check: Check) -> int:
+    """Free lane with the smallest f at its end, if that is below `bound`; -1 if there is none.
+
+    Lanes are checked in the order of f, because a check costs more than the search for the next one.
+    """
+    lane = most_promising_lane(work, lanes, start, bound)
+    while lane >= 0:
+        work.slack[lane] = check(lane, start, problem, work)  # Alg. 1, l. 14, 18
+        if work.slack[lane] >= 0.0:
+            break
+        lane = most_promising_lane(work, lanes, start, bound)
+    return lane
+
+
+@inlined
+def check_lanes(work: Lanes, lanes: int, start: float, bound: float, problem: Problem, check: Check) -> None:
+    """Check every lane with f below `bound`."""
+    for lane in range(lanes):
+        if start + work.duration[lane] + work.togo[lane] < bound and work.togo[lane] < UNREACHABLE:
+            work.slack[lane] = check(lane, start, problem, work)
 
 
 @part
@@ -215,11 +238,13 @@ def visit(
     lanes, start = problem.option[BLOSSOM], tree.value[node, COST]
     sample_edges(tree, problem, work, lanes)  # l. 11
     propagate(tree.state[node], lanes, problem, work)  # l. 12
-    for lane in range(lanes):
-        work.slack[lane] = check(lane, start, problem, work)  # l. 14, 18
     tree.count[EDGES] += lanes
-    lane = best_lane(work, lanes, start, tree.best[0])
-    exploring = exploring or (lane >= 0 and work.togo[lane] >= tree.value[node, TOGO])
+    lane = int64(-1)
+    if not exploring:
+        lane = best_lane(work, lanes, start, tree.best[0], problem, check)
+        exploring = lane >= 0 and work.togo[lane] >= tree.value[node, TOGO]
+    if exploring:
+        check_lanes(work, lanes, start, tree.best[0], problem, check)
     added, wanted = int64(0), EXPLORATION_INSERTIONS if exploring else problem.option[INSERTIONS]
     while added < wanted:
         if exploring:
@@ -236,7 +261,8 @@ def visit(
                 tree.count[NEXT] = child
             added += 1
         work.slack[lane] = -1.0  # inserted, or not safe
-        lane = best_lane(work, lanes, start, tree.best[0])
+        if added < wanted and not exploring:
+            lane = best_lane(work, lanes, start, tree.best[0], problem, check)
 
 
 @inlined

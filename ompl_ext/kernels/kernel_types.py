@@ -75,7 +75,7 @@ class Lanes(NamedTuple):
     steps: Ints  # integration steps of each lane
     block: Floats
     trajectory: Floats  # states, step after step
-    pose: Floats  # cosine and sine of the heading and swept margin, step after step
+    deviation: Floats  # of the motion in a step from one at constant rates (m), step after step
     end: Floats  # (Q_DIM * width,) configuration at the end of each lane
     togo: Floats  # cost-to-go from there (s)
     at_goal: Ints

@@ -62,12 +62,12 @@ REST = VEHICLE.rest_indices
 SPEED = REST[0] if REST else -1
 MANOEUVRES = len(VEHICLE.manoeuvres)
 WIDTH = LANE_WIDTH
-AT_INPUT = NX * WIDTH  # the working block: state, input, step, cosine and sine of the heading, margin, outside
+AT_INPUT = NX * WIDTH  # the working block: state, input, step, deviation, outside, cosine and sine of the heading
 AT_STEP = AT_INPUT + NI * WIDTH
-AT_COS = AT_STEP + WIDTH
+AT_DEVIATION = AT_STEP + WIDTH
+AT_OUTSIDE = AT_DEVIATION + WIDTH
+AT_COS = AT_OUTSIDE + WIDTH
 AT_SIN = AT_COS + WIDTH
-AT_MARGIN = AT_SIN + WIDTH
-AT_OUTSIDE = AT_MARGIN + WIDTH
 
 derivative = VEHICLE.derivative
 actuation = VEHICLE.actuation or per_component("u, p", "u[{k}]", NU)
@@ -106,7 +106,7 @@ def swept_margin(
     The body moves `along` its axis, sideways, and turns.  In a motion along its axis by no more than its length it
     stays inside the union of its two end positions.  `off` bounds all other motion; it moves the corners out of that
     union by at most off (along + off) / (along + 2 off).  This holds for constant rates; docs/planner.md has the
-    derivation, `integrate_lanes` adds the effect of changing rates.
+    derivation, `step_margin` adds the effect of changing rates.
     """
     side0 = abs(dy * c0 - dx * s0)
     side1 = abs(dy * c1 - dx * s1)
@@ -118,12 +118,11 @@ def swept_margin(
 
 
 @inlined
-def integrate_lanes(
-    block: Floats, lanes: int, p: Values, low: Values, high: Values, reach: float, length: float
-) -> None:
+def integrate_lanes(block: Floats, lanes: int, p: Values, low: Values, high: Values, reach: float) -> None:
     """Advance every lane of the working block by its step; this loop vectorises.
 
-    If a rate changes by d within a step of h s, the motion deviates from one at a constant rate by up to h d / 8.
+    If a rate changes by d within a step of h s, the motion deviates from one at a constant rate by up to h d / 8.  The
+    rest of the margin is left to `step_margin`, because most edges are never checked.
     """
     for i in range(lanes):
         x, h = load_state(block, 0, i), block[AT_STEP + i]
@@ -131,45 +130,37 @@ def integrate_lanes(
         shift, spin = rate_change(first, last)
         store_state(block, 0, i, y)
         block[AT_OUTSIDE + i] += outside(y, low, high)
-        if THETA >= 0:
-            c, s = cos(y[THETA]), sin(y[THETA])
-            turn = y[THETA] - x[THETA]
-        else:
-            c, s, turn = 1.0, 0.0, 0.0
-        straight = swept_margin(
-            y[X] - x[X], y[Y] - x[Y], turn, block[AT_COS + i], block[AT_SIN + i], c, s, reach, length
-        )
-        block[AT_MARGIN + i] = straight + 0.125 * h * (shift + reach * spin)
-        block[AT_COS + i] = c
-        block[AT_SIN + i] = s
+        block[AT_DEVIATION + i] = 0.125 * h * (shift + reach * spin)
 
 
 @inlined
 def record_lanes(work: Lanes, step: int, lanes: int) -> None:
-    """Copy state, heading and margin of every lane from the working block into the trajectory."""
+    """Copy state and deviation of every lane from the working block into the trajectory."""
     for k in range(NX):
         for i in range(lanes):
             work.trajectory[(step * NX + k) * WIDTH + i] = work.block[k * WIDTH + i]
-    for k in range(3):
-        for i in range(lanes):
-            work.pose[(step * 3 + k) * WIDTH + i] = work.block[AT_COS + k * WIDTH + i]
+    for i in range(lanes):
+        work.deviation[step * WIDTH + i] = work.block[AT_DEVIATION + i]
 
 
 @inlined
 def load_source(source: Floats, work: Lanes, lanes: int, low: Values, high: Values) -> None:
     """Set every lane to one start state."""
     block = work.block
-    c, s = 1.0, 0.0
-    if THETA >= 0:
-        c, s = cos(source[THETA]), sin(source[THETA])
     for i in range(lanes):
         for k in range(NX):
             block[k * WIDTH + i] = source[k]
-        block[AT_COS + i] = c
-        block[AT_SIN + i] = s
-        block[AT_MARGIN + i] = 0.0
+        block[AT_DEVIATION + i] = 0.0
         block[AT_OUTSIDE + i] = outside(load_state(block, 0, i), low, high)
     record_lanes(work, int64(0), lanes)
+
+
+@inlined
+def turn_lanes(block: Floats, lanes: int) -> None:
+    """Compute cosine and sine of every lane's heading; this loop vectorises."""
+    for i in range(lanes):
+        block[AT_COS + i] = cos(block[THETA * WIDTH + i]) if THETA >= 0 else 1.0
+        block[AT_SIN + i] = sin(block[THETA * WIDTH + i]) if THETA >= 0 else 0.0
 
 
 @inlined
@@ -188,11 +179,14 @@ def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None
     load_source(source, work, lanes, low, high)
     for i in range(lanes):
         store_input(work.block, AT_INPUT, i, actuation(load_control(work.control, 0, i), p))
+        work.block[AT_STEP + i] = work.duration[i] / work.steps[i]
     for step in range(1, steps + 1):
         for i in range(lanes):  # a lane with fewer steps than the others stays at its end
-            work.block[AT_STEP + i] = work.duration[i] / work.steps[i] if step <= work.steps[i] else 0.0
-        integrate_lanes(work.block, lanes, p, low, high, scalar[REACH], scalar[LENGTH])
+            if step > work.steps[i]:
+                work.block[AT_STEP + i] = 0.0
+        integrate_lanes(work.block, lanes, p, low, high, scalar[REACH])
         record_lanes(work, step, lanes)
+    turn_lanes(work.block, lanes)
     for i in range(lanes):
         x, y = work.block[X * WIDTH + i], work.block[Y * WIDTH + i]
         c, s = work.block[AT_COS + i], work.block[AT_SIN + i]
@@ -207,18 +201,33 @@ def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None
 
 
 @inlined
-def margin_at(work: Lanes, step: int, steps: int, lane: int) -> float:
-    """Clearance that the motion before and after a sample requires (m)."""
-    before = work.pose[(step * 3 + 2) * WIDTH + lane]
-    after = work.pose[((step + 1) * 3 + 2) * WIDTH + lane] if step < steps else 0.0
-    return before if before > after else after
+def heading_at(work: Lanes, step: int, lane: int) -> tuple[float, float]:
+    """Cosine and sine of the heading at a sample of a trajectory."""
+    if THETA < 0:
+        return 1.0, 0.0
+    theta = work.trajectory[(step * NX + THETA) * WIDTH + lane]
+    return cos(theta), sin(theta)
 
 
 @inlined
-def sample_slack(work: Lanes, step: int, lane: int, required: float, problem: Problem) -> float:
+def step_margin(
+    work: Lanes, step: int, lane: int, c0: float, s0: float, c1: float, s1: float, problem: Problem
+) -> float:
+    """Clearance (m) that the motion from sample `step` - 1 to sample `step` requires at both."""
+    before, after = (step - 1) * NX * WIDTH + lane, step * NX * WIDTH + lane
+    dx = work.trajectory[after + X * WIDTH] - work.trajectory[before + X * WIDTH]
+    dy = work.trajectory[after + Y * WIDTH] - work.trajectory[before + Y * WIDTH]
+    turn = 0.0
+    if THETA >= 0:
+        turn = work.trajectory[after + THETA * WIDTH] - work.trajectory[before + THETA * WIDTH]
+    straight = swept_margin(dx, dy, turn, c0, s0, c1, s1, problem.scalar[REACH], problem.scalar[LENGTH])
+    return straight + work.deviation[step * WIDTH + lane]
+
+
+@inlined
+def sample_slack(work: Lanes, step: int, lane: int, c: float, s: float, required: float, problem: Problem) -> float:
     """Clearance at a sample of a trajectory beyond `required` (m)."""
     at = step * NX * WIDTH + lane
-    c, s = work.pose[step * 3 * WIDTH + lane], work.pose[(step * 3 + 1) * WIDTH + lane]
     return pose_slack(problem, work.trajectory[at + X * WIDTH], work.trajectory[at + Y * WIDTH], c, s, required)
 
 
@@ -238,15 +247,20 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
         return -1.0
     steps = work.steps[lane]
     h = work.duration[lane] / steps
-    smallest = math.inf
+    smallest, after = math.inf, 0.0  # `after` and `before` are the margins of the motions after and before a sample
+    c, s = heading_at(work, steps, lane)
     for step in range(steps, -1, -1):  # from the end, which collides most often
-        required = margin_at(work, step, steps, lane)
+        before, c0, s0 = 0.0, c, s
+        if step > 0:
+            c0, s0 = heading_at(work, step - 1, lane)
+            before = step_margin(work, step, lane, c0, s0, c, s, problem)
+        required = before if before > after else after
         if start_time + (step - 1) * h < problem.scalar[CYCLE]:
             required += delta(work, step, lane, problem)
-        slack = sample_slack(work, step, lane, required, problem)
+        slack = sample_slack(work, step, lane, c, s, required, problem)
         if slack < 0.0:
             return slack
-        smallest = min(smallest, slack)
+        smallest, after, c, s = min(smallest, slack), before, c0, s0
     return smallest
 
 
@@ -262,16 +276,22 @@ def at_rest(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
 @inlined
 def manoeuvre_slack(brake: Lanes, lane: int, steps: int, problem: Problem) -> float:
     """Smallest spare delta-clearance of a manoeuvre until standstill, negative if it is not safe (Alg. 2, l. 4-6)."""
-    smallest = math.inf
+    smallest, before = math.inf, 0.0  # `before` and `after` are the margins of the motions before and after a sample
+    c, s = heading_at(brake, int64(0), lane)
     for step in range(steps + 1):
-        required = margin_at(brake, step, steps, lane) + delta(brake, step, lane, problem)
-        slack = sample_slack(brake, step, lane, required, problem)
+        after, c1, s1 = 0.0, c, s
+        if step < steps:
+            c1, s1 = heading_at(brake, step + 1, lane)
+            after = step_margin(brake, step + 1, lane, c, s, c1, s1, problem)
+        required = (before if before > after else after) + delta(brake, step, lane, problem)
+        slack = sample_slack(brake, step, lane, c, s, required, problem)
         if slack < 0.0:
             return slack
         smallest = min(smallest, slack)
         if at_rest(brake, step, lane, problem):
             brake.steps[lane] = step
             return smallest
+        before, c, s = after, c1, s1
     return -1.0  # did not stop within the horizon
 
 
@@ -306,7 +326,7 @@ def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
         for i in range(manoeuvres):  # a manoeuvre is a control law, held over one step
             u = stop(load_state(brake.block, 0, i), p, i)
             store_input(brake.block, AT_INPUT, i, actuation(u, p))
-        integrate_lanes(brake.block, manoeuvres, p, low, high, problem.scalar[REACH], problem.scalar[LENGTH])
+        integrate_lanes(brake.block, manoeuvres, p, low, high, problem.scalar[REACH])
         record_lanes(brake, step, manoeuvres)
         moving = False
         for i in range(manoeuvres):

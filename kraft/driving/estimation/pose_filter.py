@@ -69,6 +69,7 @@ class PoseFilter:
         self._process_model = process_model or ExcessSpeedModel(model)
         heading, drift = math.radians(settings.heading_noise_deg), math.radians(settings.heading_drift_deg)
         self._pose = [model.x, model.y, model.theta]
+        self._pose_block = np.ix_(self._pose, self._pose)
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
         self._variance_rate = np.zeros(self._process_model.size)  # variance that the model adds per second
         self._variance_rate[self._pose] = settings.drift**2, settings.drift**2, drift**2
@@ -95,7 +96,7 @@ class PoseFilter:
         newest = self.posterior
         if newest.observation is None:
             return None
-        return PoseBelief(newest.time, newest.mean[self._pose], newest.covariance[np.ix_(self._pose, self._pose)])
+        return PoseBelief(newest.time, newest.mean[self._pose], newest.covariance[self._pose_block])
 
     def observe(self, observation: Observation) -> None:
         """Process a pose at its stamp; after one that arrives out of order, process the newer ones again."""
@@ -156,14 +157,14 @@ class PoseFilter:
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         """Expected pose (3,), its covariance with the state (n, 3), and its covariance without noise (3, 3)."""
-        return mean[self._pose], covariance[:, self._pose], covariance[np.ix_(self._pose, self._pose)]
+        return mean[self._pose], covariance[:, self._pose], covariance[self._pose_block]
 
     def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
         """Posterior with the pose reset to a measured one."""
         mean, covariance = mean.copy(), covariance.copy()
         mean[self._pose] += innovation
         covariance[self._pose, :] = covariance[:, self._pose] = 0.0
-        covariance[np.ix_(self._pose, self._pose)] = self._noise
+        covariance[self._pose_block] = self._noise
         return Posterior(pose.time, mean, covariance, pose)
 
 
