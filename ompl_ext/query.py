@@ -32,7 +32,10 @@ class Goal:
 
 @dataclass(frozen=True)
 class Safety:
-    """Clearance delta(v) = `delta` + `delta_per_speed` |v| (m) inside the first cycle and of contingencies.
+    """Clearance delta(t, v) inside the first cycle and of contingencies.
+
+    It is `delta` + `delta_per_speed` |v| + `delta_per_time` t (m) for t s since the begin of the query, t being at most
+    `delta_horizon`.  The planner takes a contingency to begin at the end of the cycle.
 
     With `enabled`, every edge that crosses the end of the cycle must pass SAFETY (Alg. 2).  A vehicle is at standstill
     when each of its `rest` components is below `rest_speed`; a manoeuvre without standstill within `horizon` s is not
@@ -43,6 +46,8 @@ class Safety:
     cycle: float = 1.0
     delta: float = 0.0
     delta_per_speed: float = 0.0
+    delta_per_time: float = 0.0
+    delta_horizon: float = 0.0
     rest_speed: float = 0.01
     step: float = 0.1
     horizon: float = 10.0
@@ -53,11 +58,18 @@ class Safety:
         Raises:
             ValueError: a number is negative or not finite, or a manoeuvre has too many steps.
         """
-        numbers = (self.cycle, self.delta, self.delta_per_speed, self.rest_speed, self.step, self.horizon)
+        numbers = (self.cycle, self.delta, self.delta_per_speed, self.delta_per_time, self.delta_horizon,
+                   self.rest_speed, self.step, self.horizon)  # fmt: skip
         if not all(math.isfinite(value) and value >= 0 for value in numbers) or self.step == 0:
             raise ValueError(f"safety: numbers must be finite and not negative, got {self}")
         if self.horizon / self.step > MAX_STEPS:
             raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")
+
+    def clearance(self, speed: Floats, time: Floats) -> Floats:
+        """delta(t, v) (n,) at speeds (n,), m/s, and times (n,) since the begin of the query, s."""
+        growth = self.delta_per_time * np.clip(time, 0.0, self.delta_horizon)
+        delta: Floats = self.delta + self.delta_per_speed * np.abs(speed) + growth
+        return delta
 
 
 @dataclass(frozen=True)
@@ -134,6 +146,7 @@ def make_problem(
     scalar[[at.SHORTEST, at.LONGEST, at.QUANTUM]] = settings.shortest, settings.longest, settings.quantum
     scalar[[at.HEADING_WEIGHT, at.RESOLUTION]] = settings.heading_weight, settings.resolution
     scalar[[at.CYCLE, at.DELTA, at.DELTA_PER_SPEED]] = safety.cycle, safety.delta, safety.delta_per_speed
+    scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = safety.delta_per_time, safety.delta_horizon
     scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
     scalar[[at.REACH, at.DISC_RADIUS, at.LENGTH]] = reach, discs.radius, vehicle.footprint.length
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell

@@ -269,6 +269,14 @@ class DirtSolver:
         self.safety = replace(self.safety, delta=delta)
         self._problem.scalar[at.DELTA] = delta
 
+    def set_bound(self, delta: float, per_speed: float, per_time: float, horizon: float) -> None:
+        """Set the clearance delta(t, v) within the first cycle and along contingencies, see `Safety`."""
+        self.safety = replace(
+            self.safety, delta=delta, delta_per_speed=per_speed, delta_per_time=per_time, delta_horizon=horizon
+        )
+        self._problem.scalar[[at.DELTA, at.DELTA_PER_SPEED]] = delta, per_speed
+        self._problem.scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = per_time, horizon
+
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,), in its order; the cost-to-go stays that of the first ones."""
         names = self.vehicle.parameters

@@ -98,7 +98,7 @@ def _clearance_violations(
 ) -> list[Violation]:
     """Violation at the sample that violates delta(v) most, if any does."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
-    delta = dirt.safety.delta + dirt.safety.delta_per_speed * speed
+    delta = dirt.safety.clearance(speed, times)
     worst = np.where(required, clearance - delta, math.inf)
     k = int(np.argmin(worst))
     if worst[k] >= -TOLERANCE:

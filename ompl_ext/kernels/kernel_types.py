@@ -41,7 +41,7 @@ class Maps(NamedTuple):
 # Indices of Problem.scalar
 SHORTEST, LONGEST, QUANTUM = 0, 1, 2  # edge durations; multiples of QUANTUM if it is positive (s)
 HEADING_WEIGHT, RESOLUTION = 3, 4  # of the tree's metric (m)
-CYCLE, DELTA, DELTA_PER_SPEED = 5, 6, 7  # planning cycle (s); clearance DELTA + DELTA_PER_SPEED |v| (m, s)
+CYCLE, DELTA, DELTA_PER_SPEED = 5, 6, 7  # planning cycle (s); clearance DELTA + DELTA_PER_SPEED |v| at first (m, s)
 REST_SPEED, BRAKE_STEP = 8, 9  # speed of standstill (SI); integration step of a manoeuvre (s)
 REACH, DISC_RADIUS, LENGTH = 10, 11, 12  # of the footprint (m)
 GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
@@ -59,7 +59,8 @@ GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
     26,
     27,
 )  # tolerance as its cosine
-SCALARS = 29
+DELTA_PER_TIME, DELTA_HORIZON = 29, 30  # clearance added per second since the begin of the query, for so long (m/s, s)
+SCALARS = 31
 
 # Indices of Problem.option
 STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre

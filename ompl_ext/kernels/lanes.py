@@ -21,7 +21,9 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKE_STEPS,
     CYCLE,
     DELTA,
+    DELTA_HORIZON,
     DELTA_PER_SPEED,
+    DELTA_PER_TIME,
     FULL,
     GOAL_COS,
     GOAL_RADIUS,
@@ -232,12 +234,13 @@ def sample_slack(work: Lanes, step: int, lane: int, c: float, s: float, required
 
 
 @inlined
-def delta(work: Lanes, step: int, lane: int, problem: Problem) -> float:
-    """Clearance that the model gap requires at a sample (m)."""
+def delta(work: Lanes, step: int, lane: int, time: float, problem: Problem) -> float:
+    """Clearance that the model gap requires at a sample (m), `time` s after the begin of the query."""
     speed = 0.0
     if SPEED >= 0:
         speed = abs(work.trajectory[(step * NX + SPEED) * WIDTH + lane])
-    return problem.scalar[DELTA] + problem.scalar[DELTA_PER_SPEED] * speed
+    growth = problem.scalar[DELTA_PER_TIME] * min(time, problem.scalar[DELTA_HORIZON])
+    return problem.scalar[DELTA] + problem.scalar[DELTA_PER_SPEED] * speed + growth
 
 
 @part
@@ -256,7 +259,7 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
             before = step_margin(work, step, lane, c0, s0, c, s, problem)
         required = before if before > after else after
         if start_time + (step - 1) * h < problem.scalar[CYCLE]:
-            required += delta(work, step, lane, problem)
+            required += delta(work, step, lane, start_time + step * h, problem)
         slack = sample_slack(work, step, lane, c, s, required, problem)
         if slack < 0.0:
             return slack
@@ -283,7 +286,8 @@ def manoeuvre_slack(brake: Lanes, lane: int, steps: int, problem: Problem) -> fl
         if step < steps:
             c1, s1 = heading_at(brake, step + 1, lane)
             after = step_margin(brake, step + 1, lane, c, s, c1, s1, problem)
-        required = (before if before > after else after) + delta(brake, step, lane, problem)
+        time = problem.scalar[CYCLE] + step * problem.scalar[BRAKE_STEP]  # at the latest
+        required = (before if before > after else after) + delta(brake, step, lane, time, problem)
         slack = sample_slack(brake, step, lane, c, s, required, problem)
         if slack < 0.0:
             return slack
