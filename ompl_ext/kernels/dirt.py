@@ -63,6 +63,9 @@ from ompl_ext.kernels.tree import add_to_indices, closed_radius, distance_square
 from ompl_ext.trigonometry import cos, sin
 
 EXPLORATION_INSERTIONS = 4  # candidates that an exploring visit adds
+MAX_DEVIATION = 0.01  # from its target of a retained edge that is not corrected (m)
+CORRECTION_LENGTH = 0.3  # by which a heading error counts towards the deviation (m/rad)
+CORRECTION_TRIES = 4  # lanes that are tried if SAFETY refuses those that end nearer to the target
 Propagate = Callable[[Floats, int, Problem, Lanes], None]
 Check = Callable[[int, float, Problem, Lanes], float]
 Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
@@ -239,6 +242,46 @@ def visit(
         lane = best_lane(work, lanes, start, tree.best[0])
 
 
+@part
+def deviation_squared(problem: Problem, retained: Retained, k: int, work: Lanes, lane: int) -> float:
+    """Squared deviation (m^2) of a lane's end from the target of a retained edge; 0 without a target."""
+    if k >= len(retained.target):
+        return 0.0
+    weight, total = problem.scalar[HEADING_WEIGHT], 0.0
+    for c in range(Q_DIM):
+        difference = work.end[c * LANE_WIDTH + lane] - retained.target[k, c]
+        if c >= 2:
+            difference *= CORRECTION_LENGTH / weight if weight > 0.0 else 0.0
+        total += difference * difference
+    return total
+
+
+@part
+def vary_edge(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
+    """Set the lanes after lane 0 to its control and duration with random changes, most of them small."""
+    shortest, longest = min(problem.scalar[SHORTEST], work.duration[0]), problem.scalar[LONGEST]
+    for i in range(1, lanes):
+        r = 2.0 * uniform(tree.random) - 1.0
+        set_duration(problem, work, i, min(max(work.duration[0] * (1.0 + 0.3 * r * r * r), shortest), longest))
+        for c in range(len(problem.controls)):
+            low, high = problem.controls[c, 0], problem.controls[c, 1]
+            r = 2.0 * uniform(tree.random) - 1.0
+            varied = work.control[c * LANE_WIDTH] + 0.5 * (high - low) * r * r * r
+            work.control[c * LANE_WIDTH + i] = min(max(varied, low), high)
+
+
+@part
+def retained_lane(problem: Problem, retained: Retained, k: int, work: Lanes, lanes: int) -> int:
+    """Free lane that ends nearest to the target of a retained edge; -1 if there is none."""
+    chosen, nearest = -1, math.inf
+    for i in range(lanes):
+        if work.slack[i] >= 0.0 and work.togo[i] < UNREACHABLE:
+            d2 = deviation_squared(problem, retained, k, work, i)
+            if d2 < nearest:
+                chosen, nearest = i, d2
+    return chosen
+
+
 @inlined
 def retain(
     tree: Tree,
@@ -250,24 +293,42 @@ def retain(
     check: Check,
     safe: Safe,
 ) -> None:
-    """Add the free and safe part of an earlier plan or tree, propagated from the root (Alg. 1, l. 2-8)."""
+    """Add the free and safe part of an earlier plan or tree, propagated from the root (Alg. 1, l. 2-8).
+
+    An edge with a target that fails, or ends too far from it, is varied: the variant that ends nearest replaces it.
+    """
     nu = tree.edge.shape[1] - 1
-    lane, lanes = int64(0), int64(1)  # not literals: numba compiles the callees once more for each
     for k in range(len(retained.parent)):
         parent = 0 if retained.parent[k] < 0 else retained.node[retained.parent[k]]
         retained.node[k] = -1
         if parent < 0:
             continue
         for c in range(nu):
-            work.control[c * LANE_WIDTH + lane] = retained.edge[k, c]
-        set_duration(problem, work, lane, retained.edge[k, nu])
-        propagate(tree.state[parent], lanes, problem, work)
-        tree.count[EDGES] += 1
-        start = tree.value[parent, COST]
-        if check(lane, start, problem, work) < 0.0 or work.togo[lane] >= UNREACHABLE:
-            continue
-        if requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
-            tree.count[UNSAFE] += 1
-            continue
-        retained.node[k] = insert(tree, problem, parent, lane, work)
-        tree.count[RETAINED] += 1 if retained.node[k] >= 0 else 0
+            work.control[c * LANE_WIDTH] = retained.edge[k, c]
+        set_duration(problem, work, int64(0), retained.edge[k, nu])
+        start, lanes = tree.value[parent, COST], int64(1)  # not a literal: numba compiles the callees for each
+        while lanes > 0:
+            propagate(tree.state[parent], lanes, problem, work)
+            for i in range(lanes):
+                work.slack[i] = check(int64(i), start, problem, work)
+            tree.count[EDGES] += lanes
+            lane, tries = retained_lane(problem, retained, k, work, lanes), 0
+            exact = lanes > 1 or (
+                lane == 0 and deviation_squared(problem, retained, k, work, lane) <= MAX_DEVIATION * MAX_DEVIATION
+            )
+            while exact and lane >= 0 and retained.node[k] < 0 and tries < CORRECTION_TRIES:
+                tries += 1
+                if requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
+                    tree.count[UNSAFE] += 1
+                    work.slack[lane] = -1.0
+                    lane = retained_lane(problem, retained, k, work, lanes)
+                else:
+                    retained.node[k] = insert(tree, problem, parent, lane, work)
+                    tree.count[RETAINED] += 1 if retained.node[k] >= 0 else 0
+                    if retained.node[k] < 0:
+                        return
+            if lanes > 1 or retained.node[k] >= 0 or k >= len(retained.target):
+                lanes = int64(0)
+            else:
+                lanes = int64(problem.option[BLOSSOM])
+                vary_edge(tree, problem, work, lanes)
