@@ -120,14 +120,13 @@ class Proposer:
         began, settings = clock.perf_counter(), self._settings
         radius, rest = self._goal_radius(root), self._rest(previous)
         self._extra = settings.largest_budget - settings.iterations
-        found = list[tuple[DirtSolver, Proposal]]()
+        self._grown, proposal = None, Proposal(None)
         for dirt, share in self._solvers_in_turn(root):
             dirt.set_goal_radius(radius)
-            found.append((dirt, self._search(number, dirt, root, rest, began, share)))
-            if self._is_settled(found[-1][1], rest):
+            proposal = self._search(number, dirt, root, rest, began, share)
+            if proposal.plan is not None:
+                self._grown = dirt, proposal.plan
                 break
-        dirt, proposal = self._best_of(found)
-        self._grown = (dirt, proposal.plan) if proposal.plan is not None else None
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
         if self._realtime and missed:
@@ -173,33 +172,6 @@ class Proposer:
             edges = self._grown[0].retainable_edges(previous, settings.cycle, settings.iterations)
         return Rest(previous, settings.cycle, edges)
 
-    def _is_settled(self, proposal: Proposal, rest: Rest | None) -> bool:
-        """Whether no other solver is asked: by default if there is a plan.
-
-        A larger budget is spent also if the plan does not reach the goal, and a gain is required also of a plan that
-        replaces a rest which this solver could not retain.
-        """
-        plan, settings = proposal.plan, self._settings
-        if plan is None:
-            return False
-        if settings.largest_budget > settings.iterations and not plan.reaches_goal:
-            return False
-        if settings.switch_gain == 0.0 or rest is None or proposal.lost is PlanLoss.NONE:
-            return True
-        return total_cost(plan) <= rest.left + RETAINED_TOLERANCE
-
-    def _best_of(self, found: list[tuple[DirtSolver, Proposal]]) -> tuple[DirtSolver, Proposal]:
-        """First proposal with a plan; a later one only if it alone reaches the goal, or saves `switch_gain`."""
-        best, settings = found[-1], self._settings
-        for other in reversed(found[:-1]):
-            plan, old = other[1].plan, best[1].plan
-            if plan is None:
-                continue
-            worse = old is not None and total_cost(plan) >= total_cost(old) + settings.switch_gain
-            if old is None or (plan.reaches_goal, not worse) >= (old.reaches_goal, True):
-                best = other
-        return best
-
     def _search(
         self, number: int, dirt: DirtSolver, root: Floats, rest: Rest | None, began: float, share: float
     ) -> Proposal:
@@ -241,27 +213,25 @@ class Proposer:
         `left` is the cost that was left of the last plan (s): a plan that costs more is not settled.
         """
         if not self._realtime:
-            return self._grow_iterations(dirt, left, share)
+            return self._grow_iterations(dirt, left)
         ends = began + self._settings.clock_budget
         progress = dirt.grow(seconds=share * (ends - clock.perf_counter()))
         return progress if dirt.plan() is None else dirt.grow(seconds=ends - clock.perf_counter())
 
-    def _grow_iterations(self, dirt: DirtSolver, left: float, share: float) -> Progress:
-        """Spend `iterations`, then a share of those up to `max_iterations` while the plan is not settled."""
+    def _grow_iterations(self, dirt: DirtSolver, left: float) -> Progress:
+        """Spend `iterations`, and what is left of `max_iterations` while the plan is not settled."""
         iterations = self._settings.iterations
-        extra = math.ceil(share * self._extra)
-        if extra == 0:
+        if self._extra == 0:
             return dirt.grow(iterations=iterations)
-        chunk = min(iterations, max(1, iterations // 4))
-        dirt.grow(iterations=iterations - chunk)
+        chunk = max(1, iterations // 4)
+        if iterations > chunk:
+            dirt.grow(iterations=iterations - chunk)
         cost = dirt.best_cost
         progress = dirt.grow(iterations=chunk)
-        while extra > 0 and not (
-            dirt.best_node()[1] and dirt.best_cost <= left + RETAINED_TOLERANCE and cost - dirt.best_cost < CONVERGED
-        ):
-            cost, count = dirt.best_cost, min(chunk, extra)
+        while self._extra > 0 and not _is_settled(dirt, left, cost):
+            cost, count = dirt.best_cost, min(chunk, self._extra)
             progress = dirt.grow(iterations=count)
-            extra, self._extra = extra - count, self._extra - count
+            self._extra -= count
         return progress
 
     def _verify(self, number: int, dirt: DirtSolver, plan: Plan) -> None:
@@ -290,6 +260,15 @@ class Proposer:
 def _failure_reason(progress: Progress) -> str:
     unsafe = "; many lack a safe contingency" if progress.unsafe else ""
     return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"
+
+
+def _is_settled(dirt: DirtSolver, left: float, before: float) -> bool:
+    """Whether the best plan reaches the goal, costs what was `left` of the last plan, and no longer improves.
+
+    `before` is the best cost before the last iterations, s.
+    """
+    cost = dirt.best_cost
+    return dirt.best_node()[1] and cost <= left + RETAINED_TOLERANCE and before - cost < CONVERGED
 
 
 @dataclass(frozen=True)
