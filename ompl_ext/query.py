@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Matrix32
+from ompl_ext.arrays import Floats, Ints, Matrix, Matrix32
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.clearance import ClearanceField, clearance_field, cover
 from ompl_ext.kernels.costtogo import cost_to_go
@@ -227,7 +228,13 @@ def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tupl
     return list(range(-1, len(durations) - 1)), controls[left], durations
 
 
-def edges_to_retain(parent: list[int], controls: Floats, durations: Floats) -> Retained:
-    """Initial edges for the kernel `grow`; `controls` has shape (edges, nu), `durations` (edges,)."""
+def edges_to_retain(
+    parent: Sequence[int] | Ints, controls: Floats, durations: Floats, targets: Matrix | None = None
+) -> Retained:
+    """Initial edges for the kernel `grow`; `controls` has shape (edges, nu), `durations` (edges,).
+
+    The first n edges are corrected to end at `targets` (n, Q_DIM), configurations in the tree's metric.
+    """
     edge = np.ascontiguousarray(np.column_stack([controls, durations]), dtype=float)
-    return Retained(np.array(parent, np.int64), edge, np.full(len(parent), -1))
+    target = np.zeros((0, Q_DIM)) if targets is None else np.ascontiguousarray(targets, dtype=float)
+    return Retained(np.array(parent, np.int64), edge, target, np.full(len(parent), -1))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
@@ -32,6 +32,7 @@ from ompl_ext.kernels.tree_memory import (  # fmt: skip
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
+from ompl_ext.retainment import RetainableEdges, retainable_edges
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between readings of the clock until a solution is found
@@ -96,6 +97,7 @@ class DirtSolver:
         self._brake = make_lanes(nx, nu, inputs, int(self._problem.option[at.BRAKE_STEPS]))
         self._q = np.zeros(at.Q_DIM)
         self._no_edges = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
+        self._retained_nodes = self._no_edges.node
         self._progress = Progress()
 
     @property
@@ -147,14 +149,35 @@ class DirtSolver:
         """
         return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
 
-    def retain_edges(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
-        """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added."""
+    def retain_edges(
+        self, parents: Sequence[int] | Ints, controls: Matrix, durations: Floats, targets: Matrix | None = None
+    ) -> int:
+        """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added.
+
+        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any.
+        """
         before = int(self._tree.count[at.RETAINED])
         self._reserve(len(parents))
         began = time.perf_counter()
-        self._run_kernel(edges_to_retain(parents, controls, durations), 0)
+        retained = edges_to_retain(parents, controls, durations, targets)
+        self._run_kernel(retained, 0)
+        self._retained_nodes = retained.node
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before
+
+    @property
+    def retained_nodes(self) -> Ints:
+        """Node of each edge of the last call of `retain` or `retain_edges`; -1 if the edge was not added."""
+        return self._retained_nodes
+
+    def retainable_edges(self, plan: Plan, elapsed: float, limit: int) -> RetainableEdges:
+        """Rest of a plan of this query after `elapsed` s, and up to `limit` edges of the tree that begin on it."""
+        states, vehicle = plan.states[1:], self.vehicle
+        x, y = states[:, vehicle.index("x")], states[:, vehicle.index("y")]
+        heading = states[:, vehicle.index("theta")] if "theta" in vehicle.state else np.zeros(len(states))
+        weight = self.settings.heading_weight
+        targets = np.column_stack([x, y, weight * np.cos(heading), weight * np.sin(heading)])
+        return retainable_edges(self._tree, plan, targets, elapsed, limit)
 
     def grow(
         self,
@@ -225,9 +248,14 @@ class DirtSolver:
 
         With SAFETY enabled every plan has a contingency.
         """
-        tree, (node, reaches_goal) = self._tree, self.best_node()
-        if node < 0 or (tree.link[node, at.PARENT] < 0 and not reaches_goal):
+        node, reaches_goal = self.best_node()
+        if node < 0 or (self._tree.link[node, at.PARENT] < 0 and not reaches_goal):
             return None
+        return self.plan_to(node)
+
+    def plan_to(self, node: int) -> Plan:
+        """Plan that ends at a node of the tree, without a contingency if the node is not one where a plan may end."""
+        tree, reaches_goal = self._tree, bool(self._tree.link[node, at.AT_GOAL])
         path = path_to(tree, node)
         nu = len(self.vehicle.controls)
         controls, durations = tree.edge[path[1:], :nu].copy(), tree.edge[path[1:], nu].copy()
@@ -302,6 +330,19 @@ class DirtSolver:
         for k in range(samples):
             self._kernels.advance(states[k], held, parameters, step, states[k + 1])
         return states
+
+    def goal_nodes(self) -> Ints:
+        """Nodes in the goal region (n,), the one with the lowest cost first."""
+        size = int(self._tree.count[at.SIZE])
+        nodes = np.flatnonzero(self._tree.link[:size, at.AT_GOAL] == 1)
+        return nodes[np.argsort(self._tree.value[nodes, at.COST], kind="stable")]
+
+    def is_occupied(self, points: Matrix) -> Bools:
+        """Whether each of the points (n, 2) is in an obstacle or less than a cell of the clearance field from one."""
+        scalar, field = self._problem.scalar, self._problem.field
+        columns, rows = ((points - scalar[[at.GRID_X, at.GRID_Y]]) * scalar[at.GRID_INVERSE]).astype(int).T
+        inside: Bools = field[rows.clip(0, field.shape[0] - 1), columns.clip(0, field.shape[1] - 1)] <= 0.0
+        return inside
 
     @cached_property
     def exact(self) -> ExactClearance:

@@ -164,8 +164,9 @@ class Cycle:
     predicted time to the goal (s): that of the committed plan, plus the cost-to-go from its end if the plan does not
     reach the goal; without a plan it is infinite.  `predicted` is the predicted motion within the cycle and `clearance`
     its smallest distance to an obstacle (m).  `lost` is why the rest of the last plan was not retained when this plan
-    was made.  `contingency_origin` is None if a plan is committed.  `planning_ms` is measured; all other fields are
-    reproducible.  `tree` is None unless trees are kept.
+    was made, `switch_refused` whether a better plan that goes another way was refused.  `contingency_origin` is None if
+    a plan is committed.  `planning_ms` is measured; all other fields are reproducible.  `tree` is None unless trees are
+    kept.
     """
 
     number: int
@@ -184,5 +185,6 @@ class Cycle:
     contingency: Reference | None
     predicted: PredictedMotion
     lost: PlanLoss = PlanLoss.NONE
+    switch_refused: bool = False
     contingency_origin: ContingencyOrigin | None = None
     tree: TreeView | None = None

@@ -72,6 +72,12 @@ class PlannerSettings(StrictModel):
     """how long before a cycle ends its plan is checked again and sent, s"""
     iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
     """planning budget of a cycle, or of the one plan, in iterations"""
+    max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
+    """largest budget of a cycle, used while the plan is not settled; `iterations` if left out"""
+    retain: Literal["plan", "tree"] = "plan"
+    """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
+    switch_gain: NonNegative = 0.0
+    """cost that a plan which goes another way than the last one must save, s"""
     patience: Seconds = 0.5
     """how old the newest observation may be when a plan is committed, s"""
     margin: NonNegative = 0.0
@@ -93,12 +99,23 @@ class PlannerSettings(StrictModel):
     @property
     def capacity(self) -> int:
         """Number of nodes that the tree has memory for."""
-        return max(10_000, min(200_000, 4 * self.iterations))
+        return max(10_000, min(200_000, 4 * self.largest_budget))
+
+    @property
+    def largest_budget(self) -> int:
+        """Largest number of iterations of a cycle."""
+        return self.iterations if self.max_iterations is None else self.max_iterations
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.lead >= self.cycle:
             raise refuse(f"is {self.lead:g}, not less than the cycle", f"expected less than {self.cycle:g}", ("lead",))
+        if self.largest_budget < self.iterations:
+            raise refuse(
+                f"is {self.max_iterations}, less than iterations",
+                f"expected at least {self.iterations}",
+                ("max_iterations",),
+            )
         return self
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
+from kraft.driving.ways import goes_same_way
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
@@ -21,6 +22,7 @@ from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query import Safety, remaining_edges
+from ompl_ext.retainment import RetainableEdges
 from ompl_ext.solver import DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import verify
@@ -28,13 +30,15 @@ from ompl_ext.verification import verify
 RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
 MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
+CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 
 
 @dataclass(frozen=True)
 class Proposal:
     """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search.
 
-    `lost` is why the rest of the plan that is being executed was not retained.
+    `lost` is why the rest of the plan that is being executed was not retained.  `switch_refused` is whether a better
+    plan that goes another way was found, but does not save enough.
     """
 
     plan: Plan | None
@@ -45,6 +49,7 @@ class Proposal:
     seconds: float = 0.0
     missed: bool = False
     lost: PlanLoss = PlanLoss.NONE
+    switch_refused: bool = False
     tree: TreeView | None = None
 
 
@@ -107,6 +112,8 @@ class Proposer:
         self._goal = self.dirt.goal
         self._delta = self.dirt.safety.delta
         self._recovering = False
+        self._grown: tuple[DirtSolver, Plan] | None = None
+        self._extra = 0
 
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
         """Plan for cycle `number` from the predicted root.
@@ -117,12 +124,14 @@ class Proposer:
             previous: plan that is executed until then; its remainder is retained.
         """
         began, settings = clock.perf_counter(), self._settings
-        proposal = Proposal(None)
-        radius = self._goal_radius(root)
+        radius, rest = self._goal_radius(root), self._rest(previous)
+        self._extra = settings.largest_budget - settings.iterations
+        self._grown, proposal = None, Proposal(None)
         for dirt, share in self._solvers_in_turn(root):
             dirt.set_goal_radius(radius)
-            proposal = self._search(number, dirt, root, previous, began, share)
+            proposal = self._search(number, dirt, root, rest, began, share)
             if proposal.plan is not None:
+                self._grown = dirt, proposal.plan
                 break
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
@@ -159,32 +168,77 @@ class Proposer:
         """Clearance of a state minus the required clearance, m."""
         return dirt.edge(root, self._zero_control, 0.0, 0.0)[1]
 
+    def _rest(self, previous: Plan | None) -> Rest | None:
+        """Rest of the plan that is executed, as the settings retain it; None if it ends before the cycle does."""
+        settings = self._settings
+        if previous is None or previous.cost <= settings.cycle:
+            return None
+        edges = None
+        if settings.retain == "tree" and self._grown is not None and self._grown[1] is previous:
+            edges = self._grown[0].retainable_edges(previous, settings.cycle, settings.iterations)
+        return Rest(previous, settings.cycle, edges)
+
     def _search(
-        self, number: int, dirt: DirtSolver, root: Floats, previous: Plan | None, began: float, share: float
+        self, number: int, dirt: DirtSolver, root: Floats, rest: Rest | None, began: float, share: float
     ) -> Proposal:
         """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
         if dirt.start(root, self._seed * 100_003 + number) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision")
         if self._slack(dirt, root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
-        lost = PlanLoss.NONE
-        if previous is not None and previous.cost > self._settings.cycle:
-            lost = retain(dirt, root, previous, self._settings.cycle)  # ll. 1-8
-        progress = self._grow(dirt, began, share)
-        plan = dirt.plan()
+        lost = PlanLoss.NONE if rest is None else retain(dirt, root, rest)  # ll. 1-8
+        kept = None if rest is None or self._settings.switch_gain == 0.0 else _retained_plan(dirt, rest)
+        progress = self._grow(dirt, math.inf if rest is None else rest.left, began, share)
+        plan, refused = self._choose(dirt, kept)
         if plan is not None:
             self._verify(number, dirt, plan)
         reason = "" if plan is not None else _failure_reason(progress)
         tree = dirt.tree() if self._keep_trees else None
-        return Proposal(plan, reason, progress.iterations, progress.nodes, progress.retained, lost=lost, tree=tree)
+        return Proposal(
+            plan, reason, progress.iterations, progress.nodes, progress.retained, 0.0, False, lost, refused, tree
+        )
 
-    def _grow(self, dirt: DirtSolver, began: float, share: float) -> Progress:
-        """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan."""
+    def _choose(self, dirt: DirtSolver, kept: Plan | None) -> tuple[Plan | None, bool]:
+        """Best plan, or the best one that goes the way of the retained plan if leaving it does not save enough."""
+        best, gain = dirt.plan(), self._settings.switch_gain
+        if kept is None or best is None or best.reaches_goal > kept.reaches_goal:
+            return best, False
+        if total_cost(best) <= total_cost(kept) - gain or goes_same_way(dirt, best, kept):
+            return best, False
+        for node in dirt.goal_nodes()[1:]:
+            plan = dirt.plan_to(int(node))
+            if plan.cost >= total_cost(kept):
+                break
+            if goes_same_way(dirt, plan, kept):
+                return plan, True
+        return kept, True
+
+    def _grow(self, dirt: DirtSolver, left: float, began: float, share: float) -> Progress:
+        """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan.
+
+        `left` is the cost that was left of the last plan (s): a plan that costs more is not settled.
+        """
         if not self._realtime:
-            return dirt.grow(iterations=self._settings.iterations)
+            return self._grow_iterations(dirt, left)
         ends = began + self._settings.clock_budget
         progress = dirt.grow(seconds=share * (ends - clock.perf_counter()))
         return progress if dirt.plan() is None else dirt.grow(seconds=ends - clock.perf_counter())
+
+    def _grow_iterations(self, dirt: DirtSolver, left: float) -> Progress:
+        """Spend `iterations`, and what is left of `max_iterations` while the plan is not settled."""
+        iterations = self._settings.iterations
+        if self._extra == 0:
+            return dirt.grow(iterations=iterations)
+        chunk = max(1, iterations // 4)
+        if iterations > chunk:
+            dirt.grow(iterations=iterations - chunk)
+        cost = dirt.best_cost
+        progress = dirt.grow(iterations=chunk)
+        while self._extra > 0 and not _is_settled(dirt, left, cost):
+            cost, count = dirt.best_cost, min(chunk, self._extra)
+            progress = dirt.grow(iterations=count)
+            self._extra -= count
+        return progress
 
     def _verify(self, number: int, dirt: DirtSolver, plan: Plan) -> None:
         """Verify with FCL the part of the plan that may be executed before the next plan is committed.
@@ -214,18 +268,59 @@ def _failure_reason(progress: Progress) -> str:
     return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"
 
 
-def retain(dirt: DirtSolver, root: Floats, plan: Plan, elapsed: float) -> PlanLoss:
-    """Retain the rest of a plan after `elapsed` s in a query that begins at `root` (nx,).
+def _is_settled(dirt: DirtSolver, left: float, before: float) -> bool:
+    """Whether the best plan reaches the goal, costs what was `left` of the last plan, and no longer improves.
+
+    `before` is the best cost before the last iterations, s.
+    """
+    cost = dirt.best_cost
+    return dirt.best_node()[1] and cost <= left + RETAINED_TOLERANCE and before - cost < CONVERGED
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Rest of a plan after `elapsed` s, with the edges of its tree that are retained too, if any."""
+
+    plan: Plan
+    elapsed: float
+    edges: RetainableEdges | None = None
+
+    @property
+    def left(self) -> float:
+        """Cost that is left of the plan, s."""
+        return total_cost(self.plan) - self.elapsed
+
+
+def total_cost(plan: Plan) -> float:
+    """Cost of a plan and cost-to-go from its end, s."""
+    return plan.cost + plan.cost_to_go
+
+
+def _retained_plan(dirt: DirtSolver, rest: Rest) -> Plan | None:
+    """Plan that consists of what was retained of a rest; None if an edge is missing or a plan may not end there."""
+    _, _, durations = remaining_edges(rest.plan.controls, rest.plan.durations, rest.elapsed)
+    last = int(dirt.retained_nodes[len(durations) - 1])
+    if last < 0:
+        return None
+    plan = dirt.plan_to(last)
+    return plan if plan.reaches_goal or not dirt.safety.enabled or plan.cost >= dirt.safety.cycle else None
+
+
+def retain(dirt: DirtSolver, root: Floats, rest: Rest) -> PlanLoss:
+    """Retain the rest of a plan, and edges of its tree if there are any, in a query that begins at `root` (nx,).
 
     Returns the reason of a loss: of an edge that was not retained or, if all were, of a cost that is higher from the
     new root.  Obstacles do not move, so an edge is in collision from the state that the plan predicted only if more
     distance is required now than when it was planned.
     """
+    plan, elapsed, edges = rest.plan, rest.elapsed, rest.edges
     _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
-    retained = dirt.retain(plan, elapsed)
-    if retained == len(durations):
-        now, left = dirt.best_cost, plan.cost + plan.cost_to_go - elapsed
-        return PlanLoss.ESTIMATE if now > left + RETAINED_TOLERANCE else PlanLoss.NONE
+    if edges is None:
+        dirt.retain(plan, elapsed)
+    else:
+        dirt.retain_edges(edges.parents, edges.controls, edges.durations, edges.targets)
+    if dirt.retained_nodes[len(durations) - 1] >= 0:
+        return PlanLoss.ESTIMATE if dirt.best_cost > rest.left + RETAINED_TOLERANCE else PlanLoss.NONE
     first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))
     begun = elapsed - float(plan.durations[:first].sum())
     planned = dirt.edge(plan.states[first], plan.controls[first], max(begun, 0.0))[0][-1]

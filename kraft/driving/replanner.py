@@ -224,6 +224,7 @@ class Replanner:
             contingency=decision.contingency,
             predicted=replace(decision.predicted, delta=self._delta_at(decision.predicted.states)),
             lost=proposal.lost,
+            switch_refused=proposal.switch_refused,
             contingency_origin=decision.origin,
             tree=proposal.tree,
         )

@@ -87,6 +87,7 @@ def cycle_content(cycle: Cycle) -> dict[str, Any]:
         "nodes": cycle.nodes,
         "retained": cycle.retained,
         "lost": str(cycle.lost),
+        "switch_refused": bool(cycle.switch_refused),
         "contingency_origin": None if cycle.contingency_origin is None else str(cycle.contingency_origin),
         "planning_ms": cycle.planning_ms,
         "missed": bool(cycle.missed),

@@ -63,6 +63,11 @@ from ompl_ext.kernels.tree import add_to_indices, closed_radius, distance_square
 from ompl_ext.trigonometry import cos, sin
 
 EXPLORATION_INSERTIONS = 4  # candidates that an exploring visit adds
+MAX_DEVIATION = 0.01  # of the end of a retained edge from its target, beyond which it is corrected (m)
+DEVIATION_LENGTH, DEVIATION_SPEED = 0.3, 0.2  # with which errors of heading (m/rad) and duration (m/s) count
+LARGEST_CORRECTION = 0.4  # share of a control's range, or of the duration
+CORRECTION_ROUNDS = 4
+CORRECTION_TRIES = 4  # lanes that are tried if SAFETY refuses those that end nearer to the target
 Propagate = Callable[[Floats, int, Problem, Lanes], None]
 Check = Callable[[int, float, Problem, Lanes], float]
 Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
@@ -265,6 +270,80 @@ def visit(
             lane = best_lane(work, lanes, start, tree.best[0], problem, check)
 
 
+@part
+def deviation_squared(problem: Problem, retained: Retained, k: int, work: Lanes, lane: int) -> float:
+    """Squared deviation (m^2) of a lane's end from the target of a retained edge; 0 without a target.
+
+    Errors of the heading and of the duration count with a length and a speed.
+    """
+    if k >= len(retained.target):
+        return 0.0
+    weight = problem.scalar[HEADING_WEIGHT]
+    late = DEVIATION_SPEED * (work.duration[lane] - retained.edge[k, retained.edge.shape[1] - 1])
+    total = late * late
+    for c in range(Q_DIM):
+        difference = work.end[c * LANE_WIDTH + lane] - retained.target[k, c]
+        if c >= 2:
+            difference *= DEVIATION_LENGTH / weight if weight > 0.0 else 0.0
+        total += difference * difference
+    return total
+
+
+@part
+def vary_edge(tree: Tree, problem: Problem, work: Lanes, lanes: int, spread: float) -> None:
+    """Set the lanes after lane 0 to its control and duration with random changes, most of them small."""
+    shortest, longest = min(problem.scalar[SHORTEST], work.duration[0]), problem.scalar[LONGEST]
+    for i in range(1, lanes):
+        r = 2.0 * uniform(tree.random) - 1.0
+        set_duration(problem, work, i, min(max(work.duration[0] * (1.0 + spread * r * r * r), shortest), longest))
+        for c in range(len(problem.controls)):
+            low, high = problem.controls[c, 0], problem.controls[c, 1]
+            r = 2.0 * uniform(tree.random) - 1.0
+            varied = work.control[c * LANE_WIDTH] + spread * (high - low) * r * r * r
+            work.control[c * LANE_WIDTH + i] = min(max(varied, low), high)
+
+
+@part
+def nearest_lane(problem: Problem, retained: Retained, k: int, work: Lanes, lanes: int) -> int:
+    """Free lane that ends nearest to the target of a retained edge; -1 if there is none."""
+    chosen, nearest = -1, math.inf
+    for i in range(lanes):
+        if work.slack[i] >= 0.0 and work.togo[i] < UNREACHABLE:
+            d2 = deviation_squared(problem, retained, k, work, i)
+            if d2 < nearest:
+                chosen, nearest = i, d2
+    return chosen
+
+
+@inlined
+def propagate_retained(
+    tree: Tree,
+    problem: Problem,
+    work: Lanes,
+    brake: Lanes,
+    retained: Retained,
+    k: int,
+    parent: int,
+    lanes: int,
+    propagate: Propagate,
+    check: Check,
+    safe: Safe,
+) -> int:
+    """Propagate lanes from a node; the free and safe lane that ends nearest to the target of edge k, -1 if none."""
+    start = tree.value[parent, COST]
+    propagate(tree.state[parent], lanes, problem, work)
+    for i in range(lanes):
+        work.slack[i] = check(i, start, problem, work)
+    tree.count[EDGES] += lanes
+    lane, tries = nearest_lane(problem, retained, k, work, lanes), 0
+    while lane >= 0 and requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
+        tree.count[UNSAFE] += 1
+        tries += 1
+        work.slack[lane] = -1.0
+        lane = nearest_lane(problem, retained, k, work, lanes) if tries < CORRECTION_TRIES else -1
+    return lane
+
+
 @inlined
 def retain(
     tree: Tree,
@@ -276,24 +355,39 @@ def retain(
     check: Check,
     safe: Safe,
 ) -> None:
-    """Add the free and safe part of an earlier plan or tree, propagated from the root (Alg. 1, l. 2-8)."""
+    """Add the free and safe part of an earlier plan or tree, propagated from the root (Alg. 1, l. 2-8).
+
+    An edge with a target that fails, or ends too far from it, is corrected: it is varied at random around the best
+    variant so far, with smaller and smaller changes.
+    """
     nu = tree.edge.shape[1] - 1
-    lane, lanes = int64(0), int64(1)  # not literals: numba compiles the callees once more for each
+    single, first = int64(1), int64(0)  # not literals: numba compiles the callees once more for each
     for k in range(len(retained.parent)):
         parent = 0 if retained.parent[k] < 0 else retained.node[retained.parent[k]]
         retained.node[k] = -1
         if parent < 0:
             continue
         for c in range(nu):
-            work.control[c * LANE_WIDTH + lane] = retained.edge[k, c]
-        set_duration(problem, work, lane, retained.edge[k, nu])
-        propagate(tree.state[parent], lanes, problem, work)
-        tree.count[EDGES] += 1
-        start = tree.value[parent, COST]
-        if check(lane, start, problem, work) < 0.0 or work.togo[lane] >= UNREACHABLE:
-            continue
-        if requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
-            tree.count[UNSAFE] += 1
-            continue
-        retained.node[k] = insert(tree, problem, parent, lane, work)
-        tree.count[RETAINED] += 1 if retained.node[k] >= 0 else 0
+            work.control[c * LANE_WIDTH] = retained.edge[k, c]
+        set_duration(problem, work, first, retained.edge[k, nu])
+        found = propagate_retained(tree, problem, work, brake, retained, k, parent, single, propagate, check, safe)
+        if k < len(retained.target) and (
+            found < 0 or deviation_squared(problem, retained, k, work, first) > MAX_DEVIATION * MAX_DEVIATION
+        ):
+            spread = LARGEST_CORRECTION
+            for _ in range(CORRECTION_ROUNDS):
+                lanes = problem.option[BLOSSOM]
+                vary_edge(tree, problem, work, lanes, spread)
+                lane = propagate_retained(
+                    tree, problem, work, brake, retained, k, parent, lanes, propagate, check, safe
+                )
+                if lane >= 0:
+                    found, spread = first, spread / 3.0
+                    work.duration[0], work.steps[0] = work.duration[lane], work.steps[lane]
+                    for c in range(nu):
+                        work.control[c * LANE_WIDTH] = work.control[c * LANE_WIDTH + lane]
+            if found >= 0:
+                propagate(tree.state[parent], single, problem, work)
+        if found >= 0:
+            retained.node[k] = insert(tree, problem, parent, first, work)
+            tree.count[RETAINED] += 1 if retained.node[k] >= 0 else 0

@@ -128,6 +128,7 @@ class Retained(NamedTuple):
 
     parent: Ints  # index of the parent edge, -1 at the root
     edge: Matrix  # (edges, nu + 1) control and duration
+    target: Matrix  # (n, Q_DIM) configurations where the first n edges ended; these edges are corrected to end there
     node: Ints  # node of each edge's end in the tree, -1 if the edge was omitted
 
 

@@ -1,0 +1,100 @@
+"""Part of an earlier tree that a later query retains: what lies below the edge that is in progress when it begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.kernel_types import Tree
+from ompl_ext.plan import Plan
+from ompl_ext.query import remaining_edges
+
+
+@dataclass(frozen=True)
+class RetainableEdges:
+    """Edges that a query may retain, parents before children; the first `rest` are those of the rest of a plan.
+
+    `parents` (n,) are indices of edges, -1 for the root; `controls` (n, nu) are held for `durations` (n,) s.
+    `targets` (rest, Q_DIM) are the configurations in which the rest of the plan was to end its edges.
+    """
+
+    parents: Ints
+    controls: Matrix
+    durations: Floats
+    targets: Matrix
+    rest: int
+
+
+def retainable_edges(tree: Tree, plan: Plan, targets: Matrix, elapsed: float, limit: int) -> RetainableEdges:
+    """Rest of a plan after `elapsed` s, and the most promising edges of its tree that begin on it.
+
+    Args:
+        tree: the tree that the plan was found in; parts of the plan that it no longer has are retained too.
+        plan: plan of which the rest is executed.
+        targets: configurations (edges, Q_DIM) at the ends of the plan's edges.
+        elapsed: time after the plan's start at which the query begins, s.
+        limit: largest number of edges beyond the rest of the plan; the ones with the lowest f are chosen.
+    """
+    parents, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
+    rest, first = len(durations), len(plan.durations) - len(durations)
+    path = _nodes_of(tree, plan)
+    size = int(tree.count[at.SIZE])
+    on_path = np.full(size, -2)  # index of the edge to a node, -2 for nodes that are not retained
+    begun = elapsed - float(plan.durations[:first].sum())
+    if begun < 1e-9 and first < len(path):
+        on_path[path[first]] = -1  # an edge begins where the query begins
+    for k, node in enumerate(path[first + 1 :]):
+        on_path[node] = k
+    chosen = _most_promising(tree, on_path > -2, limit)
+    index = on_path
+    index[chosen] = rest + np.arange(len(chosen))
+    return RetainableEdges(
+        parents=np.concatenate([np.array(parents, np.int64), index[tree.link[chosen, at.PARENT]]]),
+        controls=np.vstack([controls, tree.edge[chosen, :-1]]),
+        durations=np.concatenate([durations, tree.edge[chosen, -1]]),
+        targets=targets[first:],
+        rest=rest,
+    )
+
+
+def _nodes_of(tree: Tree, plan: Plan) -> list[int]:
+    """Nodes of a plan from the root on, as far as the tree has them."""
+    parent, edges = tree.link[: tree.count[at.SIZE], at.PARENT], np.column_stack([plan.controls, plan.durations])
+    path = [int(np.flatnonzero(parent < 0)[0])]
+    for edge in edges:
+        children = np.flatnonzero(parent == path[-1])
+        same = children[np.all(tree.edge[children] == edge, axis=1)]
+        if len(same) == 0:
+            break
+        path.append(int(same[0]))
+    return path
+
+
+def _most_promising(tree: Tree, path: Bools, limit: int) -> Ints:
+    """Nodes (n,) below a path, in their order, that can still lead to a better plan: those with the lowest f.
+
+    Their ancestors up to the path count towards the limit.
+    """
+    size = len(path)
+    parent = np.maximum(tree.link[:size, at.PARENT], 0)
+    below, above = path.copy(), parent
+    while np.any(above != above[above]):
+        below |= below[above]
+        above = above[above]
+    below |= below[above]
+    f = tree.value[:size, at.F]
+    useful = below & ~path & (tree.value[:size, at.RADIUS] > 0.0) & (f < tree.best[0])
+    keep, kept = path.copy(), 0
+    for node in np.flatnonzero(useful)[np.argsort(f[useful], kind="stable")]:
+        missing, ancestor = [], int(node)
+        while not keep[ancestor]:
+            missing.append(ancestor)
+            ancestor = int(parent[ancestor])
+        if kept + len(missing) > limit:
+            break
+        keep[missing] = True
+        kept += len(missing)
+    return np.flatnonzero(keep & ~path)

@@ -1,0 +1,180 @@
+"""A plan that is kept: the tree that a cycle retains, the budget that it spends, the gain that it asks of another way."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from support.replanner import FARSIGHTED, drive, mushr, replanner, start
+
+from kraft.driving.method import PlannerSettings
+from kraft.driving.proposer import Proposer, Rest, Solvers, total_cost
+from kraft.driving.ways import goes_same_way
+from kraft.planning.workspace import start_state
+from kraft.scenario import Task, load_scenario
+from ompl_ext.arrays import Floats
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.plan import Plan
+from ompl_ext.solver import DirtSolver
+
+MOVED = np.array([0.02, -0.02, 0.04, 0.0])
+
+
+@cache
+def boxes() -> Task:
+    return load_scenario("boxes").task()
+
+
+def proposer(task: Task | None = None, **settings: object) -> Proposer:
+    return replanner(task=task, **settings)._proposer  # type: ignore[arg-type]
+
+
+def proposed(subject: Proposer) -> Plan:
+    plan = subject.propose(0, start(), None).plan
+    assert plan is not None
+    return plan
+
+
+def after_a_cycle(plan: Plan, moved: Floats | float = 0.0) -> Floats:
+    state: Floats = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
+    return state + moved
+
+
+def rest_of(subject: Proposer, plan: Plan) -> Rest:
+    rest = subject._rest(plan)
+    assert rest is not None
+    return rest
+
+
+def end_after_retaining(retain: str, moved: Floats) -> tuple[float, Floats]:
+    """Distance of the end of the retained rest from the plan's end, m, and its state (nx,); inf if it was lost."""
+    subject = proposer(retain=retain)
+    plan = proposed(subject)
+    edges = len(plan.durations) - int(np.searchsorted(plan.durations.cumsum(), 1.0 + 1e-9, side="right"))
+    subject.propose(1, after_a_cycle(plan, moved), plan)
+    node = int(subject.dirt.retained_nodes[edges - 1])
+    if node < 0:
+        return math.inf, plan.states[-1]
+    end = subject.dirt.tree_arrays.state[node]
+    return math.dist(end[:2], plan.states[-1][:2]), end
+
+
+def test_a_cycle_retains_the_rest_of_the_plan_and_edges_of_its_tree_that_begin_on_it() -> None:
+    subject = proposer(retain="tree")
+    plan = proposed(subject)
+    before, edges = subject.dirt.tree(), rest_of(subject, plan).edges
+    assert edges is not None
+    assert len(edges.parents) > edges.rest == len(edges.targets) > 0
+    assert edges.durations[: edges.rest].sum() == pytest.approx(plan.cost - 1.0)
+    assert all(parent < k for k, parent in enumerate(edges.parents))
+    known = {(*control, duration) for control, duration in zip(before.controls, before.durations, strict=True)}
+    for control, duration in zip(edges.controls[edges.rest :], edges.durations[edges.rest :], strict=True):
+        assert (*control, duration) in known
+    proposal = subject.propose(1, after_a_cycle(plan), plan)
+    assert proposal.retained > edges.rest
+    rest_ends = subject.dirt.retained_nodes[edges.rest - 1]
+    assert subject.dirt.tree_arrays.value[rest_ends, at.COST] == pytest.approx(plan.cost - 1.0)
+
+
+def test_no_more_edges_than_the_limit_are_retained_and_the_most_promising_first() -> None:
+    subject = proposer(retain="tree")
+    plan = proposed(subject)
+    everything, few = (subject.dirt.retainable_edges(plan, 1.0, limit) for limit in (1000, 3))
+    assert len(few.parents) <= few.rest + 3 < len(everything.parents)
+    none = subject.dirt.retainable_edges(plan, 1.0, 0)
+    assert len(none.parents) == none.rest
+
+
+def test_nothing_of_a_tree_is_retained_after_a_plan_of_another_proposal() -> None:
+    subject = proposer(retain="tree")
+    plan = proposed(subject)
+    subject.propose(1, after_a_cycle(plan), plan)
+    assert rest_of(subject, plan).edges is None
+    assert subject._rest(None) is None
+
+
+def test_from_a_state_that_differs_a_little_the_rest_is_corrected_to_end_where_it_was_to_end() -> None:
+    as_it_is, _ = end_after_retaining("plan", MOVED)
+    corrected, _ = end_after_retaining("tree", MOVED)
+    assert corrected < 0.05
+    assert corrected < 0.5 * as_it_is
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.03])
+def test_with_the_same_seed_a_tree_is_retained_and_grown_the_same(margin: float) -> None:
+    settings = {"retain": "tree", "max_iterations": 600, "switch_gain": 1.0, "margin": margin, "safety": FARSIGHTED}
+    one, two = (drive(replanner(**settings), 4, error=MOVED / 2) for _ in range(2))  # type: ignore[arg-type]
+    assert [(c.cost_to_goal, c.nodes, c.retained) for c in one] == [(c.cost_to_goal, c.nodes, c.retained) for c in two]
+    assert max(cycle.retained for cycle in one) > 0
+
+
+def test_a_search_spends_more_until_the_goal_is_reached_and_stops_at_the_largest_budget() -> None:
+    unreached = proposer(iterations=20, max_iterations=60)
+    proposal = unreached.propose(0, start(), None)
+    assert proposal.iterations == 60
+    assert proposal.plan is None or not proposal.plan.reaches_goal
+    assert proposer(iterations=20).propose(0, start(), None).iterations == 20
+
+
+def test_a_search_that_has_converged_spends_no_more() -> None:
+    cycles = drive(replanner(iterations=300, max_iterations=3000, retain="tree"), 6)
+    assert cycles[0].iterations > 300
+    assert min(cycle.iterations for cycle in cycles) == 300
+    assert max(cycle.iterations for cycle in cycles) <= 3000
+
+
+def test_the_largest_budget_is_not_below_the_smallest() -> None:
+    with pytest.raises(ValueError, match="less than iterations"):
+        PlannerSettings(mode="replanning", iterations=1000, max_iterations=999)
+    assert PlannerSettings(mode="replanning", iterations=1000).largest_budget == 1000
+
+
+@cache
+def two_ways() -> tuple[Plan, Plan]:
+    """Two plans that pass the first box of Boxes on different sides, the cheaper one first."""
+    solvers = Solvers.of(boxes(), mushr(), PlannerSettings(mode="replanning"))
+    dirt, plans = solvers.checking, list[Plan]()
+    for seed in range(12):
+        dirt.start(start_state(boxes(), mushr()), seed)
+        dirt.grow(iterations=2000)
+        plan = dirt.plan()
+        assert plan is not None
+        plans.append(plan)
+    to_goal = sorted((plan for plan in plans if plan.reaches_goal), key=total_cost)
+    for one, two in itertools.combinations(to_goal, 2):
+        if total_cost(two) > total_cost(one) + 0.01 and not goes_same_way(dirt, one, two):
+            return one, two
+    raise AssertionError("all plans go the same way")
+
+
+def with_both(subject: Proposer) -> tuple[DirtSolver, Plan]:
+    """Solver whose tree has both plans, and the dearer one, which was retained."""
+    (cheap, dear), dirt = two_ways(), subject.dirt
+    dirt.start(start_state(boxes(), mushr()))
+    dirt.retain(dear)
+    kept = dirt.plan_to(int(dirt.retained_nodes[-1]))
+    dirt.retain(cheap)
+    return dirt, kept
+
+
+def test_another_way_is_refused_below_the_gain_and_taken_above_it() -> None:
+    cheap, dear = two_ways()
+    saved = total_cost(dear) - total_cost(cheap)
+    for gain, refused in ((0.0, False), (0.9 * saved, False), (1.1 * saved, True)):
+        subject = proposer(boxes(), switch_gain=gain)
+        dirt, kept = with_both(subject)
+        plan, was_refused = subject._choose(dirt, kept)
+        assert plan is not None
+        assert was_refused is refused
+        assert total_cost(plan) == pytest.approx(total_cost(dear if refused else cheap))
+
+
+def test_a_plan_goes_the_same_way_as_itself_and_not_the_way_on_the_other_side_of_a_box() -> None:
+    cheap, dear = two_ways()
+    dirt = proposer(boxes()).dirt
+    assert goes_same_way(dirt, cheap, cheap)
+    assert not goes_same_way(dirt, cheap, dear)
+    assert not goes_same_way(dirt, dear, cheap)
