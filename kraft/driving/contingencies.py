@@ -6,9 +6,9 @@ that manoeuvre, which differs from it by centimetres.  Here the closed loop is p
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -52,10 +52,24 @@ class TrackedContingency:
         return self.predicted.slack >= 0.0
 
     @property
-    def rank(self) -> tuple[bool, float, float, float]:
+    def slack(self) -> int:
+        """Least slack in 1 / RESOLUTION m."""
+        return round(self.predicted.slack * RESOLUTION)
+
+    @property
+    def rank(self) -> tuple[bool, float, int, float]:
         """Sort key: verified, the lowest impact speed, the largest least slack, the earliest standstill."""
-        slack = round(self.predicted.slack * RESOLUTION)
-        return self.is_verified, -self.impact_speed, slack, -float(self.predicted.times[-1])
+        return self.is_verified, -self.impact_speed, self.slack, -float(self.predicted.times[-1])
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Contingency before it is tracked: least slack in the model (in 1 / RESOLUTION m), end (s), origin, reference."""
+
+    slack: int
+    end: float
+    origin: ContingencyOrigin
+    reference: Callable[[], Reference]
 
 
 class ContingencyRanking:
@@ -72,21 +86,28 @@ class ContingencyRanking:
 
         Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
         """
-        candidates = self._candidates(state, time, in_hand, plans)
-        bound, found, count = self._rounded(np.asarray(state)[None, :]), None, 0
-        for slack, reference, origin in sorted(candidates, key=lambda each: (-each[0], each[1].end)):
-            if found is not None and count >= PREDICTIONS * (1 if found.is_verified else 2):
-                break
-            if found is not None and found.is_verified:
-                best = round(found.predicted.slack * RESOLUTION)
-                if best >= bound or slack + TRACKING * RESOLUTION < best:  # no other can be better
-                    break
-            tracked = self._track(state, time, reference, origin)
-            count += 1
-            if found is None or tracked.rank > found.rank:
-                found = tracked
+        bound = self._rounded(np.asarray(state)[None, :])  # all candidates begin here
+        found: TrackedContingency | None = None
+        for candidates in (self._immediate(state, time, in_hand), self._along(state, time, plans)):
+            if found is None or found.slack < bound:
+                found = self._better(found, list(candidates), state, time, bound)
         assert found is not None, "a vehicle has manoeuvres"
         return found if found.is_verified else replace(found, origin=ContingencyOrigin.EMERGENCY)
+
+    def _better(
+        self, found: TrackedContingency | None, candidates: list[_Candidate], state: Floats, time: float, bound: int
+    ) -> TrackedContingency | None:
+        """Best of `found` and of the candidates; only those are tracked that can be better."""
+        for count, candidate in enumerate(sorted(candidates, key=lambda each: (-each.slack, each.end))):
+            if found is not None and found.is_verified:
+                beaten = candidate.slack + TRACKING * RESOLUTION < found.slack
+                if beaten or found.slack >= bound or count >= PREDICTIONS:
+                    break
+            elif count >= 2 * PREDICTIONS:
+                break
+            tracked = self._track(state, time, candidate.reference(), candidate.origin)
+            found = tracked if found is None or tracked.rank > found.rank else found
+        return found
 
     def _track(self, state: Floats, time: float, reference: Reference, origin: ContingencyOrigin) -> TrackedContingency:
         predicted = self._predict.until_rest(state, time, reference)
@@ -101,32 +122,38 @@ class ContingencyRanking:
     def _rounded(self, states: Matrix) -> int:
         return round(least_slack(self._dirt, states) * RESOLUTION)
 
-    def _candidates(
-        self, state: Floats, time: float, in_hand: Reference | None, plans: Sequence[Reference]
-    ) -> Iterator[tuple[int, Reference, ContingencyOrigin]]:
-        """Rounded least slack in the model, reference and origin of each candidate."""
-        for reference in self._manoeuvres(state, time):
-            yield self._rounded(reference.states), reference, ContingencyOrigin.SAFE
+    def _immediate(self, state: Floats, time: float, in_hand: Reference | None) -> Iterator[_Candidate]:
+        """All manoeuvres, and the contingency in hand."""
+        for number, states in enumerate(self._dirt.manoeuvres(state)):
+            build = partial(self._manoeuvre, number, time, states)
+            yield _Candidate(self._rounded(states), self._end(time, states), ContingencyOrigin.SAFE, build)
         if in_hand is not None:
             left = in_hand.states[in_hand.times >= min(time, in_hand.end)]
-            yield self._rounded(left), in_hand, ContingencyOrigin.IN_HAND
-        if is_resting(self._dirt, state):  # a contingency does not move a vehicle that stands
-            return
-        for plan in plans:
-            for duration in FOLLOWED:
-                if time + duration < plan.end:
-                    for reference in self._manoeuvres(plan.state_at(time + duration), time + duration):
-                        after = _joined(plan, time, reference)
-                        yield self._rounded(after.states), after, ContingencyOrigin.PLAN_THEN_STOP
+            yield _Candidate(self._rounded(left), in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
+
+    def _along(self, state: Floats, time: float, plans: Sequence[Reference]) -> Iterator[_Candidate]:
+        """Contingencies that follow a plan first; they do not move a vehicle that stands."""
+        for plan in plans if not is_resting(self._dirt, state) else ():
+            for leaves in (time + duration for duration in FOLLOWED if time + duration < plan.end):
+                _, followed, _ = _part(plan, time, leaves)
+                for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
+                    slack = self._rounded(np.vstack([followed, states]))
+                    build = partial(self._after, plan, time, number, leaves, states)
+                    yield _Candidate(slack, self._end(leaves, states), ContingencyOrigin.PLAN_THEN_STOP, build)
             creeping = self._creeping(state, time, plan)
             if creeping is not None:
-                yield self._rounded(creeping.states), creeping, ContingencyOrigin.CREEPING
+                slack = self._rounded(creeping.states)
+                yield _Candidate(slack, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
 
-    def _manoeuvres(self, state: Floats, time: float) -> Iterator[Reference]:
-        dirt = self._dirt
-        for number, states in enumerate(dirt.manoeuvres(state)):
-            times: Floats = time + dirt.safety.step * np.arange(len(states), dtype=float)
-            yield manoeuvre_reference(dirt.vehicle, number, times, states)
+    def _end(self, time: float, states: Matrix) -> float:
+        return time + self._dirt.safety.step * (len(states) - 1)
+
+    def _manoeuvre(self, number: int, time: float, states: Matrix) -> Reference:
+        times: Floats = time + self._dirt.safety.step * np.arange(len(states), dtype=float)
+        return manoeuvre_reference(self._dirt.vehicle, number, times, states)
+
+    def _after(self, plan: Reference, begin: float, number: int, leaves: float, states: Matrix) -> Reference:
+        return _joined(plan, begin, self._manoeuvre(number, leaves, states))
 
     def _creeping(self, state: Floats, time: float, plan: Reference) -> Reference | None:
         """Path of a plan from `time` s on, at low speed as soon as the brakes allow, then standstill.
@@ -147,7 +174,7 @@ class ContingencyRanking:
         controls = np.array([plan.control_at(float(t)) for t in np.interp(arc_lengths[:-1], places, planned)])
         controls[:, model.throttle] = [self._throttle(*pair) for pair in zip(states[:-1], speeds[1:], strict=True)]
         moving = Reference(ReferenceKind.PLAN, times, states, controls, plan.rest)
-        return _joined(moving, time, next(self._manoeuvres(states[-1], float(times[-1]))))
+        return _joined(moving, time, self._manoeuvre(0, float(times[-1]), self._dirt.manoeuvres(states[-1])[0]))
 
     def _creeping_speeds(self, state: Floats, length: float) -> tuple[list[float], list[float]]:
         """Speeds (m/s) and arc lengths (m) up to `length`, one for each step: braking first, then creeping."""

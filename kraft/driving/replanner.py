@@ -31,7 +31,6 @@ from kraft.driving.stopping import (  # fmt: skip
     ClosedLoopPredictor,
     contingency_reference,
     emergency_reference,
-    is_resting,
     plan_reference,
     required_clearance,
 )
@@ -45,8 +44,8 @@ class Decision:
     """Reference committed for a cycle, and the reason if it is a contingency; `plan` is None then.
 
     `predicted` is the predicted motion over the cycle and `contingency` the manoeuvre that stops the vehicle after it;
-    `origin` is that of a committed contingency.  `stopping` is the predicted motion of the contingency until standstill,
-    if it is known.
+    `origin` is that of a committed contingency.  `stopping` is the predicted motion of the contingency until
+    standstill, if it is known.
     """
 
     reference: Reference
@@ -246,7 +245,9 @@ class Replanner:
 
     def _with_delta(self, motion: PredictedMotion) -> PredictedMotion:
         """A motion with the clearance that SAFETY asks of it, if it asks for any."""
-        return replace(motion, delta=required_clearance(self.dirt, motion.states)) if self.dirt.safety.enabled else motion
+        return (
+            replace(motion, delta=required_clearance(self.dirt, motion.states)) if self.dirt.safety.enabled else motion
+        )
 
     def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
         vehicle, plan, proposal, stopping = self.dirt.vehicle, decision.plan, self._proposal, decision.stopping
