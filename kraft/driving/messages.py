@@ -65,6 +65,8 @@ class ContingencyOrigin(StrEnum):
     """the path of a plan for a while, then a manoeuvre, verified from the predicted start of the cycle"""
     CREEPING = "creeping"
     """the path of a plan at low speed, then standstill, verified from the predicted start of the cycle"""
+    STANDING = "standing"
+    """the vehicle stands, and stays where it is"""
     EMERGENCY = "emergency"
     """verified by nothing"""
 

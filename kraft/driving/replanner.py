@@ -24,19 +24,25 @@ from kraft.driving.messages import (  # fmt: skip
     PredictedMotion,
     Reference,
     ReferenceKind,
+    Stop,
 )
 from kraft.driving.method import PlannerSettings
-from kraft.driving.proposer import Proposal, Proposer, Solvers
+from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer, Solvers
 from kraft.driving.stopping import (  # fmt: skip
     ClosedLoopPredictor,
     contingency_reference,
     emergency_reference,
+    is_resting,
+    least_slack,
     plan_reference,
     required_clearance,
 )
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
+
+SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
+NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
 
 @dataclass(frozen=True)
@@ -89,6 +95,7 @@ class Replanner:
         self._ranking: ContingencyRanking | None = None
         if settings.contingencies == "tracked":
             self._ranking = ContingencyRanking(self.dirt, self._predict, CarModel(self.dirt.vehicle))
+        self._delta = self.dirt.safety.delta
         self._one_shot = settings.mode == "one-shot"
         self._cycle_offset = max(0.0, delay - settings.lead)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
@@ -100,10 +107,7 @@ class Replanner:
     def begin(self, state: Floats) -> Commitment:
         """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest."""
         self._proposal = self._proposer.propose(0, state, None)
-        no_controls = np.zeros((0, len(self._zero_control)))
-        return Commitment(
-            Reference(ReferenceKind.CONTINGENCY, np.zeros(1), state[None, :], no_controls, self._zero_control)
-        )
+        return Commitment(self._standing(state, 0.0))
 
     @property
     def next_step(self) -> float:
@@ -119,7 +123,10 @@ class Replanner:
         commitment of the result from the start of the cycle on, which is when it has arrived.
         """
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
+        if self._stands(estimate, current):
+            estimate = replace(estimate, state=self._at_rest(estimate.state))
         root, current = self._root(estimate, cycle_start, current)
+        self._relax(root)
         decision = self._decide(root, cycle_start, estimate, current)
         self._contingency = decision.contingency
         cycle = self._record(decision, cycle_start, estimate)
@@ -128,6 +135,29 @@ class Replanner:
         if not self._one_shot:
             self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
         return cycle
+
+    def _stands(self, estimate: Estimate, current: Commitment) -> bool:
+        """Whether the contingency on board has stopped the vehicle; its estimated speed is noise then."""
+        tracked = current.reference_at(estimate.time)
+        over = tracked.kind is ReferenceKind.CONTINGENCY and estimate.time >= tracked.end + SETTLED
+        return self._switches and over and abs(float(estimate.state[self.dirt.vehicle.rest_indices[0]])) < NOISE
+
+    def _at_rest(self, state: Floats) -> Floats:
+        state = state.copy()
+        state[list(self.dirt.vehicle.rest_indices)] = 0.0
+        return state
+
+    def _relax(self, root: Floats) -> None:
+        """Lower the clearance for a vehicle with `recover` that stands with less, or is about to leave such a place.
+
+        The clearance for which the plan was made rests on an older estimate.
+        """
+        dirt = self.dirt
+        leaves = is_resting(dirt, root) or dirt.safety.delta < self._delta
+        if self._switches and self._settings.recover and leaves:
+            slack = least_slack(dirt, root[None, :])
+            if slack < 0.0 or dirt.safety.delta < self._delta:
+                dirt.set_delta(min(self._delta, max(0.0, dirt.safety.delta + slack - RECOVERY_MARGIN)))
 
     def _root(self, estimate: Estimate, cycle_start: float, current: Commitment) -> tuple[Floats, Commitment]:
         """Predicted state (nx,) at the start of the cycle, and the commitment that is on board until then."""
@@ -187,6 +217,8 @@ class Replanner:
         Tracked contingencies have one ranking instead.
         """
         cycle_end = cycle_start + self._settings.cycle
+        if self._switches and is_resting(self.dirt, root):
+            return self._stand(root, cycle_start, reason)
         tracked = current.reference_at(cycle_start)
         stored = tracked if tracked.kind is ReferenceKind.CONTINGENCY else self._contingency
         if self._ranking is not None:
@@ -203,6 +235,19 @@ class Replanner:
         predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
         stopping = self._predict.until_rest(root, cycle_start, reference) if self._switches else None
         return Decision(reference, predicted, reason, None, reference, origin, stopping)
+
+    def _stand(self, root: Floats, cycle_start: float, reason: str) -> Decision:
+        """Commit that the vehicle stays where it stands."""
+        root = self._at_rest(root)
+        standing = self._standing(root, cycle_start)
+        predicted = self._predict(root, cycle_start, cycle_start + self._settings.cycle, Commitment(standing))
+        return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
+
+    def _standing(self, state: Floats, time: float) -> Reference:
+        no_controls = np.zeros((0, len(self._zero_control)))
+        return Reference(
+            ReferenceKind.CONTINGENCY, np.array([time]), state[None, :], no_controls, self._zero_control, Stop(0, time)
+        )
 
     def _best_contingency(
         self, ranking: ContingencyRanking, root: Floats, time: float, stored: Reference | None, current: Commitment
