@@ -32,7 +32,7 @@ class OnBoard:
 
     def receive(self, commitment: Commitment, estimate: Estimate) -> None:
         """Take a message; a car that the watchdog stops refuses it if it is older than the stop, or poses are."""
-        if self.is_stopping and (commitment.decided < self._stopped or estimate.age > self._limit):
+        if self.is_stopping and (commitment.decided < self._stopped or self._is_blind(estimate)):
             return
         self.commitment, self._arrived, self.is_stopping = commitment, estimate.time, False
 
@@ -52,7 +52,11 @@ class OnBoard:
         ):
             return False  # it stops already, or stands
         silent = reference.kind is ReferenceKind.PLAN and estimate.time - self._arrived > self._silence + 1e-9
-        return silent or estimate.age > self._limit + 1e-9
+        return silent or self._is_blind(estimate)
+
+    def _is_blind(self, estimate: Estimate) -> bool:
+        """Whether the newest observation is too old; at time 0 the car knows where it stands."""
+        return min(estimate.age, estimate.time) > self._limit + 1e-9
 
     def _stop_from(self, estimate: Estimate, reference: Reference) -> Reference:
         """The manoeuvre of the contingency on board, from the estimated state."""
