@@ -117,15 +117,15 @@ class _Drive:
             estimate[:3] = truth - self._lie(truth)
             cycle = replanner.step(Estimate(float(number), estimate, 0.0), current)
             stops += cycle.kind == ReferenceKind.CONTINGENCY
-            predicted = self._predicted(cycle, current)
-            current = cycle.reference
+            predicted = self._predicted(cycle)
+            current = cycle.commitment
             self._offset = truth - predicted.state_at(float(number))[:3]
             broken += self._deviation() > DELTA + 1e-9
             believed = self._execute(predicted, float(number))
         arrived = math.dist((believed[:3] + self._offset)[:2], self._scene.goal.center) < self._scene.goal.radius
         return Episode(self._scene.number, self._hostile, number, stops, arrived, self._clearance, broken)
 
-    def _predicted(self, cycle: Cycle, current: Reference) -> Reference:
+    def _predicted(self, cycle: Cycle) -> Reference:
         """What SAFETY was asked about: the closed loop's prediction for a plan, the manoeuvre for a contingency."""
         if cycle.kind == ReferenceKind.CONTINGENCY:
             return cycle.reference

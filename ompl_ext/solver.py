@@ -277,6 +277,21 @@ class DirtSolver:
         self._brake.source[:] = state
         return self._first_safe_manoeuvre(math.inf, after)
 
+    def manoeuvres(self, state: Floats) -> list[Matrix]:
+        """States (m, nx) of each contingency manoeuvre from a state until standstill, at most up to the horizon.
+
+        A state follows every `safety.step` s; nothing is checked.
+        """
+        self._brake.source[:] = state
+        self._kernels.brake(self._problem, self._work, self._brake, math.inf)
+        trajectory = self._brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)
+        rest, found = list(self.vehicle.rest_indices), []
+        for number in range(len(self.vehicle.manoeuvres)):
+            resting = np.all(np.abs(trajectory[:, rest, number]) <= self.safety.rest_speed, axis=1)
+            samples = int(np.argmax(resting)) + 1 if resting.any() else len(trajectory)
+            found.append(trajectory[:samples, :, number].copy())
+        return found
+
     def tree(self) -> TreeView:
         """Copy of the tree."""
         return tree_view(self._tree, self._tree.state[: self._tree.count[at.SIZE]].copy())
@@ -321,6 +336,18 @@ class DirtSolver:
     def pose_slack(self, x: float, y: float, theta: float) -> float:
         """Lower bound of the footprint's clearance at a pose within the workspace (m)."""
         return self._kernels.pose(*self._maps, x, y, theta)
+
+    def clearances(self, poses: Matrix) -> Floats:
+        """Lower bound (n,) of the footprint's clearance at poses (n, 3), m; as `pose_slack`, but tight everywhere."""
+        field, discs, scalar = self._maps
+        distance = np.full(len(poses), math.inf)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        for offset in discs:
+            row = (poses[:, 1] + offset * s - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
+            column = (poses[:, 0] + offset * c - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
+            inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)
+            distance = np.minimum(distance, field[inside] - scalar[at.DISC_RADIUS])
+        return distance
 
     def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
         """States (samples + 1, nx) at equal intervals along a control held for `duration` s, unchecked."""

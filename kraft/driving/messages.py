@@ -7,6 +7,7 @@ poses are (x, y, theta) in the frame of the map (m, rad).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -72,6 +73,12 @@ class ContingencyOrigin(StrEnum):
     """verified from the predicted start of the cycle"""
     IN_HAND = "in hand"
     """verified by an earlier cycle, whose assumptions still hold"""
+    PLAN_THEN_STOP = "plan, then stop"
+    """the path of a plan for a while, then a manoeuvre, verified from the predicted start of the cycle"""
+    CREEPING = "creeping"
+    """the path of a plan at low speed, then standstill, verified from the predicted start of the cycle"""
+    STANDING = "standing"
+    """the vehicle stands, and stays where it is"""
     EMERGENCY = "emergency"
     """verified by nothing"""
 
@@ -90,10 +97,19 @@ class PlanLoss(StrEnum):
 
 
 @dataclass(frozen=True)
+class Stop:
+    """Number of a manoeuvre that stops the vehicle, and the time at which it begins (s)."""
+
+    manoeuvre: int
+    begin: float
+
+
+@dataclass(frozen=True)
 class Reference:
     """Trajectory to track: states (m, nx) predicted at `times` (m,), ascending, in seconds of the trial.
 
     Each of the `controls` (m - 1, nu) is held from one time to the next; `rest` (nu,) is held after the last time.
+    `stop` is the manoeuvre that ends a contingency; None for a plan.
     """
 
     kind: ReferenceKind
@@ -101,6 +117,7 @@ class Reference:
     states: Matrix
     controls: Matrix
     rest: Floats
+    stop: Stop | None = None
 
     @property
     def start(self) -> float:
@@ -137,6 +154,26 @@ class Reference:
 
 
 @dataclass(frozen=True)
+class Commitment:
+    """Message from the replanner to the car: the reference to track and, from `switch` s on, the contingency after it.
+
+    An infinite `switch` leaves the car on the reference.  The message rests on an estimate at time `decided` (s).
+    `contingency` is None if the method has none.
+    """
+
+    reference: Reference
+    switch: float = math.inf
+    contingency: Reference | None = None
+    decided: float = -math.inf
+
+    def reference_at(self, time: float) -> Reference:
+        """Reference to track at `time` (s), if no later message arrives."""  # Theorem 1, case (b)
+        if self.contingency is None or time < self.switch - 1e-9:
+            return self.reference
+        return self.contingency
+
+
+@dataclass(frozen=True)
 class PredictedMotion:
     """Predicted states (n + 1, nx) at `times` (n + 1,) s.
 
@@ -167,6 +204,9 @@ class Cycle:
     was made, `switch_refused` whether a better plan that goes another way was refused.  `contingency_origin` is None if
     a plan is committed.  `planning_ms` is measured; all other fields are reproducible.  `tree` is None unless trees are
     kept.
+
+    `commitment` is the message to the car, `delivered` whether it arrives.  `stopping` is the predicted motion of the
+    contingency on board until standstill; None if the car stays on the plan.
     """
 
     number: int
@@ -188,3 +228,12 @@ class Cycle:
     switch_refused: bool = False
     contingency_origin: ContingencyOrigin | None = None
     tree: TreeView | None = None
+    switch: float = math.inf
+    decided: float = -math.inf
+    stopping: PredictedMotion | None = None
+    delivered: bool = True
+
+    @property
+    def commitment(self) -> Commitment:
+        """Message to the car."""
+        return Commitment(self.reference, self.switch, self.contingency, self.decided)

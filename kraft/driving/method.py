@@ -88,6 +88,12 @@ class PlannerSettings(StrictModel):
     """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
     recover: bool = False
     """a vehicle that rests nearer to an obstacle than `safety` allows may leave with the clearance that it has"""
+    on_board: Literal["plan", "contingency"] = "plan"
+    """what the car has on board beyond a cycle: the rest of the plan, or the contingency, tracked from its end on"""
+    watchdog: Seconds | None = None
+    """how old the newest observation may be, or how late a message, before the car itself stops; none: never, s"""
+    contingencies: Literal["model", "tracked"] = "model"
+    """contingencies are verified as the model drives them, or as the controller tracks them"""
     vehicle: str | None = None
     """model to plan with instead of the scenario's: a name, a YAML file or code"""
 
@@ -116,6 +122,10 @@ class PlannerSettings(StrictModel):
                 f"expected at least {self.iterations}",
                 ("max_iterations",),
             )
+        if self.on_board == "contingency" and (self.safety is None or self.mode == "one-shot"):
+            raise refuse("needs contingencies", "expected `mode: replanning` and `safety`", ("on_board",))
+        if self.contingencies == "tracked" and (self.safety is None or self.mode == "one-shot"):
+            raise refuse("needs contingencies", "expected `mode: replanning` and `safety`", ("contingencies",))
         return self
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
+from kraft.driving.stopping import least_slack
 from kraft.driving.ways import goes_same_way
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of, settings_of, workspace_of
@@ -158,6 +159,8 @@ class Proposer:
             yield planning, 0.5
         yield checking, 1.0  # returns at once if the root lacks clearance, which leaves all the time to the recovery
         slack = self._slack(checking, root)
+        if self._settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
+            slack = min(slack, least_slack(checking, root[None, :]))
         resting = all(abs(root[k]) <= checking.safety.rest_speed for k in checking.vehicle.rest_indices)
         self._recovering = self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
         if self._recovering:

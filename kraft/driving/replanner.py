@@ -13,14 +13,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kraft.driving.car_model import CarModel
+from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
 from kraft.driving.control import Controller
-from kraft.driving.messages import ContingencyOrigin, Cycle, Estimate, PredictedMotion, Reference, ReferenceKind
+from kraft.driving.messages import (  # fmt: skip
+    Commitment,
+    ContingencyOrigin,
+    Cycle,
+    Estimate,
+    PredictedMotion,
+    Reference,
+    ReferenceKind,
+    Stop,
+)
 from kraft.driving.method import PlannerSettings
-from kraft.driving.proposer import Proposal, Proposer, Solvers
-from kraft.driving.stopping import ClosedLoopPredictor, contingency_reference, emergency_reference, plan_reference
+from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer, Solvers
+from kraft.driving.stopping import (  # fmt: skip
+    ClosedLoopPredictor,
+    contingency_reference,
+    emergency_reference,
+    is_resting,
+    least_slack,
+    plan_reference,
+    required_clearance,
+)
 from kraft.planning.workspace import pose_of
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
+
+SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
+NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
 
 @dataclass(frozen=True)
@@ -28,7 +50,8 @@ class Decision:
     """Reference committed for a cycle, and the reason if it is a contingency; `plan` is None then.
 
     `predicted` is the predicted motion over the cycle and `contingency` the manoeuvre that stops the vehicle after it;
-    `origin` is that of a committed contingency.
+    `origin` is that of a committed contingency.  `stopping` is the predicted motion of the contingency until
+    standstill, if it is known.
     """
 
     reference: Reference
@@ -37,6 +60,7 @@ class Decision:
     plan: Plan | None = None
     contingency: Reference | None = None
     origin: ContingencyOrigin | None = None
+    stopping: PredictedMotion | None = None
 
 
 class Replanner:
@@ -68,28 +92,28 @@ class Replanner:
         self._settings, self._solvers, self.dirt = settings, solvers, solvers.checking
         self._proposer = Proposer(solvers, settings, seed, realtime=realtime, keep_trees=keep_trees)
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
+        self._ranking: ContingencyRanking | None = None
+        self._model: CarModel | None = None
+        if settings.contingencies == "tracked":
+            self._model = CarModel(self.dirt.vehicle)
+            self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
+        self._delta = self.dirt.safety.delta
         self._one_shot = settings.mode == "one-shot"
         self.set_delay(delay)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         self._number = 0
         self._proposal = Proposal(None, "no plan has been made yet")
         self._contingency: Reference | None = None
-        self._in_transit: list[tuple[float, Reference]] = []
+        self._in_transit: list[tuple[float, Commitment]] = []
 
     def set_delay(self, delay: float) -> None:
         """Set the delay from the replanner to the effect of a command (s), as far as it is known now."""
         self._cycle_offset = max(0.0, delay - self._settings.lead)
 
-    def begin(self, state: Floats) -> Reference:
+    def begin(self, state: Floats) -> Commitment:
         """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest."""
         self._proposal = self._proposer.propose(0, state, None)
-        return Reference(
-            ReferenceKind.CONTINGENCY,
-            np.zeros(1),
-            state[None, :],
-            np.zeros((0, len(self._zero_control))),
-            self._zero_control,
-        )
+        return Commitment(self._standing(state, 0.0))
 
     @property
     def next_step(self) -> float:
@@ -98,34 +122,62 @@ class Replanner:
             return math.inf
         return max(0.0, self._number * self._settings.cycle - self._settings.lead)
 
-    def step(self, estimate: Estimate, current: Reference) -> Cycle:
+    def step(self, estimate: Estimate, current: Commitment) -> Cycle:
         """Commit a plan or a contingency for the next cycle, and plan for the cycle after it.
 
-        `current` is the reference that the controller tracks now.  The controller has to track the reference of the
-        result from the start of the cycle on, which is when the reference has arrived.
+        `current` is what the car has on board now: after a lost message, an older one.  The controller has to track the
+        commitment of the result from the start of the cycle on, which is when it has arrived.
         """
         if estimate.parameters is not None:
             self._solvers.set_parameters(estimate.parameters)
+            if self._model is not None:
+                self._model.set_parameters(estimate.parameters)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
+        if self._stands(estimate, current):
+            estimate = replace(estimate, state=self._at_rest(estimate.state))
         root, current = self._root(estimate, cycle_start, current)
+        self._relax(root)
         decision = self._decide(root, cycle_start, estimate, current)
         self._contingency = decision.contingency
-        self._in_transit.append((cycle_start, decision.reference))
         cycle = self._record(decision, cycle_start, estimate)
+        self._in_transit.append((cycle_start, cycle.commitment))
         self._number += 1
         if not self._one_shot:
             self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
         return cycle
 
-    def _root(self, estimate: Estimate, cycle_start: float, current: Reference) -> tuple[Floats, Reference]:
-        """Predicted state (nx,) at the start of the cycle, and the reference that is tracked until then."""
+    def _stands(self, estimate: Estimate, current: Commitment) -> bool:
+        """Whether the contingency on board has stopped the vehicle; its estimated speed is noise then."""
+        tracked = current.reference_at(estimate.time)
+        over = tracked.kind is ReferenceKind.CONTINGENCY and estimate.time >= tracked.end + SETTLED
+        return self._switches and over and abs(float(estimate.state[self.dirt.vehicle.rest_indices[0]])) < NOISE
+
+    def _at_rest(self, state: Floats) -> Floats:
+        state = state.copy()
+        state[list(self.dirt.vehicle.rest_indices)] = 0.0
+        return state
+
+    def _relax(self, root: Floats) -> None:
+        """Lower the clearance for a vehicle with `recover` that stands with less, or is about to leave such a place.
+
+        The clearance for which the plan was made rests on an older estimate.
+        """
+        dirt = self.dirt
+        leaves = is_resting(dirt, root) or dirt.safety.delta < self._delta
+        if self._switches and self._settings.recover and leaves:
+            slack = least_slack(dirt, root[None, :])
+            if slack < 0.0 or dirt.safety.delta < self._delta:
+                dirt.set_delta(min(self._delta, max(0.0, dirt.safety.delta + slack - RECOVERY_MARGIN)))
+
+    def _root(self, estimate: Estimate, cycle_start: float, current: Commitment) -> tuple[Floats, Commitment]:
+        """Predicted state (nx,) at the start of the cycle, and the commitment that is on board until then."""
         state, time = self._nearest_free(estimate.state), estimate.time
         self._in_transit = [sent for sent in self._in_transit if sent[0] > time + 1e-9]
         for arrives, following in self._in_transit:
             state, time, current = self._predict(state, time, arrives, current).final_state, arrives, following
         return self._predict(state, time, cycle_start, current).final_state, current
 
-    def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Reference) -> Decision:
+    def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Commitment) -> Decision:
         """Safety check right before a cycle, from the latest estimate."""
         plan = self._proposal.plan
         if plan is None:
@@ -136,7 +188,7 @@ class Replanner:
             )
         cycle_end = cycle_start + self._settings.cycle
         reference = plan_reference(plan, cycle_start, self._zero_control)
-        predicted = self._predict(root, cycle_start, cycle_end, reference)
+        predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
         if self._one_shot:
             return Decision(reference, predicted, "", plan)
         if predicted.slack < 0.0:
@@ -144,26 +196,77 @@ class Replanner:
             return self._choose_contingency(root, cycle_start, current, reason)
         if not self.dirt.safety.enabled:
             return Decision(reference, predicted, "", plan)
-        stop = self.dirt.contingency(predicted.final_state, cycle_end)  # Alg. 2 where the next cycle will begin
+        stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_end)
         if stop is None:
             return self._choose_contingency(
                 root, cycle_start, current, "from the latest estimate no manoeuvre stops safely after the plan"
             )
-        return Decision(reference, predicted, "", plan, contingency_reference(self.dirt.vehicle, stop))
+        return Decision(reference, predicted, "", plan, stop, stopping=stopping)
 
-    def _choose_contingency(self, root: Floats, cycle_start: float, current: Reference, reason: str) -> Decision:
-        """Commit a contingency: one verified from the root, else the stored one, else the unverified emergency."""
+    def _contingency_after(
+        self, plan: Reference, state: Floats, time: float
+    ) -> tuple[Reference | None, PredictedMotion | None]:
+        """Contingency where the next cycle will begin, and its motion if that is predicted; None if none is safe."""
+        if self._ranking is not None:
+            best = self._ranking.best(state, time, None, [plan])
+            return (best.reference, best.predicted) if best.is_verified else (None, None)
+        safe = self.dirt.contingency(state, time)  # Alg. 2
+        if safe is None:
+            return None, None
+        contingency = contingency_reference(self.dirt.vehicle, safe)
+        return contingency, self._predict.until_rest(state, time, contingency) if self._switches else None
+
+    @property
+    def _switches(self) -> bool:
+        """Whether the car switches to the contingency by itself."""
+        return self._settings.on_board == "contingency"
+
+    def _choose_contingency(self, root: Floats, cycle_start: float, current: Commitment, reason: str) -> Decision:
+        """Commit a contingency: one verified from the root, else the stored one, else the unverified emergency.
+
+        Tracked contingencies have one ranking instead.
+        """
         cycle_end = cycle_start + self._settings.cycle
+        if self._switches and is_resting(self.dirt, root):
+            return self._stand(root, cycle_start, reason)
+        tracked = current.reference_at(cycle_start)
+        stored = tracked if tracked.kind is ReferenceKind.CONTINGENCY else self._contingency
+        if self._ranking is not None:
+            best = self._best_contingency(self._ranking, root, cycle_start, stored, current)
+            predicted = self._predict(root, cycle_start, cycle_end, Commitment(best.reference))
+            return Decision(best.reference, predicted, reason, None, best.reference, best.origin, best.predicted)
         safe = self.dirt.contingency(root, cycle_start)
-        stored = current if current.kind is ReferenceKind.CONTINGENCY else self._contingency
         if safe is not None:
             reference, origin = contingency_reference(self.dirt.vehicle, safe), ContingencyOrigin.SAFE
         elif stored is not None and self._is_near(root, stored.state_at(cycle_start)):
             reference, origin = stored, ContingencyOrigin.IN_HAND
         else:
             reference, origin = emergency_reference(self.dirt, root, cycle_start), ContingencyOrigin.EMERGENCY
-        predicted = self._predict(root, cycle_start, cycle_end, reference)
-        return Decision(reference, predicted, reason, contingency=reference, origin=origin)
+        predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
+        stopping = self._predict.until_rest(root, cycle_start, reference) if self._switches else None
+        return Decision(reference, predicted, reason, None, reference, origin, stopping)
+
+    def _stand(self, root: Floats, cycle_start: float, reason: str) -> Decision:
+        """Commit that the vehicle stays where it stands."""
+        root = self._at_rest(root)
+        standing = self._standing(root, cycle_start)
+        predicted = self._predict(root, cycle_start, cycle_start + self._settings.cycle, Commitment(standing))
+        return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
+
+    def _standing(self, state: Floats, time: float) -> Reference:
+        no_controls = np.zeros((0, len(self._zero_control)))
+        return Reference(
+            ReferenceKind.CONTINGENCY, np.array([time]), state[None, :], no_controls, self._zero_control, Stop(0, time)
+        )
+
+    def _best_contingency(
+        self, ranking: ContingencyRanking, root: Floats, time: float, stored: Reference | None, current: Commitment
+    ) -> TrackedContingency:
+        """Best tracked contingency from the root, with the plan on board and the refused one as paths to follow."""
+        plans = [current.reference] if current.reference.kind is ReferenceKind.PLAN else []
+        if self._proposal.plan is not None:
+            plans.append(plan_reference(self._proposal.plan, time, self._zero_control))
+        return ranking.best(root, time, stored, plans)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
         """Whether no point of the vehicle is farther than 2 delta(v) from the state that a manoeuvre was verified for.
@@ -171,11 +274,10 @@ class Replanner:
         Any point of the vehicle may deviate from its prediction by delta(v), and the estimate from the vehicle by as
         much (Theorem 1).
         """
-        safety, vehicle = self.dirt.safety, self.dirt.vehicle
+        vehicle = self.dirt.vehicle
         (x, y, theta), (x0, y0, theta0) = pose_of(root, vehicle), pose_of(expected, vehicle)
         off = math.hypot(x - x0, y - y0) + vehicle.footprint.reach * abs(math.remainder(theta - theta0, math.tau))
-        delta = safety.delta + safety.delta_per_speed * abs(float(expected[vehicle.rest_indices[0]]))
-        return off <= 2.0 * delta
+        return off <= 2.0 * float(required_clearance(self.dirt, expected[None, :])[0])
 
     def _nearest_free(self, state: Floats) -> Floats:
         """Nearest collision-free state within 0.3 m: a vehicle that still drives has not collided."""
@@ -196,16 +298,14 @@ class Replanner:
         (x0, x1), (y0, y1) = self.dirt.workspace.bounds
         return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= 0.0
 
-    def _delta_at(self, states: Matrix) -> Floats | None:
-        """Clearance delta(v) (n,) that SAFETY asks of states (n, nx), m; None without SAFETY."""
-        safety = self.dirt.safety
-        if not safety.enabled:
-            return None
-        delta: Floats = safety.delta + safety.delta_per_speed * np.abs(states[:, self.dirt.vehicle.rest_indices[0]])
-        return delta
+    def _with_delta(self, motion: PredictedMotion) -> PredictedMotion:
+        """A motion with the clearance that SAFETY asks of it, if it asks for any."""
+        return (
+            replace(motion, delta=required_clearance(self.dirt, motion.states)) if self.dirt.safety.enabled else motion
+        )
 
     def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
-        vehicle, plan, proposal = self.dirt.vehicle, decision.plan, self._proposal
+        vehicle, plan, proposal, stopping = self.dirt.vehicle, decision.plan, self._proposal, decision.stopping
         poses = np.array([pose_of(state, vehicle) for state in decision.predicted.states])
         return Cycle(
             number=self._number,
@@ -222,9 +322,12 @@ class Replanner:
             missed=proposal.missed,
             reference=decision.reference,
             contingency=decision.contingency,
-            predicted=replace(decision.predicted, delta=self._delta_at(decision.predicted.states)),
+            predicted=self._with_delta(decision.predicted),
             lost=proposal.lost,
             switch_refused=proposal.switch_refused,
             contingency_origin=decision.origin,
             tree=proposal.tree,
+            switch=cycle_start + self._settings.cycle if plan is not None and self._switches else math.inf,
+            decided=estimate.time,
+            stopping=self._with_delta(stopping) if self._switches and stopping is not None else None,
         )

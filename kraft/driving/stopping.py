@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kraft.driving.control import Controller
-from kraft.driving.messages import Estimate, PredictedMotion, Reference, ReferenceKind
+from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Reference, ReferenceKind, Stop
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Contingency, Plan
@@ -28,10 +28,15 @@ def plan_reference(plan: Plan, start: float, rest: Floats) -> Reference:
 def contingency_reference(vehicle: Vehicle, contingency: Contingency) -> Reference:
     """Reference of a contingency whose times are those of the trial (s); after its end the control is zero."""
     number = vehicle.manoeuvres.index(contingency.manoeuvre)
-    controls = np.array([stop_control(vehicle, state, number) for state in contingency.states[:-1]])
+    return manoeuvre_reference(vehicle, number, contingency.times, contingency.states)
+
+
+def manoeuvre_reference(vehicle: Vehicle, number: int, times: Floats, states: Matrix) -> Reference:
+    """Reference of manoeuvre `number` with states (m, nx) at `times` (m,) s; after its end the control is zero."""
+    controls = np.array([stop_control(vehicle, state, number) for state in states[:-1]])
     controls = controls.reshape(-1, len(vehicle.controls))
     rest = np.zeros(len(vehicle.controls))  # brakes that stay on would push a standing car backwards
-    return Reference(ReferenceKind.CONTINGENCY, contingency.times, contingency.states, controls, rest)
+    return Reference(ReferenceKind.CONTINGENCY, times, states, controls, rest, Stop(number, float(times[0])))
 
 
 def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
@@ -51,13 +56,27 @@ def emergency_reference(dirt: DirtSolver, state: Floats, start: float) -> Refere
     return max(manoeuvres, key=lambda each: (each.distance, -each.impact_speed)).reference(start, dirt.safety.step)
 
 
+def required_clearance(dirt: DirtSolver, states: Matrix) -> Floats:
+    """Clearance delta(v) (n,) that SAFETY asks of states (n, nx), m."""
+    safety = dirt.safety
+    delta: Floats = safety.delta + safety.delta_per_speed * np.abs(states[:, dirt.vehicle.rest_indices[0]])
+    return delta
+
+
+def least_slack(dirt: DirtSolver, states: Matrix) -> float:
+    """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound."""
+    poses = np.array([pose_of(state, dirt.vehicle) for state in states])
+    return float((dirt.clearances(poses) - required_clearance(dirt, states)).min())
+
+
 @dataclass(frozen=True)
 class _PredictedManoeuvre:
-    """States (m, nx) until standstill and controls (m - 1, nu) between them.
+    """States (m, nx) of manoeuvre `number` until standstill and controls (m - 1, nu) between them.
 
     `distance` is the smallest to an obstacle (m), and `impact_speed` that at the first contact (m/s; 0 without one).
     """
 
+    number: int
     states: Matrix
     controls: Matrix
     distance: float
@@ -79,12 +98,13 @@ class _PredictedManoeuvre:
             states.append(samples[-1])
             if all(abs(states[-1][k]) <= safety.rest_speed for k in vehicle.rest_indices):
                 break
-        return cls(np.array(states), np.array(controls), distance, impact_speed)
+        return cls(number, np.array(states), np.array(controls), distance, impact_speed)
 
     def reference(self, start: float, step: float) -> Reference:
         """Reference that starts at `start` s, with a state every `step` s."""
         times: Floats = start + step * np.arange(len(self.states), dtype=float)
-        return Reference(ReferenceKind.CONTINGENCY, times, self.states, self.controls, np.zeros(self.controls.shape[1]))
+        rest, stop = np.zeros(self.controls.shape[1]), Stop(self.number, start)
+        return Reference(ReferenceKind.CONTINGENCY, times, self.states, self.controls, rest, stop)
 
 
 @dataclass(frozen=True)
@@ -95,8 +115,8 @@ class ClosedLoopPredictor:
     controller: Controller
     period: float
 
-    def __call__(self, state: Floats, begin: float, end: float, reference: Reference) -> PredictedMotion:
-        """Track `reference` from `state` at `begin` s until `end` s; SAFETY's cycle starts at `begin`.
+    def __call__(self, state: Floats, begin: float, end: float, commitment: Commitment) -> PredictedMotion:
+        """Track the reference on board from `state` at `begin` s until `end` s; SAFETY's cycle starts at `begin`.
 
         A copy of the controller tracks, so the controller keeps its state.
         """
@@ -105,8 +125,35 @@ class ClosedLoopPredictor:
         times = np.minimum(begin + self.period * np.arange(ticks + 1), end)
         states, slack = [np.asarray(state, dtype=float)], math.inf
         for now, after in itertools.pairwise(times):
-            control = controller.command(Estimate(float(now), states[-1], 0.0), reference)
+            estimate = Estimate(float(now), states[-1], 0.0)
+            control = controller.command(estimate, commitment.reference_at(estimate.time))
             trajectory, step_slack = self.dirt.edge(states[-1], control, float(after - now), float(now - begin))
             states.append(trajectory[-1])
             slack = min(slack, step_slack)
         return PredictedMotion(times, np.array(states), slack)
+
+    def until_rest(self, state: Floats, begin: float, contingency: Reference) -> PredictedMotion:
+        """Track a contingency from `state` at `begin` s until standstill, with SAFETY's clearance all the way.
+
+        A vehicle that still moves when SAFETY's horizon is over after the end of the contingency has negative slack.
+        """
+        controller, safety = copy.deepcopy(self.controller), self.dirt.safety
+        times, states = [begin], [np.asarray(state, dtype=float)]
+        worst = self.dirt.edge(states[0], np.zeros(len(self.dirt.vehicle.controls)), 0.0, 0.0)[1]
+        latest = max(begin, contingency.end) + safety.horizon
+        while times[-1] < contingency.end - 1e-9 or not is_resting(self.dirt, states[-1]):
+            if times[-1] > latest:
+                worst = -1.0
+                break
+            control = controller.command(Estimate(times[-1], states[-1], 0.0), contingency)
+            trajectory, step_slack = self.dirt.edge(states[-1], control, self.period, 0.0)
+            times.append(begin + self.period * len(states))
+            states.append(trajectory[-1])
+            worst = min(worst, step_slack)
+        least = least_slack(self.dirt, np.array(states))
+        return PredictedMotion(np.array(times), np.array(states), min(worst, least) if worst < 0.0 else max(least, 0.0))
+
+
+def is_resting(dirt: DirtSolver, state: Floats) -> bool:
+    """Whether a state (nx,) is at standstill."""
+    return all(abs(state[k]) <= dirt.safety.rest_speed for k in dirt.vehicle.rest_indices)

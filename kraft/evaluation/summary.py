@@ -153,6 +153,7 @@ def measures_json(measures: Measures) -> dict[str, Any]:
         "regressions_by_reason": dict(measures.regressions),
         "cycles_compared": measures.compared,
         "messages_lost": measures.messages_lost,
+        "watchdog_stops": measures.watchdog_stops,
         "consistency": {
             "poses": consistency.poses,
             "nees_mean": consistency.mean,

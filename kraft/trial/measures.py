@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from kraft.driving.messages import ContingencyOrigin, Cycle, ReferenceKind
+from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, ReferenceKind
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Footprint
 
@@ -28,7 +28,7 @@ normalised squared error."""
 
 @dataclass(frozen=True)
 class Step:
-    """Tick of the controller: true state, estimated state and command."""
+    """Tick of the controller: true state, estimated state and command; whether the watchdog stops the car."""
 
     time: float
     pose: tuple[float, float, float]
@@ -36,6 +36,7 @@ class Step:
     estimate: Floats
     command: Floats
     cycle: int
+    watchdog: bool = False
 
 
 class Record(BaseModel):
@@ -96,6 +97,7 @@ class Measures(Record):
         compared: number of cycles whose plan can be compared with what was left of the last one.
         regressions: number of plans that cost over 0.5 s more than what was left of the last one, by reason.
         messages_lost: number of messages from replanner to car that were lost.
+        watchdog_stops: number of times that the car's watchdog stopped it.
         consistency: of the estimator's covariance; None if it states none.
     """
 
@@ -107,6 +109,7 @@ class Measures(Record):
     compared: int = 0
     regressions: Mapping[str, int] = {}
     messages_lost: int = 0
+    watchdog_stops: int = 0
     consistency: Consistency | None = None
 
     @property
@@ -143,6 +146,7 @@ def pooled(measures: Iterable[Measures]) -> Measures:
         compared=sum(one.compared for one in each),
         regressions=dict(sorted(regressions.items())),
         messages_lost=sum(one.messages_lost for one in each),
+        watchdog_stops=sum(one.watchdog_stops for one in each),
         consistency=pooled_consistency(consistencies) if consistencies else None,
     )
 
@@ -171,8 +175,13 @@ def measure(
     pose: Sequence[int],
     messages_lost: int = 0,
     errors_squared: Sequence[float] = (),
+    watchdog_stops: int = 0,
 ) -> Measures:
     """Measures of a trial.
+
+    The motion is compared with the prediction of the reference that the car tracks.  After a lost message that is the
+    prediction of the contingency on board; without one on board, the prediction of the lost message.  While the
+    watchdog stops the car, nothing is compared.
 
     Args:
         cycles: its cycles.
@@ -181,20 +190,23 @@ def measure(
         pose: indices of x, y and theta in its state.
         messages_lost: number of lost messages.
         errors_squared: normalised squared error of each pose for which the estimator stated a covariance.
+        watchdog_stops: number of times that the car's watchdog stopped it.
     """
     plans, contingencies = Kept(), Kept()
     deviations: list[list[int]] = []
     ticks = np.array([step.time for step in steps])
     truth = np.array([step.pose for step in steps]).reshape(-1, 3)
-    for cycle, begin, end in _spans(cycles, ticks):
-        times, predicted = ticks[begin:end], cycle.predicted
+    driven = np.array([not step.watchdog for step in steps], dtype=bool)
+    for span in _spans(cycles, ticks):
+        predicted, kept_on = span.predicted, np.flatnonzero(driven[span.first : span.last]) + span.first
+        times = ticks[kept_on]
         expected = np.column_stack([np.interp(times, predicted.times, predicted.states[:, k]) for k in pose])
-        deviation = farthest_point(truth[begin:end], expected, footprint)
-        _sort_in(deviations, times - cycle.time, deviation)
+        deviation = farthest_point(truth[kept_on], expected, footprint)
+        _sort_in(deviations, times - span.committed, deviation)
         if predicted.delta is not None:
             delta = np.interp(times, predicted.times, predicted.delta)
             kept = Kept(ticks=len(times), held=int((deviation <= delta).sum()), delta_sum_m=float(delta.sum()))
-            if cycle.kind == ReferenceKind.PLAN:
+            if span.kind == ReferenceKind.PLAN:
                 plans = pooled_clearance((plans, kept))
             else:
                 contingencies = pooled_clearance((contingencies, kept))
@@ -209,6 +221,7 @@ def measure(
         compared=compared,
         regressions=dict(sorted(regressions.items())),
         messages_lost=messages_lost,
+        watchdog_stops=watchdog_stops,
         consistency=_consistency(errors_squared) if errors_squared else None,
     )
 
@@ -232,15 +245,32 @@ def _point(poses: Matrix, x: float, y: float) -> Matrix:
     return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y])
 
 
-def _spans(cycles: Sequence[Cycle], ticks: Floats) -> Iterable[tuple[Cycle, int, int]]:
-    """Each cycle with the range of the ticks between its start and the end of its prediction or the next cycle."""
+class _Span(NamedTuple):
+    """Ticks `first` to before `last` in which a commitment of the time `committed` (s) was tracked."""
+
+    kind: str
+    committed: float
+    predicted: PredictedMotion
+    first: int
+    last: int
+
+
+def _spans(cycles: Sequence[Cycle], ticks: Floats) -> Iterable[_Span]:
+    """Each cycle with the range of the ticks between its start and the end of its prediction or the next cycle.
+
+    If its message was lost, the motion is that of the last contingency that is on board, which ends at standstill.
+    """
+    on_board: Cycle | None = None
     for k, cycle in enumerate(cycles):
-        begin, end = cycle.time, float(cycle.predicted.times[-1])
+        on_board = cycle if cycle.delivered else on_board
+        kind, committed, predicted, end = cycle.kind, cycle.time, cycle.predicted, float(cycle.predicted.times[-1])
+        if on_board is not None and on_board is not cycle and on_board.stopping is not None:
+            kind, committed, predicted = ReferenceKind.CONTINGENCY, on_board.time, on_board.stopping
         if k + 1 < len(cycles):
             end = min(end, cycles[k + 1].time)
-        first, last = np.searchsorted(ticks, [begin - 1e-9, end - 1e-9])
+        first, last = np.searchsorted(ticks, [cycle.time - 1e-9, end - 1e-9])
         if last > first:
-            yield cycle, int(first), int(last)
+            yield _Span(kind, committed, predicted, int(first), int(last))
 
 
 def _sort_in(deviations: list[list[int]], since: Floats, deviation: Floats) -> None:
@@ -278,7 +308,7 @@ class _Measured(NamedTuple):
     distance: float
 
 
-_Span: TypeAlias = tuple[float, _Measured, _Measured]
+_Between: TypeAlias = tuple[float, _Measured, _Measured]
 """Lower bound of the distances between two measured poses (m), and these two."""
 
 
@@ -322,6 +352,6 @@ class ClosestApproach:
     def _measured(self, pose: int) -> _Measured:
         return _Measured(pose, self._distance(*self._poses[pose]))
 
-    def _span(self, a: _Measured, b: _Measured) -> _Span:
+    def _span(self, a: _Measured, b: _Measured) -> _Between:
         way = self._travelled[b.pose] - self._travelled[a.pose]
         return 0.5 * (a.distance + b.distance - way), a, b

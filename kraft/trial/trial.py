@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import Estimator, make_estimator
-from kraft.driving.messages import Cycle, Observation, Reference
+from kraft.driving.messages import Commitment, Cycle, Observation
 from kraft.driving.method import Oracle
+from kraft.driving.on_board import OnBoard
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
@@ -102,14 +103,15 @@ class _Trial:
         self._controller = make_controller(method.controller, model)
         self._communication_delay = scenario.sensing.communication_delay
         period = 1.0 / method.controller.rate_hz
+        solvers = Solvers.of(scenario.task(), vehicle, method.planner)
         self._replanner = Replanner(
-            Solvers.of(scenario.task(), vehicle, method.planner), method.planner, self._controller, spec.seed,
+            solvers, method.planner, self._controller, spec.seed,
             period=period, delay=self._communication_delay + self._estimator.horizon,
             realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._radio = Radio(scenario.sensing.message_loss, spec.seed)
-        self._reference = self._replanner.begin(start)
-        self._sent: list[tuple[float, Reference]] = []
+        self._on_board = OnBoard(method.planner, solvers.checking.safety, model, self._replanner.begin(start))
+        self._sent: list[tuple[float, Commitment]] = []
         self._in_flight: list[Observation] = []
         self._true_poses: dict[float, tuple[float, float, float]] = {}  # at the time of each observation in flight
         self._errors_squared: list[float] = []
@@ -143,9 +145,9 @@ class _Trial:
             self._record_error(self._true_poses.pop(observation.time))
 
     def receive(self) -> None:
-        """Track the reference of the cycle that has begun."""
+        """Take the commitment of the cycle that has begun on board."""
         while self._sent and self._sent[0][0] <= self.world.time + self._estimator.horizon + 1e-9:
-            self._reference = self._sent.pop(0)[1]
+            self._on_board.receive(self._sent.pop(0)[1], self._estimator.estimate(self.world.time))
 
     def replan(self, log: _Log) -> None:
         """Replan if a cycle is due; its reference is tracked from the beginning of the cycle on."""
@@ -154,9 +156,10 @@ class _Trial:
             return
         estimate = self._estimator.replanning_estimate(now)
         self._replanner.set_delay(self._communication_delay + self._estimator.horizon)
-        cycle = self._replanner.step(estimate, self._reference)
-        if self._radio.delivers():
-            self._sent.append((cycle.time, cycle.reference))
+        cycle = self._replanner.step(estimate, self._on_board.commitment)
+        cycle = replace(cycle, delivered=self._radio.delivers())
+        if cycle.delivered:
+            self._sent.append((cycle.time, cycle.commitment))
         self.receive()  # without lead and delay the cycle begins now
         log.cycles.append(cycle)
         if log.on_cycle is not None:
@@ -168,12 +171,13 @@ class _Trial:
         if not self._plant.command_due:
             return
         estimate = self._estimator.estimate(now)
-        command = self._controller.command(estimate, self._reference)
+        command = self._controller.command(estimate, self._on_board.reference(estimate))
         self._plant.send(float(command[0]), float(command[1]))
         self._estimator.commanded(now, command)
         pose = self._true_pose
         self.approach.add(*pose)
-        step = Step(now, pose, world.speed, estimate.state, command, len(log.cycles) - 1)
+        stopping = self._on_board.is_stopping
+        step = Step(now, pose, world.speed, estimate.state, command, len(log.cycles) - 1, stopping)
         log.steps.append(step)
         if log.on_step is not None:
             log.on_step(world, step)
@@ -183,7 +187,7 @@ class _Trial:
         model = self._model
         return measure(
             log.cycles, log.steps, model.vehicle.footprint, (model.x, model.y, model.theta),
-            self._radio.lost, self._errors_squared,
+            self._radio.lost, self._errors_squared, self._on_board.stops,
         )  # fmt: skip
 
     @property

@@ -199,6 +199,8 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
         rows.append(("regressions", f"{total} of {measures.compared} cycles" + (f" ({reasons})" if reasons else "")))
     if measures.messages_lost:
         rows.append(("radio", f"{counted(measures.messages_lost, 'message')} lost"))
+    if measures.watchdog_stops:
+        rows.append(("watchdog", counted(measures.watchdog_stops, "stop")))
     if consistency is not None and consistency.share is not None and consistency.mean is not None:
         rows.append(
             (

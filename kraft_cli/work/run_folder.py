@@ -91,6 +91,8 @@ def cycle_content(cycle: Cycle) -> dict[str, Any]:
         "contingency_origin": None if cycle.contingency_origin is None else str(cycle.contingency_origin),
         "planning_ms": cycle.planning_ms,
         "missed": bool(cycle.missed),
+        "delivered": cycle.delivered,
+        "switch": finite(cycle.switch),
         "reference": _reference(cycle.reference),
         "contingency": _reference(cycle.contingency),
     }

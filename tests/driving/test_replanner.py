@@ -11,7 +11,7 @@ from support.replanner import FARSIGHTED, MARGIN, drive, mushr, replanner, start
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
-from kraft.driving.messages import Cycle, Estimate, ReferenceKind
+from kraft.driving.messages import Commitment, Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Clearance, Geometric, PlannerSettings
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
@@ -96,7 +96,7 @@ def test_a_cycle_begins_when_what_is_committed_has_arrived_and_where_what_is_und
         if begun:
             times, states = begun[-1].predicted.times, begun[-1].predicted.states
             state = np.array([np.interp(now, times, column) for column in states.T])
-            current = begun[-1].reference
+            current = begun[-1].commitment
         found.append(subject.step(Estimate(now, state, 0.0), current))
         assert found[-1].time == pytest.approx(number + late)
         assert found[-1].reference.start == pytest.approx(number + late)
@@ -132,7 +132,7 @@ def test_an_old_or_missing_observation_stops_the_vehicle(age: float) -> None:
     current = subject.begin(start())
     first = subject.step(Estimate(0.0, start(), math.inf), current)
     assert first.kind is ReferenceKind.PLAN  # where it stands at the start is known
-    late = subject.step(Estimate(0.9, first.predicted.states[-3], age), first.reference)
+    late = subject.step(Estimate(0.9, first.predicted.states[-3], age), first.commitment)
     assert late.kind is ReferenceKind.CONTINGENCY
     assert "newest observation" in late.reason
 
@@ -140,7 +140,7 @@ def test_an_old_or_missing_observation_stops_the_vehicle(age: float) -> None:
 def test_an_observation_that_is_late_but_not_too_late_does_not_stop_it() -> None:
     subject = replanner(patience=0.5)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
-    assert subject.step(Estimate(0.9, first.predicted.states[-4], 0.4), first.reference).kind is ReferenceKind.PLAN
+    assert subject.step(Estimate(0.9, first.predicted.states[-4], 0.4), first.commitment).kind is ReferenceKind.PLAN
 
 
 def test_without_a_plan_the_vehicle_stops() -> None:
@@ -156,9 +156,9 @@ def test_a_prediction_in_collision_stops_the_vehicle_one_cycle_later() -> None:
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     fast = np.array([1.0, 0.7, math.pi / 2, 0.6])  # 10 cm from the first box's level and heading past it
     into = np.array([0.45, 0.6, math.pi / 2, 0.6])  # 0.2 m before the first box
-    stopped = subject.step(Estimate(0.9, into, 0.0), first.reference)
+    stopped = subject.step(Estimate(0.9, into, 0.0), first.commitment)
     assert stopped.kind is ReferenceKind.CONTINGENCY
-    assert subject.step(Estimate(1.9, fast, 0.0), stopped.reference).reason != ""
+    assert subject.step(Estimate(1.9, fast, 0.0), stopped.commitment).reason != ""
 
 
 def test_an_estimate_in_collision_is_moved_to_the_nearest_free_state() -> None:
@@ -192,7 +192,7 @@ def test_the_contingency_in_hand_is_used_when_none_is_safe_and_the_vehicle_is_ne
     subject = replanner(safety=MARGIN)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     assert first.contingency is not None
-    second = subject.step(Estimate(1.0, too_fast_beside_the_contingency(first, share), 0.0), first.reference)
+    second = subject.step(Estimate(1.0, too_fast_beside_the_contingency(first, share), 0.0), first.commitment)
     assert second.kind is ReferenceKind.CONTINGENCY
     assert second.reference is first.contingency
 
@@ -202,7 +202,7 @@ def test_an_emergency_is_what_is_left_when_none_is_safe_and_the_one_in_hand_begi
     subject = replanner(safety=MARGIN)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     state = too_fast_beside_the_contingency(first, share)
-    second = subject.step(Estimate(1.0, state, 0.0), first.reference)
+    second = subject.step(Estimate(1.0, state, 0.0), first.commitment)
     assert (second.kind, second.reference.start) == (ReferenceKind.CONTINGENCY, 1.0)
     assert second.reference is not first.contingency
     expected = emergency_reference(subject.dirt, state, 1.0)
@@ -220,7 +220,7 @@ def test_the_contingency_in_hand_counts_how_far_a_turn_moves_the_farthest_point(
     state = too_fast_beside_the_contingency(first, 0.0)
     delta = 0.05 + 0.25 * float(first.contingency.states[0][3])
     state[2] += turn * (2.0 * delta / mushr().footprint.reach if abs(turn) < 2.0 else 1.0)
-    second = subject.step(Estimate(1.0, state, 0.0), first.reference)
+    second = subject.step(Estimate(1.0, state, 0.0), first.commitment)
     assert (second.reference is first.contingency) == kept
 
 
@@ -228,8 +228,8 @@ def test_a_contingency_goes_on_when_no_other_is_safe() -> None:
     subject = replanner(safety=MARGIN)
     first = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     near_the_box = np.array([0.5, 0.78, math.pi / 2, 0.6])
-    second = subject.step(Estimate(1.0, near_the_box, 0.0), first.reference)
-    third = subject.step(Estimate(1.9, near_the_box, 0.0), second.reference)
+    second = subject.step(Estimate(1.0, near_the_box, 0.0), first.commitment)
+    third = subject.step(Estimate(1.9, near_the_box, 0.0), second.commitment)
     assert third.reference is second.reference
 
 
@@ -242,7 +242,7 @@ def test_looking_ahead_leaves_the_controller_as_it_is() -> None:
     beside = start() + np.array([0.05, 0.1, 0.1, 0.3])
     for k in range(5):
         estimate = Estimate(0.3 + k / 30, beside, 0.0)
-        subject._predict(beside, estimate.time, estimate.time + 1.0, reference)
+        subject._predict(beside, estimate.time, estimate.time + 1.0, Commitment(reference))
         np.testing.assert_array_equal(controller.command(estimate, reference), untouched.command(estimate, reference))
 
 

@@ -38,6 +38,7 @@ def test_vehicles_move_stop_and_arrive(episodes: list[Episode]) -> None:
 
 def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     def trusting(self: Replanner, root, begins, estimate, current):  # type: ignore[no-untyped-def]
+        from kraft.driving.messages import Commitment
         from kraft.driving.replanner import Decision
         from kraft.driving.stopping import plan_reference
 
@@ -45,7 +46,7 @@ def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: py
         if plan is None:
             return self._choose_contingency(root, begins, current, self._proposal.reason)
         reference = plan_reference(plan, begins, self._zero_control)
-        return Decision(reference, self._predict(root, begins, begins + 1.0, reference), "", plan)
+        return Decision(reference, self._predict(root, begins, begins + 1.0, Commitment(reference)), "", plan)
 
     monkeypatch.setattr(Replanner, "_decide", trusting)
     assert any(episode(number).clearance <= 0.0 for number in range(1, 80, 2))

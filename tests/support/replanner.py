@@ -63,7 +63,7 @@ def drive(subject: Replanner, cycles: int, error: Floats | None = None, begin: F
     for _ in range(cycles):
         estimated = state if error is None or not found else state + error
         found.append(subject.step(Estimate(time, estimated, 0.0), current))
-        current, time = found[-1].reference, subject.next_step
+        current, time = found[-1].commitment, subject.next_step
         predicted = found[-1].predicted
         state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
     return found

@@ -27,6 +27,7 @@ class Shown:
     regressions: bool
     covariance: bool
     messages: bool
+    watchdog: bool
     deviations: bool
 
     @classmethod
@@ -40,6 +41,7 @@ class Shown:
             regressions=any(one.compared for one in each),
             covariance=any(one.consistency is not None for one in each),
             messages=any(one.messages_lost for one in each),
+            watchdog=any(one.watchdog_stops for one in each),
             deviations=measured,
         )
 
@@ -101,6 +103,8 @@ def _headings(shown: Shown) -> Iterator[Element]:
         yield _heading("covariance: NEES", "share in 95 % band", title)
     if shown.messages:
         yield _heading("messages lost", "replanner to car", "")
+    if shown.watchdog:
+        yield _heading("watchdog stops", "by the car itself", "")
 
 
 def _heading(text: str, small: str, title: str) -> Element:
@@ -125,6 +129,8 @@ def _cells(shown: Shown, result: Result) -> Iterator[Element]:
         yield _cell(f"{one.mean:.3g}", percent(one.share)) if one and one.mean is not None else _cell(None)
     if shown.messages:
         yield _cell(str(measures.messages_lost) if result.replans or measures.messages_lost else None)
+    if shown.watchdog:
+        yield _cell(str(measures.watchdog_stops) if result.replans else None)
 
 
 def _contingencies(result: Result) -> Element:

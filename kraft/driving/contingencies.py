@@ -1,0 +1,215 @@
+"""Contingencies as the controller tracks them: candidates, one ranking, and the best.
+
+Alg. 2 of the paper verifies a manoeuvre as the model drives it.  What the car drives is the controller's tracking of
+that manoeuvre, which differs from it by centimetres.  Here the closed loop is predicted until standstill instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference, ReferenceKind
+from kraft.driving.stopping import ClosedLoopPredictor, is_resting, least_slack, manoeuvre_reference, stop_control
+from kraft.planning.workspace import pose_of
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.solver import DirtSolver
+
+FOLLOWED: Final = (0.3, 0.6, 1.0)
+"""Times for which a plan is followed before the vehicle stops, s."""
+CREEPING_SPEED: Final = 0.2
+"""Speed at which the path of a plan is followed, m/s."""
+CREEPING_LENGTH: Final = 0.6
+"""Length of the path that is followed at that speed, m."""
+TRACKING: Final = 0.03
+"""Difference between the slack of a contingency in the model and when it is tracked that is allowed for, m."""
+PREDICTIONS: Final = 8
+"""Number of predictions of tracked contingencies, if one of them is verified; without one, twice as many."""
+RESOLUTION: Final = 1000.0
+"""Slacks that are equal when rounded to 1 / RESOLUTION m are equal."""
+
+
+@dataclass(frozen=True)
+class TrackedContingency:
+    """Contingency with the predicted motion of the closed loop until standstill.
+
+    `impact_speed` is that at the first contact with an obstacle (m/s), 0 without one.
+    """
+
+    reference: Reference
+    origin: ContingencyOrigin
+    predicted: PredictedMotion
+    impact_speed: float = 0.0
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether the motion keeps the clearance that SAFETY asks for."""
+        return self.predicted.slack >= 0.0
+
+    @property
+    def slack(self) -> int:
+        """Least slack in 1 / RESOLUTION m."""
+        return round(self.predicted.slack * RESOLUTION)
+
+    @property
+    def rank(self) -> tuple[bool, float, int, float]:
+        """Sort key: verified, the lowest impact speed, the largest least slack, the earliest standstill."""
+        return self.is_verified, -self.impact_speed, self.slack, -float(self.predicted.times[-1])
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Contingency before it is tracked: least slack in the model (in 1 / RESOLUTION m), end (s), origin, reference."""
+
+    slack: int
+    end: float
+    origin: ContingencyOrigin
+    reference: Callable[[], Reference]
+
+
+class ContingencyRanking:
+    """Ranks contingencies by the least slack of their tracked motion."""
+
+    def __init__(self, dirt: DirtSolver, predict: ClosedLoopPredictor, model: CarModel) -> None:
+        """`dirt` has the obstacles and the clearance, `predict` the controller, `model` the car."""
+        self._dirt, self._predict, self._model = dirt, predict, model
+
+    def best(
+        self, state: Floats, time: float, in_hand: Reference | None, plans: Sequence[Reference]
+    ) -> TrackedContingency:
+        """Best contingency from `state` (nx,) at `time` s; an emergency if none keeps the clearance.
+
+        Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
+        """
+        bound = self._rounded(np.asarray(state)[None, :])  # all candidates begin here
+        found: TrackedContingency | None = None
+        for candidates in (self._immediate(state, time, in_hand), self._along(state, time, plans)):
+            if found is None or found.slack < bound:
+                found = self._better(found, list(candidates), state, time, bound)
+        assert found is not None, "a vehicle has manoeuvres"
+        return found if found.is_verified else replace(found, origin=ContingencyOrigin.EMERGENCY)
+
+    def _better(
+        self, found: TrackedContingency | None, candidates: list[_Candidate], state: Floats, time: float, bound: int
+    ) -> TrackedContingency | None:
+        """Best of `found` and of the candidates; only those are tracked that can be better."""
+        for count, candidate in enumerate(sorted(candidates, key=lambda each: (-each.slack, each.end))):
+            if found is not None and found.is_verified:
+                beaten = candidate.slack + TRACKING * RESOLUTION < found.slack
+                if beaten or found.slack >= bound or count >= PREDICTIONS:
+                    break
+            elif count >= 2 * PREDICTIONS:
+                break
+            tracked = self._track(state, time, candidate.reference(), candidate.origin)
+            found = tracked if found is None or tracked.rank > found.rank else found
+        return found
+
+    def _track(self, state: Floats, time: float, reference: Reference, origin: ContingencyOrigin) -> TrackedContingency:
+        predicted = self._predict.until_rest(state, time, reference)
+        if predicted.slack >= 0.0:
+            return TrackedContingency(reference, origin, predicted)
+        coarse = predicted.states[::3]
+        poses = np.array([pose_of(each, self._dirt.vehicle) for each in coarse])
+        hits = self._dirt.exact.distances(poses) <= 0.0
+        speeds = np.abs(coarse[:, self._dirt.vehicle.rest_indices[0]])
+        return TrackedContingency(reference, origin, predicted, float(speeds[hits.argmax()]) if hits.any() else 0.0)
+
+    def _rounded(self, states: Matrix) -> int:
+        return round(least_slack(self._dirt, states) * RESOLUTION)
+
+    def _immediate(self, state: Floats, time: float, in_hand: Reference | None) -> Iterator[_Candidate]:
+        """All manoeuvres, and the contingency in hand."""
+        for number, states in enumerate(self._dirt.manoeuvres(state)):
+            build = partial(self._manoeuvre, number, time, states)
+            yield _Candidate(self._rounded(states), self._end(time, states), ContingencyOrigin.SAFE, build)
+        if in_hand is not None:
+            left = in_hand.states[in_hand.times >= min(time, in_hand.end)]
+            yield _Candidate(self._rounded(left), in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
+
+    def _along(self, state: Floats, time: float, plans: Sequence[Reference]) -> Iterator[_Candidate]:
+        """Contingencies that follow a plan first; they do not move a vehicle that stands."""
+        for plan in plans if not is_resting(self._dirt, state) else ():
+            for leaves in (time + duration for duration in FOLLOWED if time + duration < plan.end):
+                _, followed, _ = _part(plan, time, leaves)
+                for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
+                    slack = self._rounded(np.vstack([followed, states]))
+                    build = partial(self._after, plan, time, number, leaves, states)
+                    yield _Candidate(slack, self._end(leaves, states), ContingencyOrigin.PLAN_THEN_STOP, build)
+            creeping = self._creeping(state, time, plan)
+            if creeping is not None:
+                slack = self._rounded(creeping.states)
+                yield _Candidate(slack, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
+
+    def _end(self, time: float, states: Matrix) -> float:
+        return time + self._dirt.safety.step * (len(states) - 1)
+
+    def _manoeuvre(self, number: int, time: float, states: Matrix) -> Reference:
+        times: Floats = time + self._dirt.safety.step * np.arange(len(states), dtype=float)
+        return manoeuvre_reference(self._dirt.vehicle, number, times, states)
+
+    def _after(self, plan: Reference, begin: float, number: int, leaves: float, states: Matrix) -> Reference:
+        return _joined(plan, begin, self._manoeuvre(number, leaves, states))
+
+    def _creeping(self, state: Floats, time: float, plan: Reference) -> Reference | None:
+        """Path of a plan from `time` s on, at low speed as soon as the brakes allow, then standstill.
+
+        None if the plan is over, or soon changes its direction of travel.
+        """
+        model, step = self._model, self._dirt.safety.step
+        if time >= plan.end or float(state[model.v]) <= 0.0:
+            return None
+        planned, path, _ = _part(plan, time, plan.end)
+        if float(path[:, model.v].min()) < 0.0:
+            return None
+        places = np.concatenate([[0.0], np.hypot(*np.diff(path[:, [model.x, model.y]], axis=0).T).cumsum()])
+        speeds, arc_lengths = self._creeping_speeds(state, min(CREEPING_LENGTH, float(places[-1])))
+        states = np.column_stack([np.interp(arc_lengths, places, column) for column in path.T])
+        states[:, model.v] = speeds
+        times: Floats = time + step * np.arange(len(states), dtype=float)
+        controls = np.array([plan.control_at(float(t)) for t in np.interp(arc_lengths[:-1], places, planned)])
+        controls[:, model.throttle] = [self._throttle(*pair) for pair in zip(states[:-1], speeds[1:], strict=True)]
+        moving = Reference(ReferenceKind.PLAN, times, states, controls, plan.rest)
+        return _joined(moving, time, self._manoeuvre(0, float(times[-1]), self._dirt.manoeuvres(states[-1])[0]))
+
+    def _creeping_speeds(self, state: Floats, length: float) -> tuple[list[float], list[float]]:
+        """Speeds (m/s) and arc lengths (m) up to `length`, one for each step: braking first, then creeping."""
+        step, braking = self._dirt.safety.step, self._dirt.manoeuvres(state)[0][:, self._model.v]
+        speeds, arc_lengths = [float(state[self._model.v])], [0.0]
+        slow = max(min(CREEPING_SPEED, speeds[0]), 0.1 * CREEPING_SPEED)
+        while arc_lengths[-1] < length:
+            speeds.append(max(float(braking[min(len(speeds), len(braking) - 1)]), slow))
+            arc_lengths.append(arc_lengths[-1] + 0.5 * step * (speeds[-2] + speeds[-1]))
+        return speeds, arc_lengths
+
+    def _throttle(self, state: Floats, after: float) -> float:
+        """Throttle that leads to the speed `after` (m/s): the brakes' while the vehicle is faster."""
+        if float(state[self._model.v]) > after + 1e-3:
+            return float(stop_control(self._dirt.vehicle, state, 0)[self._model.throttle])
+        return self._model.throttle_for(after)
+
+
+def _part(plan: Reference, begin: float, end: float) -> tuple[Floats, Matrix, Matrix]:
+    """Times, states and controls of a reference between two times (s)."""
+    inner = plan.times[(plan.times > begin + 1e-6) & (plan.times < end - 1e-6)]
+    times: Floats = np.concatenate([[begin], inner, [end]])
+    states = np.array([plan.state_at(float(t)) for t in times])
+    controls = np.array([plan.control_at(float(t)) for t in times[:-1]])
+    return times, states, controls
+
+
+def _joined(plan: Reference, begin: float, stop: Reference) -> Reference:
+    """A plan from `begin` s on until a manoeuvre begins, and that manoeuvre."""
+    times, states, controls = _part(plan, begin, stop.start)
+    return Reference(
+        ReferenceKind.CONTINGENCY,
+        np.concatenate([times[:-1], stop.times]),
+        np.vstack([states[:-1], stop.states]),
+        np.vstack([controls, stop.controls]),
+        stop.rest,
+        stop.stop,
+    )

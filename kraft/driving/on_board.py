@@ -1,0 +1,71 @@
+"""What the car has on board: the newest message, and a watchdog that stops the car without poses or messages."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
+from kraft.driving.method import PlannerSettings
+from kraft.driving.stopping import manoeuvre_reference, stop_control
+from ompl_ext.query import Safety
+
+
+class OnBoard:
+    """Commitment that the car tracks, and the watchdog.
+
+    The watchdog intervenes if the newest observation is too old, or if the car is on a plan and no message has arrived
+    for longer than a cycle and the watchdog's time.  The car then stops from where it believes to be, with the
+    manoeuvre of its contingency, until a message arrives that was decided after that, with a recent observation.
+    """
+
+    def __init__(self, settings: PlannerSettings, safety: Safety, model: CarModel, commitment: Commitment) -> None:
+        """Begin with the `commitment` of the replanner's `begin`; `safety` defines standstill."""
+        self._limit = math.inf if settings.watchdog is None else settings.watchdog
+        self._silence = settings.cycle + self._limit
+        self._safety, self._model = safety, model
+        self.commitment, self._arrived, self._stopped = commitment, math.inf, -math.inf
+        self.stops = 0
+        self.is_stopping = False
+
+    def receive(self, commitment: Commitment, estimate: Estimate) -> None:
+        """Take a message; a car that the watchdog stops refuses it if it is older than the stop, or poses are."""
+        if self.is_stopping and (commitment.decided < self._stopped or self._is_blind(estimate)):
+            return
+        self.commitment, self._arrived, self.is_stopping = commitment, estimate.time, False
+
+    def reference(self, estimate: Estimate) -> Reference:
+        """Reference to track at the time of the estimate."""
+        reference = self.commitment.reference_at(estimate.time)
+        if self._must_stop(estimate, reference):
+            self.stops += 1
+            self.is_stopping, self._stopped = True, estimate.time
+            reference = self._stop_from(estimate, reference)
+            self.commitment = Commitment(reference, decided=estimate.time)
+        return reference
+
+    def _must_stop(self, estimate: Estimate, reference: Reference) -> bool:
+        if reference.kind is ReferenceKind.CONTINGENCY and (
+            reference.stop is None or estimate.time >= reference.stop.begin - 1e-9
+        ):
+            return False  # it stops already, or stands
+        silent = reference.kind is ReferenceKind.PLAN and estimate.time - self._arrived > self._silence + 1e-9
+        return silent or self._is_blind(estimate)
+
+    def _is_blind(self, estimate: Estimate) -> bool:
+        """Whether the newest observation is too old; at time 0 the car knows where it stands."""
+        return min(estimate.age, estimate.time) > self._limit + 1e-9
+
+    def _stop_from(self, estimate: Estimate, reference: Reference) -> Reference:
+        """The manoeuvre of the contingency on board, from the estimated state."""
+        contingency = self.commitment.contingency or reference
+        number = 0 if contingency.stop is None else contingency.stop.manoeuvre
+        vehicle, safety, states = self._model.vehicle, self._safety, [np.asarray(estimate.state, dtype=float)]
+        rest = list(vehicle.rest_indices)
+        while np.any(np.abs(states[-1][rest]) > safety.rest_speed) and len(states) * safety.step <= safety.horizon:
+            control = stop_control(vehicle, states[-1], number)
+            states.append(self._model.advance(states[-1], control, safety.step))
+        times = estimate.time + safety.step * np.arange(len(states), dtype=float)
+        return manoeuvre_reference(vehicle, number, times, np.array(states))
