@@ -32,6 +32,7 @@ from kraft.driving.stopping import (  # fmt: skip
     ClosedLoopPredictor,
     contingency_reference,
     emergency_reference,
+    holding_control,
     is_resting,
     least_slack,
     plan_reference,
@@ -100,7 +101,6 @@ class Replanner:
         self._delta = self.dirt.safety.delta
         self._one_shot = settings.mode == "one-shot"
         self.set_delay(delay)
-        self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         self._number = 0
         self._proposal = Proposal(None, "no plan has been made yet")
         self._contingency: Reference | None = None
@@ -187,7 +187,7 @@ class Replanner:
                 root, cycle_start, current, f"the newest observation is {estimate.age:.2f} s old"
             )
         cycle_end = cycle_start + self._settings.cycle
-        reference = plan_reference(plan, cycle_start, self._zero_control)
+        reference = plan_reference(self.dirt.vehicle, plan, cycle_start)
         predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
         if self._one_shot:
             return Decision(reference, predicted, "", plan)
@@ -254,10 +254,9 @@ class Replanner:
         return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
 
     def _standing(self, state: Floats, time: float) -> Reference:
-        no_controls = np.zeros((0, len(self._zero_control)))
-        return Reference(
-            ReferenceKind.CONTINGENCY, np.array([time]), state[None, :], no_controls, self._zero_control, Stop(0, time)
-        )
+        vehicle = self.dirt.vehicle
+        no_controls, rest = np.zeros((0, len(vehicle.controls))), holding_control(vehicle, state)
+        return Reference(ReferenceKind.CONTINGENCY, np.array([time]), state[None, :], no_controls, rest, Stop(0, time))
 
     def _best_contingency(
         self, ranking: ContingencyRanking, root: Floats, time: float, stored: Reference | None, current: Commitment
@@ -265,7 +264,7 @@ class Replanner:
         """Best tracked contingency from the root, with the plan on board and the refused one as paths to follow."""
         plans = [current.reference] if current.reference.kind is ReferenceKind.PLAN else []
         if self._proposal.plan is not None:
-            plans.append(plan_reference(self._proposal.plan, time, self._zero_control))
+            plans.append(plan_reference(self.dirt.vehicle, self._proposal.plan, time))
         return ranking.best(root, time, stored, plans)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:

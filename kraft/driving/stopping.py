@@ -18,25 +18,36 @@ from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 
-def plan_reference(plan: Plan, start: float, rest: Floats) -> Reference:
-    """Reference of a plan that starts at `start` s of the trial; after its end the control is `rest` (nu,)."""
+def plan_reference(vehicle: Vehicle, plan: Plan, start: float) -> Reference:
+    """Reference of a plan that starts at `start` s of the trial; after its end the vehicle is held."""
     edges = np.searchsorted(np.cumsum(plan.durations), plan.times[:-1] + 1e-9, side="right")
     controls = plan.controls[np.minimum(edges, max(0, len(plan.durations) - 1))]
+    rest = holding_control(vehicle, plan.trajectory[-1])
     return Reference(ReferenceKind.PLAN, start + plan.times, plan.trajectory, controls, rest)
 
 
 def contingency_reference(vehicle: Vehicle, contingency: Contingency) -> Reference:
-    """Reference of a contingency whose times are those of the trial (s); after its end the control is zero."""
+    """Reference of a contingency whose times are those of the trial (s); after its end the car is held."""
     number = vehicle.manoeuvres.index(contingency.manoeuvre)
     return manoeuvre_reference(vehicle, number, contingency.times, contingency.states)
 
 
 def manoeuvre_reference(vehicle: Vehicle, number: int, times: Floats, states: Matrix) -> Reference:
-    """Reference of manoeuvre `number` with states (m, nx) at `times` (m,) s; after its end the control is zero."""
+    """Reference of manoeuvre `number` with states (m, nx) at `times` (m,) s; after its end the car is held."""
     controls = np.array([stop_control(vehicle, state, number) for state in states[:-1]])
     controls = controls.reshape(-1, len(vehicle.controls))
-    rest = np.zeros(len(vehicle.controls))  # brakes that stay on would push a standing car backwards
+    rest = holding_control(vehicle, states[-1])
     return Reference(ReferenceKind.CONTINGENCY, times, states, controls, rest, Stop(number, float(times[0])))
+
+
+def holding_control(vehicle: Vehicle, state: Floats) -> Floats:
+    """Control (nu,) that holds a vehicle that stands: on level ground zero, against a force the throttle against it.
+
+    It is the first manoeuvre's at a speed of 0: brakes that stay on would push a standing car backwards.
+    """
+    standing = np.array(state, dtype=float)
+    standing[list(vehicle.rest_indices)] = 0.0
+    return stop_control(vehicle, standing, 0) + 0.0  # without negative zeros
 
 
 def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
@@ -71,7 +82,7 @@ def least_slack(dirt: DirtSolver, states: Matrix) -> float:
 
 @dataclass(frozen=True)
 class _PredictedManoeuvre:
-    """States (m, nx) of manoeuvre `number` until standstill and controls (m - 1, nu) between them.
+    """States (m, nx) of a manoeuvre until standstill, controls (m - 1, nu) between them, `rest` (nu,) afterwards.
 
     `distance` is the smallest to an obstacle (m), and `impact_speed` that at the first contact (m/s; 0 without one).
     """
@@ -79,6 +90,7 @@ class _PredictedManoeuvre:
     number: int
     states: Matrix
     controls: Matrix
+    rest: Floats
     distance: float
     impact_speed: float
 
@@ -98,13 +110,15 @@ class _PredictedManoeuvre:
             states.append(samples[-1])
             if all(abs(states[-1][k]) <= safety.rest_speed for k in vehicle.rest_indices):
                 break
-        return cls(number, np.array(states), np.array(controls), distance, impact_speed)
+        rest = holding_control(vehicle, states[-1])
+        return cls(number, np.array(states), np.array(controls), rest, distance, impact_speed)
 
     def reference(self, start: float, step: float) -> Reference:
         """Reference that starts at `start` s, with a state every `step` s."""
         times: Floats = start + step * np.arange(len(self.states), dtype=float)
-        rest, stop = np.zeros(self.controls.shape[1]), Stop(self.number, start)
-        return Reference(ReferenceKind.CONTINGENCY, times, self.states, self.controls, rest, stop)
+        return Reference(
+            ReferenceKind.CONTINGENCY, times, self.states, self.controls, self.rest, Stop(self.number, start)
+        )
 
 
 @dataclass(frozen=True)

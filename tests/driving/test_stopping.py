@@ -80,7 +80,7 @@ def test_a_plan_becomes_a_reference_with_the_control_of_each_step() -> None:
     subject.begin(start())
     plan = subject.dirt.plan()
     assert plan is not None
-    reference = plan_reference(plan, 2.0, np.zeros(2))
+    reference = plan_reference(subject.dirt.vehicle, plan, 2.0)
     ends = np.cumsum(plan.durations)
     for k, end in enumerate(ends):
         np.testing.assert_array_equal(reference.control_at(2.0 + end - 1e-6), plan.controls[k])

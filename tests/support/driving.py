@@ -62,7 +62,7 @@ def drive(
 def plan_of_turns(seed: int = 1) -> Reference:
     plan = plan_task(load_scenario("turns").task(), PROMPT, Budget(iterations=2000), seed=seed).plan
     assert plan is not None
-    return plan_reference(plan, 0.0, np.zeros(2))
+    return plan_reference(PROMPT, plan, 0.0)
 
 
 class Truth:
