@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 import mujoco
@@ -34,6 +35,11 @@ THICKNESS: Final = 2e-4
 """Height of the layers of roof, paper and ink above each other, m."""
 FLOOR, ROOF, PAPER, INK = 0.35, 0.15, 0.80, 0.05
 """Reflectances."""
+GRID: Final = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 7), np.linspace(-1.0, 1.0, 7)), axis=-1).reshape(-1, 2)
+"""Points (n, 2) of the square from -1 to 1 through which the lens is computed exactly."""
+POWERS: Final = np.array([(i, j) for i in range(4) for j in range(4 - i)])
+MONOMIALS: Final = GRID[:, :1] ** POWERS[:, 0] * GRID[:, 1:] ** POWERS[:, 1]
+"""Monomials (n, m) of a cubic, with these powers (m, 2), at the points."""
 
 
 @dataclass(frozen=True)
@@ -120,14 +126,13 @@ class Imager:
         cv2, fine = opencv(), max(1, min(OVERSAMPLING, SIDE_MAX // (2 * size)))
         turn = np.array([[math.cos(ROLL), -math.sin(ROLL)], [math.sin(ROLL), math.cos(ROLL)]])
         rolled = View(self.view.position, np.column_stack([self.view.rotation[:, :2] @ turn, self.view.rotation[:, 2]]))
-        grid = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 7), np.linspace(-1.0, 1.0, 7)), axis=-1).reshape(-1, 2)
-        rays = self.lens.undistorted(first + 0.5 * size * (grid + 1.0) - 0.5) @ turn
+        rays = self.lens.undistorted(first + 0.5 * size * (GRID + 1.0) - 0.5) @ turn
         low, high = rays.min(axis=0), rays.max(axis=0)
         count = math.ceil(1.17 * size * fine) + 4
         step = float((high - low).max()) / (count - 2)
         corner = 0.5 * (low + high) - 0.5 * step * count
         picture = tag_renderer(self._cells, 2.0 * HALF_MARKER, MARKER_HEIGHT).mean(rolled, corner, step, count, poses)
-        columns, rows = _smooth_maps(grid, (rays - corner) / step - 0.5, size * fine)
+        columns, rows = _smooth_maps((rays - corner) / step - 0.5, size * fine)
         light = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         light = cv2.GaussianBlur(light, (0, 0), self.imaging.blur * fine)
         return cv2.resize(light, (size, size), interpolation=cv2.INTER_AREA) / 255.0
@@ -143,18 +148,22 @@ class Imager:
         return np.round(255.0 * linear ** (1.0 / imaging.gamma)).astype(np.uint8)
 
 
-def _smooth_maps(grid: Matrix, values: Matrix, count: int) -> tuple[Any, Any]:
-    """Two maps (count, count), float32, over the square from -1 to 1: cubics through values (n, 2) at `grid` (n, 2).
+def _smooth_maps(values: Matrix, count: int) -> tuple[Any, Any]:
+    """Two maps (count, count), float32, over the square from -1 to 1: cubics through values (n, 2) at `GRID`.
 
     Across a tag they fit a lens to 0.001 px.
     """
-    powers = np.array([(i, j) for i in range(4) for j in range(4 - i)])
-    monomials = grid[:, :1] ** powers[:, 0] * grid[:, 1:] ** powers[:, 1]
     fitted = np.zeros((4, 4, 2))
-    fitted[powers[:, 0], powers[:, 1]] = np.linalg.lstsq(monomials, values, rcond=None)[0]
-    at = np.vander((2.0 * np.arange(count) + 1.0) / count - 1.0, 4, increasing=True)
+    fitted[POWERS[:, 0], POWERS[:, 1]] = np.linalg.lstsq(MONOMIALS, values, rcond=None)[0]
+    at = _pixel_powers(count)
     columns, rows = ((at @ fitted[:, :, axis].T @ at.T).astype(np.float32) for axis in (0, 1))
     return columns, rows
+
+
+@lru_cache(64)  # a tag has few sizes
+def _pixel_powers(count: int) -> Matrix:
+    """Powers 0 to 3 (count, 4) of the centres of `count` pixels across the square from -1 to 1."""
+    return np.vander((2.0 * np.arange(count) + 1.0) / count - 1.0, 4, increasing=True)
 
 
 def _rotation_vector(rotation: Matrix) -> Floats:

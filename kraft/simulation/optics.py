@@ -35,9 +35,10 @@ class Lens:
         x, y = points.T
         squared = x * x + y * y
         radial = 1.0 + squared * (k1 + squared * (k2 + squared * k3))
-        u = x * radial + 2.0 * p1 * x * y + p2 * (squared + 2.0 * x * x)
-        v = y * radial + p1 * (squared + 2.0 * y * y) + 2.0 * p2 * x * y
-        return self.focal * np.stack([u, v], axis=1) + self.centre
+        pixels = np.empty((len(points), 2))
+        pixels[:, 0] = x * radial + 2.0 * p1 * x * y + p2 * (squared + 2.0 * x * x)
+        pixels[:, 1] = y * radial + p1 * (squared + 2.0 * y * y) + 2.0 * p2 * x * y
+        return self.focal * pixels + self.centre
 
     def undistorted(self, pixels: Matrix) -> Matrix:
         """Inverse of `distorted`, by fixed-point iteration."""
