@@ -89,7 +89,7 @@ def test_a_worker_that_dies_is_replaced_and_its_trial_repeated(left: Path) -> No
 
 
 def test_a_trial_that_kills_its_worker_twice_has_failed_and_the_others_go_on(left: Path) -> None:
-    found = run(fake_trials.dies, 1, trials=6)
+    found = run(fake_trials.dies, trials=6)
     failed = [row for row in found.rows if row.outcome == "failed"]
     assert [(row.seed, row.error) for row in failed] == [(1, "its worker process died 2 times (exit code 7)")]
     assert len(found.rows) == 6
