@@ -18,7 +18,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.sysid.compilation import ensure_compiled as ensure_identification
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
-from ompl_ext.kernels.specialise import kernels, step_kernels
+from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, step_kernels
 from support.kernels import ROVER
 for name in sys.argv[1:]:
     vehicle = ROVER if name == "rover" else load_vehicle(name)
@@ -26,8 +26,9 @@ for name in sys.argv[1:]:
         ensure_compiled(vehicle, str)
         ensure_identification(vehicle, name, str)
         grow()
-    kernels(vehicle)
-    if name.startswith("mushr"):
+    if not is_cached(vehicle):
+        kernels(vehicle)
+    if name.startswith("mushr") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """
 VEHICLES = (("mushr", "unicycle2", "benchmark"), ("mushr-drive", "mushr-lag", "rover"))
