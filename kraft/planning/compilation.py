@@ -50,7 +50,7 @@ def _exercise(vehicle: Vehicle) -> None:
     with interrupts_between_passes() as check:
         with _maps_meanwhile() as maps:
             kernels(vehicle)
-            while maps.poll() is None:
+            while maps is not None and maps.poll() is None:
                 check()
                 time.sleep(POLL)
         side = 4 * vehicle.footprint.reach
@@ -64,12 +64,15 @@ def _exercise(vehicle: Vehicle) -> None:
 
 
 @contextmanager
-def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes]]:
-    """Compile the kernels for maps in a process that ends with the block at the latest.
+def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
+    """Compile the kernels for maps, unless they are cached, in a process that ends with the block at the latest.
 
     It is silent and in a process group of its own, which no Ctrl-C reaches.  If it fails, these kernels compile in
     this process, which reports the error.
     """
+    if _maps_marker().exists():
+        yield None
+        return
     command = [sys.executable, "-c", f"from {__name__} import compile_maps; compile_maps()"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     silent = subprocess.DEVNULL

@@ -14,7 +14,7 @@ from support.evaluation import KEYS, kept, places, room_for
 from support.paths import ROOT
 from support.screen import Screen
 
-from kraft.evaluation import METHODS
+from kraft.evaluation import METHODS, evaluator
 from kraft.evaluation.suite import load_suite
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
@@ -35,14 +35,17 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, A
     return content
 
 
-def test_real_trials_are_the_same_with_one_worker_and_two(capsys: pytest.CaptureFixture[str]) -> None:
+def test_real_trials_are_the_same_with_two_workers_and_in_this_process(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ("turns", "--methods", "kraft,oneshot-openloop", "--trials", "1", "--seed", "3")
     content = run_json(capsys, *arguments, "--jobs", "2", "--out", "two")
-    run_json(capsys, *arguments, "--jobs", "1", "--out", "one")
-    assert kept(Path("one")) == kept(Path("two"))
+    monkeypatch.setattr(evaluator, "Processes", fake_trials.Inline)
+    run_json(capsys, *arguments, "--out", "here")
+    assert kept(Path("here")) == kept(Path("two"))
     assert content["schema"] == "kraft.eval/1"
     assert all(set(result) >= KEYS for result in content["results"])
-    lines = [json.loads(line) for line in Path("one/trials.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in Path("here/trials.jsonl").read_text().splitlines()]
     assert all(line["digest"] and line["seed"] == 3 and line["measured"]["planning_ms"] for line in lines)
     assert content["results"][0]["planning_ms_p99"] > 0
     assert content["results"][0]["cycles"] > 5

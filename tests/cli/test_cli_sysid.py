@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shutil
+from collections.abc import Sequence
 from contextlib import chdir
 from pathlib import Path
 from typing import Any
@@ -40,14 +41,32 @@ def logs(folder: Path, recorded: Path) -> None:
     shutil.copytree(recorded, folder / "logs")
 
 
+def printed(recorded: Path, arguments: Sequence[str]) -> tuple[str, str]:
+    """What a command prints on stdout and stderr beside the recorded logs."""
+    out, err = io.StringIO(), io.StringIO()
+    with chdir(recorded.parent):
+        assert main(arguments, Terminal(out, err)) == 0
+    return out.getvalue(), err.getvalue()
+
+
 @pytest.fixture(scope="module")
 def plain(recorded: Path) -> dict[str, Any]:
     """What `PLAIN` prints."""
-    out = io.StringIO()
-    with chdir(recorded.parent):
-        assert main(PLAIN, Terminal(out, io.StringIO())) == 0
-    content: dict[str, Any] = json.loads(out.getvalue())
+    content: dict[str, Any] = json.loads(printed(recorded, PLAIN)[0])
     return content
+
+
+@pytest.fixture(scope="module")
+def with_extras(recorded: Path) -> dict[str, Any]:
+    """What `kraft sysid logs --json` prints."""
+    content: dict[str, Any] = json.loads(printed(recorded, ("sysid", "logs", "--json"))[0])
+    return content
+
+
+@pytest.fixture(scope="module")
+def tables(recorded: Path) -> tuple[str, str]:
+    """Tables and messages of an identification without extra parameters."""
+    return printed(recorded, ("sysid", "logs", "--model", "mushr-lag", "--extras", "none"))
 
 
 def shorten(run: Path, poses: int, apart: int = 3) -> None:
@@ -111,10 +130,11 @@ def test_the_lag_predicts_better_than_its_nominal_values_and_than_the_papers_mod
     assert all(identified[seconds] < 0.5 * errors["MUSHR"][0][seconds] for seconds in ("1", "2", "3"))
 
 
-def test_what_many_logs_have_and_costs_nothing_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_many_logs_have_and_costs_nothing_is_said_once(
+    tables: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
     options = ["--model", "mushr-lag", "--extras", "none"]
-    assert main(["sysid", "logs", *options]) == 0
-    (wraps,) = (line for line in said(capsys) if "yaw wraps" in line)
+    (wraps,) = (line for line in tables[1].splitlines() if "yaw wraps" in line)
     found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v lists them\)", wraps)
     assert found is not None
     assert main(["-v", "sysid", "logs", *options]) == 0
@@ -198,9 +218,8 @@ def test_a_file_is_compiled_by_its_own_name(
     assert "compiling the model of my.yaml for identification on this machine" in capsys.readouterr().err
 
 
-def test_a_person_gets_tables_and_hears_what_was_taken_for_what(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none"]) == 0
-    out, err = capsys.readouterr()
+def test_a_person_gets_tables_and_hears_what_was_taken_for_what(tables: tuple[str, str]) -> None:
+    out, err = tables
     lines = out.splitlines()
     assert re.fullmatch(r"PARAMETER +VALUE +95 % INTERVAL \(sandwich\) +INITIAL +UNIT +MEANING", lines[0])
     assert re.fullmatch(r"L +0\.3\d+ +0\.3\d+ to 0\.3\d+ +0\.3\d+ +m +wheelbase", lines[1])
@@ -218,14 +237,14 @@ def test_quiet_leaves_the_tables_and_the_warnings(capsys: pytest.CaptureFixture[
 
 
 def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", "logs", "--model", "mushr-drive", "--extras", "none", "--out", "my.yaml"]
+    arguments = ["sysid", *FOUR, "--model", "mushr-drive", "--extras", "none", "--out", "my.yaml"]
     assert main([*arguments, "--plot", "my.png"]) == 0
     assert "vehicle file my.yaml" in capsys.readouterr().out
     assert (folder / "my.png").stat().st_size > 50_000
     config = load_vehicle_config("my.yaml")
     assert config.name == "my"
     assert config.identification is not None
-    assert len(config.identification.logs) == 8
+    assert len(config.identification.logs) == len(FOUR)
     assert main(["validate", "my.yaml"]) == 0
     assert main(["plan", "turns", "--vehicle", "my.yaml", "--iterations", "1000"]) == 0
     assert main(["run", "turns", "--vehicle", "my.yaml"]) == 0
@@ -233,10 +252,9 @@ def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFix
 
 
 def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    with_extras: dict[str, Any], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["sysid", "logs", "--json"]) == 0
-    alone = json.loads(capsys.readouterr().out)["params"]
+    alone = with_extras["params"]
     assert main(["sysid", "logs", "--out", "my.yaml", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     written = load_vehicle_config("my.yaml")
@@ -280,10 +298,9 @@ def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
     assert any(each.startswith("planning does not model friction") for each in content["warnings"]) == unknown
 
 
-def test_an_extra_that_is_kept_may_be_hardly_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_extra_that_is_kept_may_be_hardly_told_apart(with_extras: dict[str, Any]) -> None:
     """One that is indistinguishable is removed, or the model is not identified."""
-    assert main(["sysid", "logs", "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
+    content = with_extras
     assert content["params"]["friction"]["extra"]
     assert any(
         each.startswith("v_delta and friction are nearly indistinguishable (correlation 0.9")
@@ -417,10 +434,9 @@ def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: py
 
 
 def test_a_held_out_log_that_is_too_short_beside_others_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    plain: dict[str, Any], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
-    first, _ = json.loads(capsys.readouterr().out)["held_out"]
+    first, _ = plain["held_out"]
     shorten(folder / "logs" / first, 7)
     assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
@@ -518,14 +534,15 @@ def test_bad_arguments_are_explained(arguments: list[str], expected: str, capsys
     assert any(line.startswith(expected.strip()) for line in err.splitlines())
 
 
-def test_every_option_and_key_of_kraft_sysid_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_option_and_key_of_kraft_sysid_is_described(
+    with_extras: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
     text = (ROOT / "docs" / "sysid.md").read_text(encoding="utf-8")
     assert main(["sysid", "--help"]) == 0
     options = set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", capsys.readouterr().out)) - {"--help"}
     assert options
     assert options <= set(re.findall(r"--[a-z]+(?:-[a-z]+)*", text))
-    main(["sysid", *FOUR, "--json"])
-    content = json.loads(capsys.readouterr().out)
+    content = with_extras
     described = set(re.findall(r"`(\w+)`", text))
     assert set(content) <= described
     assert set(content["params"]["L"]) <= described

@@ -19,7 +19,7 @@ def driven(number: int) -> Episode:
 
 @pytest.fixture(scope="module")
 def episodes() -> list[Episode]:
-    return [driven(number) for number in range(24)]
+    return [driven(number) for number in range(16)]  # every method, vehicle and world twice
 
 
 def test_no_episode_ends_in_a_collision(episodes: list[Episode]) -> None:
@@ -49,7 +49,7 @@ def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: py
         return Decision(reference, self._predict(root, begins, begins + 1.0, Commitment(reference)), "", plan)
 
     monkeypatch.setattr(Replanner, "_decide", trusting)
-    assert any(episode(number).clearance <= 0.0 for number in range(1, 80, 2))
+    assert any(episode(number).clearance <= 0.0 for number in range(11, 90, 2))  # as a rule the first one
 
 
 def test_the_sweep_reports_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,18 +111,6 @@ def test_with_a_worker_killed_every_trial_arrives_once_and_the_same(
     assert kept(tmp_path / "out") == kept(tmp_path / "here")
 
 
-def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
-    dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    observer = KillingObserver(dask.scheduler, 3)
-    with refused(("cluster", Code.NOT_FOUND)):
-        run(dask, fake_trials.slow, 4, out=tmp_path / "out", observer=observer)
-    fake_trials.use(monkeypatch, fake_trials.slow, inline=True)
-    rest = StoppingObserver()
-    assert evaluate(*CELLS, 4, 0, out=tmp_path / "out", resume=True, observer=rest).complete
-    assert len(observer.rows) + len(rest.rows) == 16
-
-
 def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused(
     dask: Dask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -132,6 +120,19 @@ def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused
     monkeypatch.setattr(cluster, "versions", lambda _: {"kraft": "99"})
     with refused(("cluster", Code.MISMATCH)):
         run(dask, fake_trials.quick, 1)
+
+
+def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
+    dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last of these tests, because the next one would have to start another cluster."""
+    observer = KillingObserver(dask.scheduler, 3)
+    with refused(("cluster", Code.NOT_FOUND)):
+        run(dask, fake_trials.slow, 4, out=tmp_path / "out", observer=observer)
+    fake_trials.use(monkeypatch, fake_trials.slow, inline=True)
+    rest = StoppingObserver()
+    assert evaluate(*CELLS, 4, 0, out=tmp_path / "out", resume=True, observer=rest).complete
+    assert len(observer.rows) + len(rest.rows) == 16
 
 
 def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,9 +30,11 @@ def left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def run(trial: fake_trials.Trial, jobs: int = 2, trials: int = 4, **options: Any) -> Evaluation:
+def run(
+    trial: fake_trials.Trial, jobs: int = 2, trials: int = 4, *, inline: bool = False, **options: Any
+) -> Evaluation:
     with pytest.MonkeyPatch.context() as patch:
-        fake_trials.use(patch, trial)
+        fake_trials.use(patch, trial, inline=inline)
         return evaluate(["turns"], ["kraft"], trials, 0, jobs, **options)
 
 
@@ -79,7 +81,7 @@ def test_one_and_two_workers_give_the_same_whatever_ends_first(tmp_path: Path) -
 
 def test_a_worker_that_dies_is_replaced_and_its_trial_repeated(left: Path) -> None:
     observer = StoppingObserver()
-    assert outcomes(run(fake_trials.dies_once, observer=observer)) == outcomes(run(fake_trials.quick, 1))
+    assert outcomes(run(fake_trials.dies_once, observer=observer)) == outcomes(run(fake_trials.quick, inline=True))
     assert len(list(left.glob("*-1-died-*"))) == 2
     assert len(observer.messages) == 1
     assert "turns, kraft, seed 1" in observer.messages[0]
@@ -131,7 +133,7 @@ def test_after_kill_9_of_everything_it_goes_on_to_the_same_result(
     tmp_path: Path, left: Path, whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    process = kraft(fake_trials.slow, *COMMAND, "--jobs", "2", "--out", str(out))
+    process = kraft(fake_trials.slow, *COMMAND, "--jobs", "1", "--out", str(out))
     until_lines(out / "trials.jsonl", 4)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
@@ -204,7 +206,7 @@ def test_an_interrupt_finishes_what_runs_and_names_the_command_that_resumes(
 
 def test_a_second_interrupt_stops_at_once(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    process = kraft(fake_trials.endless, *COMMAND, "--jobs", "2", "--out", str(out))
+    process = kraft(fake_trials.endless, *COMMAND, "--jobs", "1", "--out", str(out))
     until_lines(out / "trials.jsonl", 1)
     for _ in range(2):
         process.send_signal(signal.SIGINT)

@@ -42,6 +42,7 @@ def wide(vehicle: Vehicle, steps: int = 10) -> DirtSolver:
 
 
 WIDE, ROVING = wide(BENCHMARK), wide(ROVER)
+UNLIMITED = replace(ROVER, limits=dict.fromkeys(ROVER.limits, (-math.inf, math.inf)))  # the kernels are the rover's
 
 
 def random_control(vehicle: Vehicle, rng: np.random.Generator) -> Array:
@@ -199,7 +200,7 @@ def test_a_vehicle_that_turns_on_the_spot_never_hits_a_post_between_two_samples(
 ) -> None:
     rng = np.random.default_rng(seed)
     state = np.array([0.0, 0.0, rng.uniform(-4, 4), rng.uniform(-0.9, 0.9), rng.uniform(-2.9, 2.9)])
-    limitless = replace(ROVER, footprint=body, limits={})
+    limitless = replace(UNLIMITED, footprint=body)
     control = random_control(ROVER, rng) * (0.2, 0.2)
     assert_no_post_is_driven_over(limitless, rover_rate, state, control, duration, steps)
 
@@ -207,7 +208,7 @@ def test_a_vehicle_that_turns_on_the_spot_never_hits_a_post_between_two_samples(
 @pytest.mark.parametrize("what", ["drives", "turns"])
 def test_a_vehicle_that_goes_there_and_back_within_a_step_never_hits_a_post(what: str) -> None:
     # Speed changes sign in the middle of a step: both ends are the same pose, the middle is not.
-    vehicle = replace(ROVER, footprint=Footprint(0.8, 0.06), limits={})
+    vehicle = replace(UNLIMITED, footprint=Footprint(0.8, 0.06))
     state = np.array([0.0, 0.0, 0.3, 1.0 if what == "drives" else 0.0, 0.0 if what == "drives" else 2.0])
     control = np.array([-2.0, 0.0]) if what == "drives" else np.array([0.0, -4.0])
     assert_no_post_is_driven_over(vehicle, rover_rate, state, control, 1.0, 1)

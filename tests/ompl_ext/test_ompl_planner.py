@@ -17,7 +17,7 @@ from ompl import tools
 from ompl import util as ou
 from support.kernels import GOAL, NO_SAFETY, TURNS
 from support.kernels import START as TURNS_START
-from support.ompl_setup import START, arena, planned
+from support.ompl_setup import START, arena, planned, solved
 from support.paths import ROOT, TESTS
 
 from kraft.vehicles.benchmark import BENCHMARK
@@ -39,7 +39,7 @@ STATUS = ob.PlannerStatus
 @pytest.mark.parametrize("callbacks", [False, True])
 def test_the_solution_path_is_what_ompl_itself_propagates(callbacks: bool) -> None:
     setup = arena()
-    planner = planned(setup, 4.0 if callbacks else 0.05, use_callbacks=callbacks)
+    planner = solved(setup, use_callbacks=callbacks)
     assert planner.compiled is not callbacks
     assert setup.haveExactSolutionPath()
     assert setup.getSolutionPath().check()
@@ -48,7 +48,7 @@ def test_the_solution_path_is_what_ompl_itself_propagates(callbacks: bool) -> No
 @pytest.mark.parametrize("callbacks", [False, True])
 def test_solve_again_continues_and_never_gets_worse(callbacks: bool) -> None:
     setup = arena()
-    planner = planned(setup, 2.0 if callbacks else 0.02, use_callbacks=callbacks)
+    planner = solved(setup, use_callbacks=callbacks)
     edges, cost = planner.edges, setup.getSolutionPath().length()
     assert setup.solve(0.5 if callbacks else 0.05) == STATUS.EXACT_SOLUTION
     assert planner.edges > edges
@@ -155,7 +155,7 @@ def test_several_starts_all_become_roots() -> None:
 @pytest.mark.parametrize("callbacks", [False, True])
 def test_planner_data_is_the_tree(callbacks: bool) -> None:
     setup = arena()
-    planner = planned(setup, 2.0 if callbacks else 0.02, use_callbacks=callbacks)
+    planner = solved(setup, use_callbacks=callbacks)
     data, tree = ob.PlannerData(setup.getSpaceInformation()), planner.tree()
     setup.getPlannerData(data)
     assert data.numVertices() == len(tree.parents)
@@ -180,7 +180,7 @@ def test_the_plan_of_a_cycle_has_a_contingency_and_the_tree_asks_for_safety() ->
 @pytest.mark.parametrize("callbacks", [False, True])
 def test_a_path_can_be_retained_from_a_later_state(callbacks: bool) -> None:
     setup = arena()
-    planner = planned(setup, 3.0 if callbacks else 0.05, use_callbacks=callbacks)
+    planner = solved(setup, use_callbacks=callbacks)
     path = oc.PathControl(setup.getSolutionPath())
     later = path.getState(1)
     elapsed = path.getControlDuration(0)
@@ -248,7 +248,7 @@ def test_states_are_sampled_where_states_can_be() -> None:
 @pytest.mark.parametrize("callbacks", [False, True])
 def test_a_start_may_have_turned_further_than_headings_are_sampled(callbacks: bool) -> None:
     setup = arena(start=np.array([0.5, 0.5, 2.5 * math.pi, 0.0]))
-    planned(setup, 1.0 if callbacks else 0.05, use_callbacks=callbacks)
+    solved(setup, use_callbacks=callbacks)
     assert setup.haveExactSolutionPath()
     assert setup.getSolutionPath().getState(0)[2] == 2.5 * math.pi
 
@@ -321,7 +321,7 @@ def test_any_space_of_compounds_is_planned_over_callbacks() -> None:
     start[1][0] = 0.0
     setup.setStartState(start)
     setup.setGoal(Disc(si))
-    planner = planned(setup, 4.0)
+    planner = solved(setup)
     assert not planner.compiled
     assert setup.haveExactSolutionPath()
     assert planner.tree().states.shape[1] == 4

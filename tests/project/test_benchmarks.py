@@ -106,15 +106,16 @@ def test_a_random_scene_is_the_same_every_time() -> None:
 
 @cache
 def planned() -> tuple[RandomScene, Plan]:
-    """Turns as the judge wants it, without solids, and a plan with a contingency."""
+    """Turns with another goal, as the judge wants it, without solids, and a plan with a contingency."""
     given = scene("turns")
-    dirt = DirtSolver(given.vehicle, given.workspace, given.goal, Safety(), capacity=5000)
+    goal = replace(given.goal, center=(1.4, 0.6))  # near: the judge looks at every centimetre
+    dirt = DirtSolver(given.vehicle, given.workspace, goal, Safety(), capacity=5000)
     dirt.start(given.start)
     dirt.grow(iterations=1000)
     plan = dirt.plan()
     assert plan is not None
     query = RandomScene(
-        0, given.vehicle, given.workspace, (), given.start, given.goal, dirt.safety, dirt.settings, iterations=0
+        0, given.vehicle, given.workspace, (), given.start, goal, dirt.safety, dirt.settings, iterations=0
     )
     return query, plan
 

@@ -8,9 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.fake_trials import Inline
 from support.paths import ROOT
+from support.script import imported_by_a_worker, output_of
 
 import kraft
+from kraft.evaluation import evaluator
 
 PAGE = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -32,15 +35,28 @@ def test_importing_kraft_loads_none_of_the_heavy_packages() -> None:
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_the_code_on_the_page_runs(number: int, tmp_path: Path) -> None:
-    script = tmp_path / "block.py"
+def script_of(number: int, folder: Path) -> Path:
+    """A block of the page as a script, with fewer trials."""
+    script = folder / "block.py"
     script.write_text(
         BLOCKS[number]
         .replace("trials=10", "trials=1")
         .replace("trials=2", "trials=1")
         .replace('["turns", "slip"]', '["slip"]')
     )
-    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout
+    return script
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_the_code_on_the_page_runs(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the trials of evaluations in this process: test_examples.py starts workers from a script."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(evaluator, "Processes", Inline)
+    assert output_of(script_of(number, tmp_path))
+
+
+def test_a_worker_process_that_imports_code_of_the_page_evaluates_nothing(tmp_path: Path) -> None:
+    evaluating = [number for number, block in enumerate(BLOCKS) if "kraft.evaluate(" in block]
+    assert len(evaluating) == 2
+    for number in evaluating:
+        imported_by_a_worker(script_of(number, tmp_path))

@@ -10,16 +10,19 @@ from pathlib import Path
 
 import pytest
 from support.paths import ROOT
-from support.recorded import RUNS, SEED, recorded_logs
+from support.recorded import SEED, recorded_logs
 
 from kraft.config import bundled
 from kraft.plot import sysid as pages
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import record as record_module
+from kraft_cli.work.record import RecordRequest
 
 SCRIPT = ROOT / "examples" / "07_bundled_vehicles.py"
 MODELS = ("mushr", "mushr-lag", "mushr-drive")
+RUNS = 4
+"""Fewer than the tests have recorded; a run depends on its number and the seed alone."""
 
 
 def run(folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> int:
@@ -42,13 +45,17 @@ def test_it_identifies_three_models_as_the_commands_do(
     told = capsys.readouterr().out
     assert "mushr-drive:" in told
     # columns are as wide as what stands in them
-    heading = r"^    PARAMETER  VALUE {2,4}95 % INTERVAL \(sandwich\)  INITIAL  UNIT  MEANING$"
+    heading = r"^    PARAMETER  VALUE {2,5}95 % INTERVAL \(graph\) {2,6}INITIAL {2,3}UNIT  MEANING$"
     assert len(re.findall(heading, told, re.M)) == 3
     assert len(re.findall(r"^    OPEN LOOP, held-out logs  1 s {5,8}2 s", told, re.M)) == 3
     assert all((tmp_path / "all" / f"{name}.png").stat().st_size > 50_000 for name in MODELS)
     assert {name: (bundled.folder("vehicle") / f"{name}.yaml").read_bytes() for name in MODELS} == before
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(recorded_logs(tmp_path_factory), tmp_path / "logs")
+    recorded = sorted((tmp_path / "all" / "logs").glob("run_*/*.csv"))
+    assert len({path.parent for path in recorded}) == RUNS
+    for path in recorded:
+        assert path.read_bytes() == (recorded_logs(tmp_path_factory) / path.parent.name / path.name).read_bytes()
+    shutil.copytree(tmp_path / "all" / "logs", tmp_path / "logs")
     assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--out", "mushr-lag.yaml", "-q"]) == 0
     assert (tmp_path / "mushr-lag.yaml").read_bytes() == (tmp_path / "all" / "mushr-lag.yaml").read_bytes()
 
@@ -58,7 +65,12 @@ def test_what_it_bundles_keeps_head_name_bounds_and_priors(
 ) -> None:
     """With logs that are there already, and without pages: the other test records and draws."""
     logs = recorded_logs(tmp_path_factory)
-    monkeypatch.setattr(record_module, "record_logs", lambda asked, *_: shutil.copytree(logs, asked.out))
+
+    def record_logs(asked: RecordRequest, *_: object) -> None:
+        for number in range(1, asked.runs + 1):
+            shutil.copytree(logs / f"run_{number:02d}", asked.out / f"run_{number:02d}")
+
+    monkeypatch.setattr(record_module, "record_logs", record_logs)
     monkeypatch.setattr(pages, "plot_identification", lambda *_: None)
     for name in MODELS:
         (tmp_path / f"{name}.yaml").write_bytes((bundled.folder("vehicle") / f"{name}.yaml").read_bytes())

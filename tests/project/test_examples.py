@@ -2,43 +2,57 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from support.fake_trials import Inline
 from support.paths import ROOT
 from support.recorded import recorded_logs
+from support.script import imported_by_a_worker, output_of
 
+from kraft.evaluation import evaluator
 from kraft_cli.main import main
 
 EXAMPLES = {
     "01_plan.py": "exact",
     "02_drive.py": "success after",
-    "03_compare.py": "| KRAFT |",
     "04_identify.py": "plan with it",
     "06_ompl.py": "RRT",
     "08_equal_terms.py": "KRAFT, mushr-drive",
 }
 
 
-def run(example: str, folder: Path, *arguments: str) -> str:
-    command = [sys.executable, str(ROOT / "examples" / example), *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_an_example_runs(example: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_an_example_runs(
+    example: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     arguments = []
     if example == "04_identify.py":
-        shutil.copytree(recorded_logs(tmp_path_factory), tmp_path / "logs")
-        arguments = ["logs"]
+        arguments = [str(recorded_logs(tmp_path_factory))]
     if example == "08_equal_terms.py":
-        arguments = ["slip", "--trials", "1"]
-    assert EXAMPLES[example] in run(example, tmp_path, *arguments)
+        monkeypatch.setattr(evaluator, "Processes", Inline)
+        text = (ROOT / "scenarios" / "slip.yaml").read_text(encoding="utf-8")
+        assert text.count("timeout: 60, oneshot_timeout: 30") == 1
+        Path("slip.yaml").write_text(text.replace("timeout: 60, oneshot_timeout: 30", "timeout: 1, oneshot_timeout: 1"))
+        arguments = ["slip.yaml", "--trials", "1"]
+    assert EXAMPLES[example] in output_of(ROOT / "examples" / example, *arguments)
+
+
+def test_an_example_that_evaluates_runs_in_a_process_of_its_own_with_a_worker(tmp_path: Path) -> None:
+    text = (ROOT / "examples" / "03_compare.py").read_text(encoding="utf-8")
+    assert text.count("trials=3") == 1
+    (tmp_path / "compare.py").write_text(text.replace("trials=3", "trials=1, jobs=1"))
+    done = subprocess.run([sys.executable, "compare.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "| KRAFT |" in done.stdout
+
+
+@pytest.mark.parametrize("example", ["03_compare.py", "08_equal_terms.py"])
+def test_a_worker_process_that_imports_an_example_evaluates_nothing(example: str) -> None:
+    imported_by_a_worker(ROOT / "examples" / example)
 
 
 def test_the_vehicle_of_the_example_plans(capsys: pytest.CaptureFixture[str]) -> None:
@@ -49,4 +63,5 @@ def test_the_vehicle_of_the_example_plans(capsys: pytest.CaptureFixture[str]) ->
 
 def test_every_numbered_example_is_run() -> None:
     numbered = {path.name for path in (ROOT / "examples").glob("[0-9]*.py")}
-    assert numbered == {*EXAMPLES, "05_vehicle.py", "07_bundled_vehicles.py"}  # the last: test_example_identify.py
+    others = {"03_compare.py", "05_vehicle.py", "07_bundled_vehicles.py"}  # the last: test_example_identify.py
+    assert numbered == {*EXAMPLES, *others}

@@ -160,6 +160,7 @@ def test_as_many_frames_are_missed_as_the_preset_or_the_scenario_says(given: flo
 # Noise
 
 LAGS = (1, 3, 6, 15, 30, 60, 90)  # frames at 30 Hz
+DRIVES = 125
 
 
 @functools.cache
@@ -208,7 +209,7 @@ def copula(model: ErrorModel, correlated: float) -> float:
 @pytest.mark.parametrize("preset", ["planar", "single-tag"])
 @pytest.mark.parametrize("correlation_time", [0.0, 0.05])
 def test_errors_have_the_stated_spread(preset: Preset, distance: float, correlation_time: float) -> None:
-    found = errors(preset, at_distance(distance), 20_000, correlation_time=correlation_time)
+    found = errors(preset, at_distance(distance), 8000, correlation_time=correlation_time)
     phi, noise = math.acos((5.0 - HEIGHT) / distance), PRESETS[preset]
     stated = [model.size.at(distance, phi) for model in (noise.along, noise.across, noise.heading)]
     assert found.std(axis=0) == pytest.approx(stated, rel=0.12)
@@ -217,7 +218,7 @@ def test_errors_have_the_stated_spread(preset: Preset, distance: float, correlat
 @pytest.mark.parametrize("speed", [0.0, 0.6])
 @pytest.mark.parametrize("preset", ["planar", "single-tag"])
 def test_errors_have_the_stated_correlation_whether_the_car_moves_or_stands(preset: Preset, speed: float) -> None:
-    drives, noise = deviations(preset, speed, 250), PRESETS[preset]
+    drives, noise = deviations(preset, speed, DRIVES), PRESETS[preset]
     for lag in LAGS:
         models = (noise.along, noise.across, noise.heading)
         kept = [sum(p.share * p.kept(speed * lag / 30, lag / 30) for p in model.parts) for model in models]
@@ -226,7 +227,7 @@ def test_errors_have_the_stated_correlation_whether_the_car_moves_or_stands(pres
 
 
 def test_a_tag_that_stands_repeats_part_of_its_error_however_long_one_looks() -> None:
-    standing, moving = (deviations("single-tag", speed, 250) for speed in (0.0, 0.6))
+    standing, moving = (deviations("single-tag", speed, DRIVES) for speed in (0.0, 0.6))
     assert (correlation(standing, 90)[:2] > correlation(moving, 90)[:2] + 0.2).all()
     assert correlation(standing, 1) == pytest.approx(correlation(standing, 90), abs=0.1)
 
@@ -236,7 +237,7 @@ def test_a_tag_that_stands_repeats_part_of_its_error_however_long_one_looks() ->
 def test_the_correlation_time_of_the_scenario_replaces_that_of_the_preset(
     preset: Preset, correlation_time: float
 ) -> None:
-    noise, drives = PRESETS[preset], deviations(preset, 0.0, 250, correlation_time=correlation_time)
+    noise, drives = PRESETS[preset], deviations(preset, 0.0, DRIVES, correlation_time=correlation_time)
     for lag in LAGS:
         kept = math.exp(-lag / 30 / correlation_time) if correlation_time else 0.0
         expected = [copula(model, kept) for model in (noise.along, noise.across, noise.heading)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 
@@ -28,4 +29,13 @@ def planned(setup: SimpleSetup, seconds: float = 0.05, **parameters: object) -> 
     setup.setPlanner(planner)
     setup.setup()
     setup.solve(seconds)
+    return planner
+
+
+def solved(setup: SimpleSetup, **parameters: object) -> DIRT:
+    """A planner that has just found its first solution: a tenth of a second or, over callbacks, a few."""
+    began, planner = time.monotonic(), planned(setup, 0.02, **parameters)
+    while not setup.haveExactSolutionPath():
+        assert time.monotonic() < began + 60.0
+        setup.solve(0.02)
     return planner

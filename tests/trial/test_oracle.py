@@ -32,38 +32,56 @@ def run(settings: dict[str, Any], method: str = "oracle", scenario: str = "boxes
     return run_trial(TrialSpec(load_scenario(scenario, settings), found, vehicle, seed))
 
 
+def errors_told_and_not(gap: dict[str, float]) -> tuple[float, float]:
+    """Median errors of the position after 2 s of random commands (m), with the model of the true car and without."""
+    scene, random = load_scenario("training", {"truth.vehicle": gap}), np.random.default_rng(0)
+    vehicle = load_vehicle("mushr-drive")
+    models = [CarModel(true_vehicle(vehicle, scene.truth.vehicle)), CarModel(vehicle)]
+    errors = []
+    for _ in range(12):
+        world = World(scene)
+        states = [np.append(world.pose, 0.0) for _ in models]
+        for _ in range(4):
+            command = np.array([random.uniform(0.3, 1.0), random.uniform(-0.38, 0.38)])
+            world.apply(*command)
+            world.step(250)
+            states = [model.advance(state, command, 0.5) for model, state in zip(models, states, strict=True)]
+        errors.append([float(np.hypot(*(state[:2] - world.pose[:2]))) for state in states])
+    told, not_told = np.median(errors, axis=0).tolist()
+    return told, not_told
+
+
+@pytest.fixture(scope="module")
+def own_error() -> float:
+    """Error of the model where it is that of the true car, m."""
+    return errors_told_and_not({})[1]
+
+
 @pytest.mark.parametrize("car", CARS)
-def test_the_model_of_the_true_car_predicts_it_as_well_as_the_model_predicts_its_own(car: dict[str, float]) -> None:
-    def error(gap: dict[str, float], told: bool) -> float:
-        """Median error of the position after 2 s of random commands, m."""
-        scene, random, errors = load_scenario("training", {"truth.vehicle": gap}), np.random.default_rng(0), []
-        vehicle = load_vehicle("mushr-drive")
-        model = CarModel(true_vehicle(vehicle, scene.truth.vehicle) if told else vehicle)
-        for _ in range(12):
-            world = World(scene)
-            state = np.append(world.pose, 0.0)
-            for _ in range(4):
-                command = np.array([random.uniform(0.3, 1.0), random.uniform(-0.38, 0.38)])
-                world.apply(*command)
-                world.step(250)
-                state = model.advance(state, command, 0.5)
-            errors.append(float(np.hypot(*(state[:2] - world.pose[:2]))))
-        return float(np.median(errors))
-
-    assert error(car, told=True) < 1.4 * error({}, told=False)
-    assert error(car, told=True) < 0.7 * error(car, told=False)
+def test_the_model_of_the_true_car_predicts_it_as_well_as_the_model_predicts_its_own(
+    car: dict[str, float], own_error: float
+) -> None:
+    told, not_told = errors_told_and_not(car)
+    assert told < 1.4 * own_error
+    assert told < 0.7 * not_told
 
 
-def test_noise_and_missing_poses_change_nothing() -> None:
-    clear, blind = run({}), run({"sensing.dropout": 1.0, "sensing.noise_scale": 3.0})
+@pytest.fixture(scope="module")
+def prompt() -> TrialResult:
+    """The oracle in Boxes, without delays."""
+    return run({})
+
+
+def test_noise_and_missing_poses_change_nothing(prompt: TrialResult) -> None:
+    clear, blind = prompt, run({"sensing.dropout": 1.0, "sensing.noise_scale": 3.0})
     assert [step.pose for step in clear.steps] == [step.pose for step in blind.steps]
     assert clear.outcome is Outcome.SUCCESS
 
 
-def test_delays_are_made_up_for() -> None:
+def test_delays_are_made_up_for(prompt: TrialResult) -> None:
     late = run({"sensing.command_delay": 0.25, "sensing.communication_delay": 0.2, "sensing.latency": 0.3})
     assert late.outcome is Outcome.SUCCESS
-    half = {name: r.measures.deviation_quantiles((0.5,))[-1][1] for name, r in (("prompt", run({})), ("late", late))}
+    half = {name: r.measures.deviation_quantiles((0.5,))[-1][1] for name, r in (("prompt", prompt), ("late", late))}
     assert half["late"] < half["prompt"] + 0.02
 
 
