@@ -45,7 +45,7 @@ def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: py
         plan = self._proposal.plan
         if plan is None:
             return self._choose_contingency(root, begins, current, self._proposal.reason)
-        reference = plan_reference(plan, begins, self._zero_control)
+        reference = plan_reference(self.dirt.vehicle, plan, begins)
         return Decision(reference, self._predict(root, begins, begins + 1.0, Commitment(reference)), "", plan)
 
     monkeypatch.setattr(Replanner, "_decide", trusting)
