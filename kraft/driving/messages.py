@@ -8,7 +8,8 @@ poses are (x, y, theta) in the frame of the map (m, rad).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from ompl_ext.arrays import Floats, Matrix
@@ -237,3 +238,26 @@ class Cycle:
     def commitment(self) -> Commitment:
         """Message to the car."""
         return Commitment(self.reference, self.switch, self.contingency, self.decided)
+
+
+def as_driven(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
+    """Cycles as the car drives them: after a lost message the contingency on board, if there is one."""
+    driven: list[Cycle] = []
+    on_board: Cycle | None = None
+    for cycle in cycles:
+        on_board = cycle if cycle.delivered or on_board is None else on_board
+        if on_board is not cycle and on_board.stopping is not None:
+            contingency = on_board.commitment.reference_at(cycle.time)
+            driven.append(
+                replace(
+                    cycle,
+                    kind=contingency.kind,
+                    reason="the message was lost",
+                    reference=contingency,
+                    contingency=contingency,
+                    predicted=on_board.stopping,
+                )
+            )
+        else:
+            driven.append(cycle)
+    return tuple(driven)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -12,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from kraft.driving.messages import ReferenceKind
+from kraft.driving.messages import ReferenceKind, as_driven
 from kraft.plot.frame import Frame
 from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import LegendEntry, draw_legend, lay_out
@@ -60,7 +61,7 @@ def plot_run(
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)  # before the work, not after it
-    drive = DrivenTrajectory.of(result)
+    drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.cycles)))
     notes = key_numbers(result, unknown)
     with plot_style():
         write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", notes, hidden))

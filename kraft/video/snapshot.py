@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.driving.messages import Cycle
+from kraft.driving.messages import Cycle, as_driven
 from kraft.planning.workspace import workspace_of
 from kraft.simulation.world import World
 from kraft.trial.measures import Step
@@ -42,6 +42,7 @@ class SnapshotRecorder:
     def __init__(self, spec: TrialSpec) -> None:
         self._vehicle = spec.vehicle
         self._exact = ExactClearance(workspace_of(spec.scenario.task(), spec.vehicle), spec.vehicle.footprint)
+        self._cycles: list[Cycle] = []
         self._committed: list[Cycle] = []
         self._cycle: Cycle | None = None
         self._trail: list[tuple[float, float, float]] = []
@@ -49,7 +50,8 @@ class SnapshotRecorder:
 
     def on_cycle(self, cycle: Cycle) -> None:
         """Record a cycle; snapshots contain it from its start on."""
-        self._committed.append(cycle)
+        self._cycles.append(cycle)
+        self._committed.append(as_driven(self._cycles)[-1])
 
     def on_step(self, world: World, step: Step) -> Snapshot:
         """Record a tick of the controller and return the snapshot at it."""

@@ -115,3 +115,28 @@ def test_measures_of_trials_add_up() -> None:
     assert both.consistency == one.consistency
     assert pooled([]) == Measures()
     assert Measures.model_validate_json(both.model_dump_json()) == both
+
+
+def test_after_a_lost_message_the_motion_is_compared_with_the_contingency_on_board() -> None:
+    stops = PredictedMotion(np.array([1.0, 2.0]), np.array([[1.0, 0, 0, 1.0], [1.5, 0, 0, 0.0]]), 0.1, np.full(2, 0.02))
+    on_board = replace(straight(0), stopping=stops, switch=1.0)
+    lost = [replace(straight(1), delivered=False), replace(straight(2), delivered=False)]
+    times = np.arange(0.0, 3.0, 0.05)
+    places = np.interp(times, [0.0, 1.0, 2.0], [0.0, 1.0, 1.5])
+    steps = [
+        Step(float(t), (float(x), 0.0, 0.0), 1.0, np.zeros(4), np.zeros(2), 0)
+        for t, x in zip(times, places, strict=True)
+    ]
+    found = measure([on_board, *lost], steps, FOOTPRINT, POSE)
+    assert (found.plans.ticks, found.contingencies.ticks) == (20, 40)
+    assert found.clearance.coverage == 1.0
+    assert len(found.deviation_mm) == 30
+    alone = measure([straight(0), *lost], steps, FOOTPRINT, POSE)
+    assert (alone.plans.ticks, alone.plans.held) == (60, 21)  # where the lost plan begins, too
+
+
+def test_nothing_is_compared_while_the_watchdog_stops_the_car() -> None:
+    steps = [replace(step, watchdog=step.time > 0.475) for step in drive(1.0, aside=1.0)]
+    found = measure([straight(0)], steps, FOOTPRINT, POSE, watchdog_stops=1)
+    assert (found.plans.ticks, found.watchdog_stops) == (10, 1)
+    assert pooled([found, found]).watchdog_stops == 2

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from kraft.driving.messages import Cycle, ReferenceKind
-from kraft.driving.method import load_method
+from kraft.driving.messages import Cycle, ReferenceKind, as_driven
+from kraft.driving.method import PlannerSettings, load_method
 from kraft.scenario import load_scenario
 from kraft.simulation.world import World
+from kraft.trial.plant import Radio
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
@@ -150,3 +152,125 @@ def test_one_shot_decides_once(tmp_path: Path) -> None:
     assert result.time > 3.0
     assert len(result.cycles) == 1
     assert {step.cycle for step in result.steps} == {0}
+
+
+FAR = SCENE.replace("x: [0, 5]", "x: [0, 9]").replace("center: [3.4, 1]", "center: [8, 1]") + AIMLESS
+
+
+def with_settings(found: TrialSpec, **settings: object) -> TrialSpec:
+    """A trial whose planner has other settings, checked as those of a file."""
+    planner = PlannerSettings.model_validate({**found.method.planner.model_dump(), **settings})
+    return replace(found, method=found.method.model_copy(update={"planner": planner}))
+
+
+def fail_after(monkeypatch: pytest.MonkeyPatch, messages: int) -> None:
+    """Let the radio lose all messages after the first ones."""
+
+    def delivers(self: Radio) -> bool:
+        self._sent += 1
+        self.lost += self._sent > messages
+        return self._sent <= messages
+
+    monkeypatch.setattr(Radio, "delivers", delivers)
+
+
+@pytest.mark.parametrize("contingencies", ["model", "tracked"])
+@pytest.mark.parametrize("messages", [1, 3])
+def test_a_car_without_messages_stops_with_the_contingency_on_board(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, messages: int, contingencies: str
+) -> None:
+    fail_after(monkeypatch, messages)
+    found = spec(tmp_path, "filtered-kraft", scene=FAR)
+    result = run_trial(with_settings(found, on_board="contingency", contingencies=contingencies))
+    last, first_lost = result.cycles[messages - 1], result.cycles[messages]
+    assert (last.kind, last.switch, first_lost.delivered) == (ReferenceKind.PLAN, messages, False)
+    assert last.contingency is not None
+    assert last.stopping is not None
+    assert max(step.speed for step in result.steps if step.time < messages) > 0.3
+    standing = [step for step in result.steps if step.time > last.stopping.times[-1] + 0.5]
+    assert len(standing) > 30
+    assert max(abs(step.speed) for step in standing) < 0.02
+    expected = last.stopping.final_state
+    assert math.dist(standing[-1].pose[:2], expected[:2]) < 0.15
+    assert math.dist(last.contingency.states[-1][:2], expected[:2]) < 0.1
+    assert result.measures.messages_lost == len(result.cycles) - messages
+
+
+def test_a_car_on_its_plan_drives_on_without_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fail_after(monkeypatch, 1)
+    result = run_trial(spec(tmp_path, "filtered-kraft", scene=FAR))
+    assert result.cycles[0].switch == math.inf
+    assert result.steps[-1].speed > 0.3 or result.outcome is not Outcome.TIMEOUT
+
+
+def test_after_a_lost_message_the_replanner_predicts_that_the_car_stops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fail_after(monkeypatch, 3)
+    found = spec(tmp_path, "filtered-kraft", scene=FAR)
+    result = run_trial(with_settings(found, on_board="contingency"))
+    for cycle in result.cycles[4:]:
+        true = min(result.steps, key=lambda step: abs(step.time - cycle.time))
+        assert math.dist(cycle.predicted.states[0][:2], true.pose[:2]) < 0.15
+        assert abs(float(cycle.predicted.states[0][3]) - true.speed) < 0.1
+    plans = [cycle for cycle in result.cycles[5:] if cycle.kind is ReferenceKind.PLAN]
+    assert plans, "it goes on planning from where the car stands"
+
+
+def test_what_is_drawn_after_a_lost_message_is_the_contingency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fail_after(monkeypatch, 2)
+    result = run_trial(with_settings(spec(tmp_path, "filtered-kraft", scene=FAR), on_board="contingency"))
+    driven = as_driven(result.cycles)
+    assert driven[:2] == result.cycles[:2]
+    assert all(cycle.kind is ReferenceKind.CONTINGENCY for cycle in driven[2:])
+    assert all(cycle.reference is result.cycles[1].contingency for cycle in driven[2:])
+
+
+def test_the_watchdog_stops_a_car_whose_poses_stay_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The camera sees nothing after 1.5 s; without a watchdog the car tracks its plan until the end of the cycle."""
+    from kraft.trial.plant import Plant
+
+    expose = Plant.expose
+    monkeypatch.setattr(Plant, "expose", lambda self: expose(self) if self.world.time < 1.5 else _missed(self))
+    found = with_settings(spec(tmp_path, "filtered-kraft", scene=FAR), on_board="contingency")
+    without, stopped = run_trial(found), run_trial(with_settings(found, watchdog=0.2))
+    assert (without.measures.watchdog_stops, stopped.measures.watchdog_stops) == (0, 1)
+    first = next(step.time for step in stopped.steps if step.watchdog)
+    assert 1.65 < first < 1.8
+    assert all(step.watchdog for step in stopped.steps if step.time >= first)
+    assert abs(stopped.steps[-1].speed) < 0.02
+    assert stopped.steps[-1].pose[0] < without.steps[-1].pose[0]
+
+
+def _missed(plant: object) -> None:
+    plant._frames.number += 1  # type: ignore[attr-defined]
+
+
+def test_a_car_on_its_plan_is_stopped_by_the_watchdog_without_messages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fail_after(monkeypatch, 2)
+    result = run_trial(with_settings(spec(tmp_path, "filtered-kraft", scene=FAR), watchdog=0.5))
+    assert result.measures.watchdog_stops == 1
+    assert next(step.time for step in result.steps if step.watchdog) == pytest.approx(1.0 + 1.0 + 0.5, abs=0.07)
+    assert abs(result.steps[-1].speed) < 0.02
+
+
+def test_a_car_drives_on_after_its_watchdog_stopped_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from kraft.trial.plant import Plant
+
+    expose = Plant.expose
+    seen = lambda time: not 1.5 < time < 2.3  # noqa: E731
+    monkeypatch.setattr(Plant, "expose", lambda self: expose(self) if seen(self.world.time) else _missed(self))
+    found = with_settings(spec(tmp_path, "filtered-kraft"), on_board="contingency", watchdog=0.2)
+    found = replace(found, scenario=load_scenario(tmp_path / "short.yaml"))
+    result = run_trial(found)
+    assert result.measures.watchdog_stops >= 1
+    assert result.outcome is Outcome.SUCCESS
+
+
+def test_trials_with_everything_on_board_repeat(tmp_path: Path) -> None:
+    sensing = "sensing: {message_loss: 0.4, dropout: 0.8}\n"
+    found = spec(tmp_path, "filtered-kraft", sensing + AIMLESS, seed=3)
+    found = with_settings(found, on_board="contingency", watchdog=0.4, contingencies="tracked")
+    assert everything(run_trial(found)) == everything(run_trial(found))

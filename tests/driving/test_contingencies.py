@@ -1,0 +1,147 @@
+"""Contingencies as the controller tracks them: the ranking finds the best, and what it verifies keeps the clearance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.replanner import FARSIGHTED, replanner, start
+
+from kraft.driving import contingencies
+from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
+from kraft.driving.messages import ContingencyOrigin, Estimate, Reference, ReferenceKind
+from kraft.driving.replanner import Replanner
+from kraft.driving.stopping import contingency_reference, plan_reference, required_clearance
+from ompl_ext.arrays import Floats
+
+STATES = [
+    np.array([1.6, 1.2, 1.5, 0.5]),
+    np.array([0.6, 0.2, 1.2, 0.5]),
+    np.array([1.5, 2.4, 1.57, 0.6]),
+    np.array([1.9, 1.0, 1.2, 0.6]),
+]
+
+
+def subject(**settings: object) -> Replanner:
+    found = replanner(model="mushr-drive", tracking=True, safety=FARSIGHTED, contingencies="tracked", **settings)
+    found.begin(start())
+    return found
+
+
+def ranking(found: Replanner) -> ContingencyRanking:
+    assert found._ranking is not None
+    return found._ranking
+
+
+def all_tracked(
+    found: Replanner, state: Floats, in_hand: Reference | None, plans: list[Reference]
+) -> list[TrackedContingency]:
+    each = ranking(found)
+    candidates = [*each._immediate(state, 2.0, in_hand), *each._along(state, 2.0, plans)]
+    return [each._track(state, 2.0, one.reference(), one.origin) for one in candidates]
+
+
+def plan_from(found: Replanner, state: Floats) -> Reference | None:
+    found.dirt.start(state, 1)
+    found.dirt.grow(iterations=300)
+    plan = found.dirt.plan()
+    return None if plan is None else plan_reference(plan, 2.0, np.zeros(2))
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_the_best_is_committed_whatever_its_origin(state: Floats, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contingencies, "PREDICTIONS", 1000)
+    found = subject()
+    plan = plan_from(found, state)
+    plans = [] if plan is None else [plan]
+    best = ranking(found).best(state, 2.0, None, plans)
+    each = all_tracked(found, state, None, plans)
+    assert len(each) >= 5
+    assert best.is_verified == any(one.is_verified for one in each)
+    if best.is_verified:
+        assert best.slack >= max(one.slack for one in each if one.is_verified) - 1
+    else:
+        assert best.origin is ContingencyOrigin.EMERGENCY
+
+
+def test_what_is_verified_keeps_the_clearance_until_standstill() -> None:
+    found, verified = subject(), 0
+    for state in STATES:
+        best = ranking(found).best(state, 2.0, None, [])
+        if best.is_verified:
+            verified += 1
+            exact = found.dirt.exact.distances(best.predicted.states[:, :3])
+            assert (exact - required_clearance(found.dirt, best.predicted.states)).min() >= -1e-6
+            assert abs(best.predicted.final_state[3]) <= found.dirt.safety.rest_speed
+    assert verified > 0
+
+
+def test_a_plan_that_leads_past_an_obstacle_is_followed_before_the_vehicle_stops() -> None:
+    """Ahead is a wall that the brakes do not save the car from; the plan steers away from it."""
+    found, origins = subject(), set()
+    for x in np.linspace(1.2, 2.0, 9):
+        for heading in (0.4, 0.9, 1.2):
+            state = np.array([x, 0.4, heading, 0.7])
+            plan = plan_from(found, state)
+            if plan is not None:
+                best = ranking(found).best(state, 2.0, None, [plan])
+                origins.add(best.origin)
+                assert best.reference.stop is not None
+                assert best.reference.kind is ReferenceKind.CONTINGENCY
+    assert ContingencyOrigin.SAFE in origins
+
+
+def test_following_a_plan_and_creeping_are_candidates_that_begin_where_the_vehicle_is_and_stop() -> None:
+    found = subject()
+    state = np.array([1.6, -0.3, 1.57, 0.5])
+    plan = plan_from(found, state)
+    assert plan is not None
+    candidates = list(ranking(found)._along(state, 2.0, [plan]))
+    assert {one.origin for one in candidates} == {ContingencyOrigin.PLAN_THEN_STOP, ContingencyOrigin.CREEPING}
+    for one in candidates:
+        reference = one.reference()
+        assert reference.start == 2.0
+        assert np.all(np.diff(reference.times) > 0.0)
+        assert len(reference.controls) == len(reference.times) - 1
+        np.testing.assert_allclose(reference.states[0][:3], state[:3], atol=1e-6)
+        assert reference.end == pytest.approx(one.end)
+        assert abs(reference.states[-1][3]) <= found.dirt.safety.rest_speed
+        assert reference.stop is not None
+        assert 2.0 < reference.stop.begin < reference.end
+    standing = np.array([1.6, -0.3, 1.57, 0.0])
+    assert list(ranking(found)._along(standing, 2.0, [plan])) == []
+
+
+def test_the_contingency_in_hand_is_kept_where_nothing_else_is_safe() -> None:
+    found = subject()
+    state = np.array([1.5, 2.2, 1.57, 0.6])
+    safe = found.dirt.contingency(state, 2.0)
+    assert safe is not None
+    in_hand = contingency_reference(found.dirt.vehicle, safe)
+    each = {one.origin for one in all_tracked(found, state, in_hand, [])}
+    assert ContingencyOrigin.IN_HAND in each
+    best = ranking(found).best(state, 2.0, in_hand, [])
+    assert best.slack >= max(one.slack for one in all_tracked(found, state, in_hand, [])) - 1
+
+
+def test_a_contingency_without_clearance_is_an_emergency() -> None:
+    found = subject()
+    into_the_wall = np.array([1.95, 1.0, 0.0, 0.7])
+    best = ranking(found).best(into_the_wall, 2.0, None, [])
+    assert (best.is_verified, best.origin) == (False, ContingencyOrigin.EMERGENCY)
+    assert best.impact_speed == min(one.impact_speed for one in all_tracked(found, into_the_wall, None, []))
+
+
+def test_a_standing_vehicle_that_may_not_drive_stands() -> None:
+    found = subject(on_board="contingency")
+    first = found.step(Estimate(0.0, start(), 0.0), found.begin(start()))
+    assert first.switch == 1.0
+    stopped = first.contingency
+    assert stopped is not None
+    rest = stopped.states[-1].copy()
+    rest[3] = 0.05  # noise
+    late = found.step(Estimate(stopped.end + 1.0, rest, math.inf), first.commitment)
+    assert late.contingency_origin is ContingencyOrigin.STANDING
+    np.testing.assert_array_equal(late.predicted.final_state[:3], rest[:3])
+    assert late.stopping is not None
