@@ -31,6 +31,8 @@ from ompl_ext.verification import verify
 RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
 MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
+CORRECTION_ATTEMPTS = 8  # at retaining a rest with different random corrections
+ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 
 
@@ -189,7 +191,11 @@ class Proposer:
             return Proposal(None, "the predicted start of the cycle is in collision")
         if self._slack(dirt, root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
-        lost = PlanLoss.NONE if rest is None else retain(dirt, root, rest)  # ll. 1-8
+        lost = PlanLoss.NONE
+        if rest is not None:
+            if rest.edges is not None:
+                _start_with_best_corrections(dirt, root, rest, self._seed * 100_003 + number)
+            lost = retain(dirt, root, rest)  # ll. 1-8
         kept = None if rest is None or self._settings.switch_gain == 0.0 else _retained_plan(dirt, rest)
         progress = self._grow(dirt, math.inf if rest is None else rest.left, began, share)
         plan, refused = self._choose(dirt, kept)
@@ -307,6 +313,23 @@ def _retained_plan(dirt: DirtSolver, rest: Rest) -> Plan | None:
         return None
     plan = dirt.plan_to(last)
     return plan if plan.reaches_goal or not dirt.safety.enabled or plan.cost >= dirt.safety.cycle else None
+
+
+def _start_with_best_corrections(dirt: DirtSolver, root: Floats, rest: Rest, seed: int) -> None:
+    """Start a query at `root` (nx,) with the seed that retains most of a rest, of several, the cheapest one if all.
+
+    Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.
+    """
+    assert rest.edges is not None
+    edges, best = rest.edges, (-1, -math.inf, seed)
+    part = slice(0, edges.rest)
+    for attempt in range(CORRECTION_ATTEMPTS):
+        dirt.start(root, seed + attempt * ATTEMPT_SEEDS)
+        retained = dirt.retain_edges(edges.parents[part], edges.controls[part], edges.durations[part], edges.targets)
+        best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
+        if retained == edges.rest and dirt.best_cost <= rest.left + RETAINED_TOLERANCE:
+            break
+    dirt.start(root, best[2])
 
 
 def retain(dirt: DirtSolver, root: Floats, rest: Rest) -> PlanLoss:
