@@ -14,6 +14,7 @@ from kraft.config import bundled
 from kraft.config.schema import NonNegative, Positive, Probability, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
+from kraft.errors import Code
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Seconds = Annotated[float, Field(gt=0, le=1000)]
@@ -53,6 +54,8 @@ class CalibratedBound(StrictModel):
     """least and largest scale"""
     shares: tuple[Probability, ...] = (1.0, 0.7, 0.45, 0.25)
     """shares of the bound that plans keep: the first one that leaves a way to the goal"""
+    recheck: Probability = 0.5
+    """share of the clearance of a plan that suffices when it is checked again, from a newer estimate"""
     foresight: NonNegative = 0.0
     """time for which a plan keeps the clearance, if that is longer than the cycle, s"""
 
@@ -86,6 +89,8 @@ class PlannerSettings(StrictModel):
     """how much smaller than the goal region the region is that the planner aims for, m"""
     safety: Clearance | None = None
     """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
+    bound: CalibratedBound | None = None
+    """clearance from the estimator's covariance instead of `safety`, calibrated while the vehicle drives"""
     recover: bool = False
     """a vehicle that rests nearer to an obstacle than `safety` allows may leave with the clearance that it has"""
     on_board: Literal["plan", "contingency"] = "plan"
@@ -112,8 +117,15 @@ class PlannerSettings(StrictModel):
         """Largest number of iterations of a cycle."""
         return self.iterations if self.max_iterations is None else self.max_iterations
 
+    @property
+    def is_safe(self) -> bool:
+        """Whether plans need a contingency."""
+        return self.safety is not None or self.bound is not None
+
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.safety is not None and self.bound is not None:
+            raise refuse("replaces `safety`, which is there too", "expected one of them", ("bound",), Code.CONFLICT)
         if self.lead >= self.cycle:
             raise refuse(f"is {self.lead:g}, not less than the cycle", f"expected less than {self.cycle:g}", ("lead",))
         if self.largest_budget < self.iterations:
@@ -122,9 +134,9 @@ class PlannerSettings(StrictModel):
                 f"expected at least {self.iterations}",
                 ("max_iterations",),
             )
-        if self.on_board == "contingency" and (self.safety is None or self.mode == "one-shot"):
+        if self.on_board == "contingency" and (not self.is_safe or self.mode == "one-shot"):
             raise refuse("needs contingencies", "expected `mode: replanning` and `safety`", ("on_board",))
-        if self.contingencies == "tracked" and (self.safety is None or self.mode == "one-shot"):
+        if self.contingencies == "tracked" and (not self.is_safe or self.mode == "one-shot"):
             raise refuse("needs contingencies", "expected `mode: replanning` and `safety`", ("contingencies",))
         return self
 
@@ -224,7 +236,7 @@ class Adaptive(StrictModel):
     """time between two states of the identification, s"""
     iterations: Annotated[int, Field(ge=1, le=50)] = 2
     """largest number of iterations of the identification in a cycle"""
-    delay_std: Positive = 0.15
+    delay_std: Positive = 0.1
     """standard deviation of the prior of the delay, s"""
     position_noise: Positive = 0.04
     """standard deviation of an observed position before residuals are known, m"""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kraft.driving.bound import DeviationBound
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.stopping import least_slack
@@ -40,8 +41,8 @@ CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations belo
 class Proposal:
     """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search.
 
-    `lost` is why the rest of the plan that is being executed was not retained.  `switch_refused` is whether a better
-    plan that goes another way was found, but does not save enough.
+    `kept` is the share of the bound that the plan keeps.  `lost` is why the rest of the plan that is being executed was
+    not retained.  `switch_refused` is whether a better plan that goes another way was found, but does not save enough.
     """
 
     plan: Plan | None
@@ -54,6 +55,7 @@ class Proposal:
     lost: PlanLoss = PlanLoss.NONE
     switch_refused: bool = False
     tree: TreeView | None = None
+    kept: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,13 +75,19 @@ class Solvers:
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
         checking = DirtSolver(vehicle, workspace, goal, safety, settings_of(task), settings.capacity)
-        foresight = settings.safety.foresight if settings.safety else 0.0
+        clearance = settings.bound or settings.safety
+        foresight = clearance.foresight if clearance else 0.0
         if settings.margin == 0.0 and foresight <= settings.cycle:
             return cls(checking, checking)
         safety = replace(safety, cycle=max(foresight, settings.cycle))
         larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
         larger_vehicle = replace(vehicle, footprint=larger)
         return cls(DirtSolver(larger_vehicle, workspace, goal, safety, settings_of(task), settings.capacity), checking)
+
+    def set_bound(self, bound: DeviationBound) -> None:
+        """Set the clearance that SAFETY asks for in both."""
+        for dirt in (self.checking, self.planning):
+            dirt.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
 
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,) in both."""
@@ -91,6 +99,8 @@ class Solvers:
 def method_safety(settings: PlannerSettings) -> Safety:
     """SAFETY with the clearance of a method, disabled if the method has none."""
     margin = settings.safety
+    if settings.bound is not None:  # the clearance is set in every cycle
+        return Safety(cycle=settings.cycle)
     if margin is None:
         return Safety(enabled=False, cycle=settings.cycle)
     return Safety(cycle=settings.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
@@ -115,6 +125,9 @@ class Proposer:
         self._goal = self.dirt.goal
         self._delta = self.dirt.safety.delta
         self._recovering = False
+        self._bound: DeviationBound | None = None
+        self._shares = settings.bound.shares if settings.bound else (1.0,)
+        self._kept = 0  # index into the shares
         self._grown: tuple[DirtSolver, Plan] | None = None
         self._extra = 0
 
@@ -130,12 +143,15 @@ class Proposer:
         radius, rest = self._goal_radius(root), self._rest(previous)
         self._extra = settings.largest_budget - settings.iterations
         self._grown, proposal = None, Proposal(None)
-        for dirt, share in self._solvers_in_turn(root):
+        for dirt, share, kept in self._attempts(root):
             dirt.set_goal_radius(radius)
-            proposal = self._search(number, dirt, root, rest, began, share)
-            if proposal.plan is not None:
-                self._grown = dirt, proposal.plan
+            found = replace(self._search(number, dirt, root, rest, began, share), kept=kept)
+            if proposal.plan is None:
+                proposal = found
+            if found.plan is not None and (found.plan.reaches_goal or self._bound is None):
+                proposal, self._grown = found, (dirt, found.plan)
                 break
+        self._keep(proposal)
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
         if self._realtime and missed:
@@ -152,7 +168,39 @@ class Proposer:
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
         return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
 
-    def _solvers_in_turn(self, root: Floats) -> Iterator[tuple[DirtSolver, float]]:
+    def _attempts(self, root: Floats) -> Iterator[tuple[DirtSolver, float, float]]:
+        """Solvers in turn, each with its share of the remaining time and the share of the bound that plans keep.
+
+        The bound is tried in shares from the one before the last one that left a way to the goal.
+        """
+        if self._bound is None:
+            yield from ((dirt, share, 1.0) for dirt, share in self._solvers_in_turn(root))
+            return
+        for number in range(max(self._kept - 1, 0), len(self._shares)):
+            bound = self._bound.scaled(self._shares[number])
+            self._delta = bound.delta
+            self._solvers.set_bound(bound)
+            for dirt, share in self._solvers_in_turn(root, recover=number == len(self._shares) - 1):
+                yield dirt, share, self._shares[number]
+
+    def _keep(self, proposal: Proposal) -> None:
+        """Ask for the share of the bound that the proposed plan keeps until the next proposal."""
+        if self._bound is not None and proposal.plan is not None and not self._recovering:
+            self._kept = self._shares.index(proposal.kept)
+            self._require(self._bound)
+
+    def set_bound(self, bound: DeviationBound) -> None:
+        """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""
+        self._bound = bound
+        self._require(bound)
+
+    def _require(self, bound: DeviationBound) -> None:
+        """Require what suffices when a plan is checked again."""
+        assert self._settings.bound is not None, "it was set because of the settings"
+        self._solvers.set_bound(bound.scaled(self._shares[self._kept] * self._settings.bound.recheck))
+        self._delta = self.dirt.safety.delta
+
+    def _solvers_in_turn(self, root: Floats, recover: bool = True) -> Iterator[tuple[DirtSolver, float]]:
         """Solvers to run in turn, each with its share of the remaining time; the first plan that is found is taken."""
         planning, checking, delta = self._solvers.planning, self._solvers.checking, self._delta
         checking.set_delta(delta)
@@ -162,9 +210,9 @@ class Proposer:
         yield checking, 1.0  # returns at once if the root lacks clearance, which leaves all the time to the recovery
         slack = self._slack(checking, root)
         if self._settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
-            slack = min(slack, least_slack(checking, root[None, :]))
+            slack = min(slack, least_slack(checking, root[None, :], 0.0))
         resting = all(abs(root[k]) <= checking.safety.rest_speed for k in checking.vehicle.rest_indices)
-        self._recovering = self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
+        self._recovering = recover and self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
         if self._recovering:
             checking.set_delta(max(0.0, delta + slack - RECOVERY_MARGIN))
             yield checking, 1.0

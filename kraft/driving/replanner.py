@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kraft.driving.bound import BoundCalibration, DeviationBound
 from kraft.driving.car_model import CarModel
 from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
 from kraft.driving.control import Controller
@@ -98,6 +99,8 @@ class Replanner:
         if settings.contingencies == "tracked":
             self._model = CarModel(self.dirt.vehicle)
             self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
+        self._calibration = BoundCalibration(settings.bound, self.dirt.vehicle) if settings.bound else None
+        self._bound: DeviationBound | None = None
         self._delta = self.dirt.safety.delta
         self._one_shot = settings.mode == "one-shot"
         self.set_delay(delay)
@@ -132,6 +135,7 @@ class Replanner:
             self._solvers.set_parameters(estimate.parameters)
             if self._model is not None:
                 self._model.set_parameters(estimate.parameters)
+        self._calibrate(estimate)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         if self._stands(estimate, current):
             estimate = replace(estimate, state=self._at_rest(estimate.state))
@@ -140,11 +144,21 @@ class Replanner:
         decision = self._decide(root, cycle_start, estimate, current)
         self._contingency = decision.contingency
         cycle = self._record(decision, cycle_start, estimate)
+        if self._calibration is not None and estimate.uncertainty is not None:
+            self._calibration.committed(cycle.predicted, estimate.uncertainty)
         self._in_transit.append((cycle_start, cycle.commitment))
         self._number += 1
         if not self._one_shot:
             self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
         return cycle
+
+    def _calibrate(self, estimate: Estimate) -> None:
+        """Compare the last prediction with the estimate, and set the bound for this cycle."""
+        if self._calibration is not None and estimate.uncertainty is not None:
+            self._calibration.observe(estimate.time, estimate.state)
+            self._bound = self._calibration.bound(estimate.uncertainty)
+            self._proposer.set_bound(self._bound)
+            self._delta = self.dirt.safety.delta
 
     def _stands(self, estimate: Estimate, current: Commitment) -> bool:
         """Whether the contingency on board has stopped the vehicle; its estimated speed is noise then."""
@@ -165,7 +179,7 @@ class Replanner:
         dirt = self.dirt
         leaves = is_resting(dirt, root) or dirt.safety.delta < self._delta
         if self._switches and self._settings.recover and leaves:
-            slack = least_slack(dirt, root[None, :])
+            slack = least_slack(dirt, root[None, :], 0.0)
             if slack < 0.0 or dirt.safety.delta < self._delta:
                 dirt.set_delta(min(self._delta, max(0.0, dirt.safety.delta + slack - RECOVERY_MARGIN)))
 
@@ -276,7 +290,7 @@ class Replanner:
         vehicle = self.dirt.vehicle
         (x, y, theta), (x0, y0, theta0) = pose_of(root, vehicle), pose_of(expected, vehicle)
         off = math.hypot(x - x0, y - y0) + vehicle.footprint.reach * abs(math.remainder(theta - theta0, math.tau))
-        return off <= 2.0 * float(required_clearance(self.dirt, expected[None, :])[0])
+        return off <= 2.0 * float(required_clearance(self.dirt, expected[None, :], 0.0)[0])
 
     def _nearest_free(self, state: Floats) -> Floats:
         """Nearest collision-free state within 0.3 m: a vehicle that still drives has not collided."""
@@ -297,11 +311,14 @@ class Replanner:
         (x0, x1), (y0, y1) = self.dirt.workspace.bounds
         return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= 0.0
 
-    def _with_delta(self, motion: PredictedMotion) -> PredictedMotion:
-        """A motion with the clearance that SAFETY asks of it, if it asks for any."""
-        return (
-            replace(motion, delta=required_clearance(self.dirt, motion.states)) if self.dirt.safety.enabled else motion
-        )
+    def _with_delta(self, motion: PredictedMotion, cycle_start: float) -> PredictedMotion:
+        """A motion with its bound, or with the clearance that SAFETY asks of it, if it asks for any."""
+        if self._bound is not None:
+            speeds = motion.states[:, self.dirt.vehicle.rest_indices[0]]
+            return replace(motion, delta=self._bound.at(motion.times - cycle_start, speeds))
+        if not self.dirt.safety.enabled:
+            return motion
+        return replace(motion, delta=required_clearance(self.dirt, motion.states))
 
     def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
         vehicle, plan, proposal, stopping = self.dirt.vehicle, decision.plan, self._proposal, decision.stopping
@@ -321,12 +338,12 @@ class Replanner:
             missed=proposal.missed,
             reference=decision.reference,
             contingency=decision.contingency,
-            predicted=self._with_delta(decision.predicted),
+            predicted=self._with_delta(decision.predicted, cycle_start),
             lost=proposal.lost,
             switch_refused=proposal.switch_refused,
             contingency_origin=decision.origin,
             tree=proposal.tree,
             switch=cycle_start + self._settings.cycle if plan is not None and self._switches else math.inf,
             decided=estimate.time,
-            stopping=self._with_delta(stopping) if self._switches and stopping is not None else None,
+            stopping=self._with_delta(stopping, cycle_start) if self._switches and stopping is not None else None,
         )

@@ -67,17 +67,16 @@ def emergency_reference(dirt: DirtSolver, state: Floats, start: float) -> Refere
     return max(manoeuvres, key=lambda each: (each.distance, -each.impact_speed)).reference(start, dirt.safety.step)
 
 
-def required_clearance(dirt: DirtSolver, states: Matrix) -> Floats:
-    """Clearance delta(v) (n,) that SAFETY asks of states (n, nx), m."""
-    safety = dirt.safety
-    delta: Floats = safety.delta + safety.delta_per_speed * np.abs(states[:, dirt.vehicle.rest_indices[0]])
-    return delta
+def required_clearance(dirt: DirtSolver, states: Matrix, since: float = math.inf) -> Floats:
+    """Clearance delta(t, v) (n,) that SAFETY asks of states (n, nx) `since` s after the begin of the cycle, m."""
+    speeds = states[:, dirt.vehicle.rest_indices[0]]
+    return dirt.safety.clearance(speeds, np.full(len(states), since))
 
 
-def least_slack(dirt: DirtSolver, states: Matrix) -> float:
+def least_slack(dirt: DirtSolver, states: Matrix, since: float = math.inf) -> float:
     """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound."""
     poses = np.array([pose_of(state, dirt.vehicle) for state in states])
-    return float((dirt.clearances(poses) - required_clearance(dirt, states)).min())
+    return float((dirt.clearances(poses) - required_clearance(dirt, states, since)).min())
 
 
 @dataclass(frozen=True)
