@@ -142,14 +142,16 @@ class Proposer:
         began, settings = clock.perf_counter(), self._settings
         radius, rest = self._goal_radius(root), self._rest(previous)
         self._extra = settings.largest_budget - settings.iterations
-        self._grown, proposal = None, Proposal(None)
+        last, self._grown, proposal = self._grown, None, Proposal(None)
         for dirt, share, kept in self._attempts(root):
             dirt.set_goal_radius(radius)
             found = replace(self._search(number, dirt, root, rest, began, share), kept=kept)
-            if proposal.plan is None:
+            if self._grown is None or self._is_better(found, proposal):
                 proposal = found
-            if found.plan is not None and (found.plan.reaches_goal or self._bound is None):
-                proposal, self._grown = found, (dirt, found.plan)
+                self._grown = None if found.plan is None else (dirt, found.plan)
+            if proposal.plan is None or (self._bound is not None and not proposal.plan.reaches_goal):
+                continue
+            if last is None or dirt is last[0] or not self._is_worse(proposal, rest):
                 break
         self._keep(proposal)
         seconds = clock.perf_counter() - began
@@ -230,6 +232,19 @@ class Proposer:
         if settings.retain == "tree" and self._grown is not None and self._grown[1] is previous:
             edges = self._grown[0].retainable_edges(previous, settings.cycle, settings.iterations)
         return Rest(previous, settings.cycle, edges)
+
+    def _is_worse(self, proposal: Proposal, rest: Rest | None) -> bool:
+        """Whether a plan replaces a lost rest and costs more; if a gain is required, the rest's solver is asked."""
+        if self._settings.switch_gain == 0.0 or rest is None or proposal.lost is PlanLoss.NONE or proposal.plan is None:
+            return False
+        return total_cost(proposal.plan) > rest.left + RETAINED_TOLERANCE
+
+    def _is_better(self, found: Proposal, proposal: Proposal) -> bool:
+        """Whether a plan to the goal that another solver found saves the gain, or alone reaches the goal."""
+        if found.plan is None or proposal.plan is None or not found.plan.reaches_goal:
+            return False
+        gain = self._settings.switch_gain
+        return not proposal.plan.reaches_goal or total_cost(found.plan) <= total_cost(proposal.plan) - gain
 
     def _search(
         self, number: int, dirt: DirtSolver, root: Floats, rest: Rest | None, began: float, share: float

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, drive, mushr, replanner, start
 
+from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
-from kraft.driving.proposer import Proposer, Rest, Solvers, total_cost
+from kraft.driving.proposer import Proposal, Proposer, Rest, Solvers, total_cost
 from kraft.driving.ways import goes_same_way
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
@@ -180,3 +182,25 @@ def test_a_plan_goes_the_same_way_as_itself_and_not_the_way_on_the_other_side_of
     assert goes_same_way(dirt, cheap, cheap)
     assert not goes_same_way(dirt, cheap, dear)
     assert not goes_same_way(dirt, dear, cheap)
+
+
+def test_without_the_margin_a_plan_is_better_if_it_saves_the_gain_or_alone_reaches_the_goal() -> None:
+    cheap, dear = (Proposal(plan, lost=PlanLoss.COLLISION) for plan in two_ways())
+    assert cheap.plan is not None
+    assert dear.plan is not None
+    saved = total_cost(dear.plan) - total_cost(cheap.plan)
+    assert proposer(switch_gain=0.9 * saved)._is_better(cheap, dear)
+    assert not proposer(switch_gain=1.1 * saved)._is_better(cheap, dear)
+    short = replace(dear, plan=replace(dear.plan, reaches_goal=False))
+    assert proposer(switch_gain=1.1 * saved)._is_better(cheap, short)
+    assert not proposer(switch_gain=0.9 * saved)._is_better(replace(cheap, plan=None), dear)
+
+
+def test_the_solver_of_a_lost_rest_is_asked_only_if_a_gain_is_required_and_the_plan_costs_more() -> None:
+    cheap, dear = two_ways()
+    rest, lost = Rest(cheap, 0.0), Proposal(dear, lost=PlanLoss.COLLISION)
+    costly = replace(lost, plan=replace(dear, cost=dear.cost + 1.0))
+    assert proposer(switch_gain=1.0)._is_worse(costly, rest)
+    assert not proposer()._is_worse(costly, rest)
+    assert not proposer(switch_gain=1.0)._is_worse(replace(costly, lost=PlanLoss.NONE), rest)
+    assert not proposer(switch_gain=1.0)._is_worse(costly, None)
