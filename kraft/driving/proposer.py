@@ -33,6 +33,8 @@ RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is belo
 MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 CORRECTION_ATTEMPTS = 8  # at retaining a rest with different random corrections
+HYSTERESIS = 0.8  # share of the clearance of a plan that suffices for its rest
+STEADY = 2  # cycles after which a larger share of the bound is tried
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 
@@ -128,6 +130,7 @@ class Proposer:
         self._bound: DeviationBound | None = None
         self._shares = settings.bound.shares if settings.bound else (1.0,)
         self._kept = 0  # index into the shares
+        self._steady = 0  # number of cycles with this share since a larger one was tried
         self._grown: tuple[DirtSolver, Plan] | None = None
         self._extra = 0
 
@@ -143,9 +146,11 @@ class Proposer:
         radius, rest = self._goal_radius(root), self._rest(previous)
         self._extra = settings.largest_budget - settings.iterations
         last, self._grown, proposal = self._grown, None, Proposal(None)
-        for dirt, share, kept in self._attempts(root):
+        for dirt, share, kept in self._attempts(root, rest is not None):
             dirt.set_goal_radius(radius)
             found = replace(self._search(number, dirt, root, rest, began, share), kept=kept)
+            if kept > self._shares[self._kept] and not self._may_keep_more(found, rest):
+                continue
             if self._grown is None or self._is_better(found, proposal):
                 proposal = found
                 self._grown = None if found.plan is None else (dirt, found.plan)
@@ -170,25 +175,36 @@ class Proposer:
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
         return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
 
-    def _attempts(self, root: Floats) -> Iterator[tuple[DirtSolver, float, float]]:
+    def _attempts(self, root: Floats, has_rest: bool) -> Iterator[tuple[DirtSolver, float, float]]:
         """Solvers in turn, each with its share of the remaining time and the share of the bound that plans keep.
 
-        The bound is tried in shares from the one before the last one that left a way to the goal.
+        The bound is tried in shares from the last one that left a way to the goal, so that its plan can be retained,
+        and now and then from the one before.  A rest needs a little less than what it was planned with, because
+        estimate and bound change.
         """
         if self._bound is None:
             yield from ((dirt, share, 1.0) for dirt, share in self._solvers_in_turn(root))
             return
-        for number in range(max(self._kept - 1, 0), len(self._shares)):
-            bound = self._bound.scaled(self._shares[number])
+        first = self._kept - 1 if self._steady >= STEADY else self._kept
+        for number in range(max(first, 0), len(self._shares)):
+            eased = HYSTERESIS if number == self._kept and has_rest else 1.0
+            bound = self._bound.scaled(self._shares[number] * eased)
             self._delta = bound.delta
             self._solvers.set_bound(bound)
             for dirt, share in self._solvers_in_turn(root, recover=number == len(self._shares) - 1):
                 yield dirt, share, self._shares[number]
 
+    def _may_keep_more(self, found: Proposal, rest: Rest | None) -> bool:
+        """Whether a plan that keeps more of the bound than the last one did leads to the goal and costs no more."""
+        if found.plan is None or not found.plan.reaches_goal:
+            return False
+        return rest is None or total_cost(found.plan) <= rest.left + RETAINED_TOLERANCE
+
     def _keep(self, proposal: Proposal) -> None:
         """Ask for the share of the bound that the proposed plan keeps until the next proposal."""
         if self._bound is not None and proposal.plan is not None and not self._recovering:
-            self._kept = self._shares.index(proposal.kept)
+            before, self._kept = self._kept, self._shares.index(proposal.kept)
+            self._steady = self._steady % STEADY + 1 if self._kept == before else 0
             self._require(self._bound)
 
     def set_bound(self, bound: DeviationBound) -> None:
