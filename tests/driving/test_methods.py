@@ -88,4 +88,4 @@ def test_an_unknown_method_is_answered_with_the_nearest_one() -> None:
 def test_a_method_without_contingencies_has_none_on_board(tmp_path: Path, key: str, without: str) -> None:
     planner = "planner: {mode: replanning, safety: {delta: 0.05, delta_per_speed: 0.25}}"
     problems = problems_of(tmp_path, GOOD.replace(planner, f"planner: {{{without}, {key}}}"))
-    assert [problem.path for problem in problems] == [f"planner.{key.split(':')[0]}"]
+    assert [problem.path for problem in problems] == [f"planner.{key.split(':', maxsplit=1)[0]}"]
