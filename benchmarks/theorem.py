@@ -22,7 +22,7 @@ from benchmarks.report import Report, Target, row
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.messages import Cycle, Estimate, Reference, ReferenceKind
-from kraft.driving.method import Kinodynamic, OpenLoop, PlannerSettings
+from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, PlannerSettings
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.compilation import ensure_compiled
@@ -76,20 +76,24 @@ def run(effort: Effort) -> Report:
     return Report("theorem", rows, notes=[f"collisions in episodes {hits}"] if hits else [])
 
 
-def episode(number: int) -> Episode:
-    """Drive in arena `number`; odd ones are hostile."""
+def episode(number: int, loss: float = 0.0) -> Episode:
+    """Drive in arena `number`; odd ones are hostile.
+
+    A share `loss` of the messages is lost; the vehicle then tracks the contingency that it has on board.
+    """
     scene, rng = random_scene(number), np.random.default_rng([7, number])
     vehicle = vehicle_named(VEHICLES[number // 2 % len(VEHICLES)])
     safety = Safety(cycle=1.0, delta=DELTA)
     dirt = DirtSolver(vehicle, scene.workspace, scene.goal, safety, Settings(), CAPACITY)
     model = CarModel(vehicle)
     kind = OpenLoop(kind="open_loop") if number // 4 % 2 else Kinodynamic(kind="kinodynamic")
-    settings = PlannerSettings(mode="replanning", lead=0.0, iterations=ITERATIONS)
+    on_board = {"on_board": "contingency", "safety": Clearance(delta=DELTA, delta_per_speed=0.0)} if loss else {}
+    settings = PlannerSettings.model_validate({"mode": "replanning", "lead": 0.0, "iterations": ITERATIONS, **on_board})
     replanner = Replanner(Solvers(dirt, dirt), settings, make_controller(kind, model), number, period=PERIOD)
     body = Body(scene.solids, vehicle.footprint)
     start = random_start(rng, vehicle, scene.workspace.bounds, body, replace(safety, delta=2 * DELTA))
     start[3] = 0.0
-    drive = _Drive(scene, body, vehicle.footprint.reach, rng, hostile=bool(number % 2))
+    drive = _Drive(scene, body, vehicle.footprint.reach, rng, hostile=bool(number % 2), loss=loss)
     return drive.run(replanner, start)
 
 
@@ -97,8 +101,9 @@ class _Drive:
     """A true vehicle that is `offset` (x, y, heading) away from what was predicted."""
 
     def __init__(
-        self, scene: RandomScene, body: Body, reach: float, rng: np.random.Generator, *, hostile: bool
+        self, scene: RandomScene, body: Body, reach: float, rng: np.random.Generator, *, hostile: bool, loss: float
     ) -> None:
+        self._loss, self._radio = loss, np.random.default_rng([8, scene.number])
         self._scene, self._body, self._rng, self._hostile = scene, body, rng, hostile
         self._reach = reach
         self._turn = TURN * DELTA / reach
@@ -117,8 +122,10 @@ class _Drive:
             estimate[:3] = truth - self._lie(truth)
             cycle = replanner.step(Estimate(float(number), estimate, 0.0), current)
             stops += cycle.kind == ReferenceKind.CONTINGENCY
-            predicted = self._predicted(cycle)
-            current = cycle.commitment
+            if number > 0 and self._radio.random() < self._loss:
+                predicted = current.reference_at(float(number))
+            else:
+                predicted, current = self._predicted(cycle), cycle.commitment
             self._offset = truth - predicted.state_at(float(number))[:3]
             broken += self._deviation() > DELTA + 1e-9
             believed = self._execute(predicted, float(number))

@@ -242,7 +242,7 @@ class Replanner:
         """
         cycle_end = cycle_start + self._settings.cycle
         if self._switches and is_resting(self.dirt, root):
-            return self._stand(root, cycle_start, reason)
+            return self._stand(root, cycle_start, current, reason)
         tracked = current.reference_at(cycle_start)
         stored = tracked if tracked.kind is ReferenceKind.CONTINGENCY else self._contingency
         if self._ranking is not None:
@@ -260,10 +260,14 @@ class Replanner:
         stopping = self._predict.until_rest(root, cycle_start, reference) if self._switches else None
         return Decision(reference, predicted, reason, None, reference, origin, stopping)
 
-    def _stand(self, root: Floats, cycle_start: float, reason: str) -> Decision:
-        """Commit that the vehicle stays where it stands."""
-        root = self._at_rest(root)
-        standing = self._standing(root, cycle_start)
+    def _stand(self, root: Floats, cycle_start: float, current: Commitment, reason: str) -> Decision:
+        """Commit that the vehicle stays where it stands: at the end of the contingency that stopped it, if one did.
+
+        That was verified for this place; a new estimate of the place is not.
+        """
+        root, tracked = self._at_rest(root), current.reference_at(cycle_start)
+        over = tracked.kind is ReferenceKind.CONTINGENCY and cycle_start >= tracked.end
+        standing = tracked if over else self._standing(root, cycle_start)
         predicted = self._predict(root, cycle_start, cycle_start + self._settings.cycle, Commitment(standing))
         return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
 

@@ -81,3 +81,11 @@ def test_an_unknown_method_is_answered_with_the_nearest_one() -> None:
     (diagnostic,) = caught.value.diagnostics
     assert diagnostic.file == "kraf"
     assert "'kraft'" in diagnostic.expected
+
+
+@pytest.mark.parametrize("key", ["on_board: contingency", "contingencies: tracked"])
+@pytest.mark.parametrize("without", ["mode: replanning", "mode: one-shot, safety: {delta: 0.05}"])
+def test_a_method_without_contingencies_has_none_on_board(tmp_path: Path, key: str, without: str) -> None:
+    planner = "planner: {mode: replanning, safety: {delta: 0.05, delta_per_speed: 0.25}}"
+    problems = problems_of(tmp_path, GOOD.replace(planner, f"planner: {{{without}, {key}}}"))
+    assert [problem.path for problem in problems] == [f"planner.{key.split(':', maxsplit=1)[0]}"]

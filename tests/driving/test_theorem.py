@@ -30,6 +30,14 @@ def test_the_world_never_deviates_by_more_than_the_theorem_allows(episodes: list
     assert sum(each.broken for each in episodes) == 0
 
 
+def test_no_vehicle_collides_whose_messages_are_lost() -> None:
+    """Theorem 1, case (b): from the end of the cycle on it tracks the contingency on board."""
+    lossy = [episode(number, loss=0.4) for number in range(16)]
+    assert [each.number for each in lossy if each.clearance <= 0.0] == []
+    assert sum(each.broken for each in lossy) == 0
+    assert sum(each.cycles for each in lossy) > 60
+
+
 def test_vehicles_move_stop_and_arrive(episodes: list[Episode]) -> None:
     assert sum(each.cycles for each in episodes) > 100
     assert sum(each.contingencies for each in episodes) > 0
