@@ -38,9 +38,9 @@ class CalibratedBound(StrictModel):
 
     level: Annotated[Probability, Field(ge=0.5, le=0.9999)] = 0.99
     """share of the deviations that the bound shall hold"""
-    growth: NonNegative = 0.015
+    growth: NonNegative = 0.008
     """standard deviation that the prediction gains in a second, m/s"""
-    horizon: Seconds = 2.0
+    horizon: Seconds = 1.5
     """time after which the deviation grows no further, because the controller corrects it, s"""
     initial: Positive = 1.0
     """scale of the bound before deviations are observed"""

@@ -33,6 +33,7 @@ RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is belo
 MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 CORRECTION_ATTEMPTS = 8  # at retaining a rest with different random corrections
+STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
 HYSTERESIS = 0.8  # share of the clearance of a plan that suffices for its rest
 STEADY = 2  # cycles after which a larger share of the bound is tried
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
@@ -158,7 +159,7 @@ class Proposer:
                 continue
             if last is None or dirt is last[0] or not self._is_worse(proposal, rest):
                 break
-        self._keep(proposal)
+        self._keep(proposal, rest)
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
         if self._realtime and missed:
@@ -200,11 +201,16 @@ class Proposer:
             return False
         return rest is None or total_cost(found.plan) <= rest.left + RETAINED_TOLERANCE
 
-    def _keep(self, proposal: Proposal) -> None:
-        """Ask for the share of the bound that the proposed plan keeps until the next proposal."""
+    def _keep(self, proposal: Proposal, rest: Rest | None) -> None:
+        """Ask for the share of the bound that the proposed plan keeps until the next proposal.
+
+        If the vehicle makes no progress, the next plan may keep less.
+        """
         if self._bound is not None and proposal.plan is not None and not self._recovering:
             before, self._kept = self._kept, self._shares.index(proposal.kept)
             self._steady = self._steady % STEADY + 1 if self._kept == before else 0
+            if rest is not None and total_cost(proposal.plan) > rest.left + STALLED:
+                self._kept, self._steady = min(self._kept + 1, len(self._shares) - 1), 0
             self._require(self._bound)
 
     def set_bound(self, bound: DeviationBound) -> None:
