@@ -42,7 +42,7 @@ class CalibratedBound(StrictModel):
     """standard deviation that the prediction gains in a second, m/s"""
     horizon: Seconds = 1.5
     """time after which the deviation grows no further, because the controller corrects it, s"""
-    initial: Positive = 1.0
+    initial: Positive = 1.2
     """scale of the bound before deviations are observed"""
     prior_cycles: Positive = 10.0
     """number of cycles that the initial scale counts for"""
