@@ -71,7 +71,7 @@ class CarModel:
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], UPDATED_SIZE)
         speeds = self._responses(self.throttle, throttles, 0.0)[:, self.v]
         if speeds[-1] > 0.0:
-            self._throttles, self._speeds = throttles.tolist(), np.maximum.accumulate(speeds).tolist()
+            self._throttles, self._speeds = list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
         steerings = np.linspace(self.low[self.steering], self.high[self.steering], UPDATED_SIZE)
         throttle = self.throttle_for(0.5 * self._speeds[-1])
         before = self._responses(self.steering, steerings, throttle)
@@ -81,8 +81,8 @@ class CarModel:
             curvature, slip = self._turn(state, self.command(throttle, steering))
             curvatures.append(curvature)
             slips.append(slip)
-        self._steerings, self._curvatures = steerings.tolist(), np.maximum.accumulate(curvatures).tolist()
-        self._slips = slips
+        self._steerings, self._slips = list(map(float, steerings)), slips
+        self._curvatures = list(map(float, np.maximum.accumulate(curvatures)))
 
     def _responses(self, varied: int, values: Floats, throttle: float) -> Matrix:
         """States (n, nx) after `UPDATED_TIME` s from standstill with each of `values` (n,) of the control `varied`."""
@@ -95,7 +95,8 @@ class CarModel:
             np.zeros((count, len(self.vehicle.state))), controls, np.tile(self._parameters, (count, 1)),
             np.full(count, MAX_STEP), np.zeros(kernels.block), states,
         )  # fmt: skip
-        return states[-1]
+        last: Matrix = states[-1]
+        return last
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx,) after holding a control (nu,) for `duration` s; a copy of the state if that is not above 0."""

@@ -46,7 +46,7 @@ def plan_from(found: Replanner, state: Floats) -> Reference | None:
     found.dirt.start(state, 1)
     found.dirt.grow(iterations=300)
     plan = found.dirt.plan()
-    return None if plan is None else plan_reference(plan, 2.0, np.zeros(2))
+    return None if plan is None else plan_reference(found.dirt.vehicle, plan, 2.0)
 
 
 @pytest.mark.parametrize("state", STATES)

@@ -60,7 +60,7 @@ def test_the_estimator_of_the_paper_is_the_default(tmp_path: Path) -> None:
         ("k_path: 5", "k_path: x", (5, 41), "controller.k_path", "'x'"),
         ("look: 0.1", "softening: 0", (5, 55), "controller.softening", "greater than 0"),
         ("kind: kinodynamic, k_path: 5, look: 0.1", "kind: geometric, gains: [1, 2]", (5, 38), "controller.gains", "3 items"),
-        ("kind: filter", "kind: kalman", (4, 19), "estimator.kind", "one of latest, filter, oracle"),
+        ("kind: filter", "kind: kalman", (4, 19), "estimator.kind", "one of latest, filter, adaptive, oracle"),
         ("replanning,", "replanning, lead: 2,", (3, 35), "planner.lead", "less than 1"),
         ("replanning,", "replanning, vehicle: musrh,", (3, 38), "planner.vehicle", "did you mean 'mushr'"),
         ("title: Mine\n", "", (1, 1), "title", ""),

@@ -28,8 +28,8 @@ def problems_of(folder: Path, text: str) -> list[str]:
     return located(raised(lambda: load_vehicle_config(path)))
 
 
-def test_the_five_vehicles_are_bundled() -> None:
-    assert bundled.names("vehicle") == ("benchmark", "mushr", "mushr-drive", "mushr-lag", "unicycle2")
+def test_the_vehicles_are_bundled() -> None:
+    assert bundled.names("vehicle") == ("benchmark", "mushr", "mushr-drive", "mushr-force", "mushr-lag", "unicycle2")
 
 
 @pytest.mark.parametrize(
