@@ -15,6 +15,8 @@ from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Kinodynamic
 from ompl_ext.arrays import Floats
 
+K_HOLD: Final = 3.0
+"""Throttle per metre that a car which is held has drifted, 1/m."""
 WINDOW: Final = 25
 """Samples to each side of the last nearest one among which the next one is searched."""
 
@@ -37,7 +39,7 @@ class KinodynamicController:
         tracker.advance_to(estimate.time + self._settings.look)
         projection, path = tracker.project(estimate.state), tracker.path
         if tracker.is_last and path.is_past_end(projection):
-            return self._model.clamped(reference.rest)
+            return self._model.clamped(self._held(reference, path, projection))
         speed = abs(float(estimate.state[self._model.v]))
         ahead = path.index_at(projection.arc_length + self._settings.look * speed)
         steering = float(path.steering[ahead]) + self._feedback(estimate.state, speed, path, projection)
@@ -55,6 +57,13 @@ class KinodynamicController:
         cross_track_term = math.atan2(settings.k_path * projection.cross_track, speed + settings.softening)
         return path.direction * settings.k_heading * heading - cross_track_term
 
+    def _held(self, reference: Reference, path: Path, projection: Projection) -> Floats:
+        """Rest control (nu,); one that holds the car against a force is corrected by the way it has drifted."""
+        held, throttle = reference.rest.copy(), self._model.throttle
+        if held[throttle] != 0.0:
+            held[throttle] += path.direction * K_HOLD * (path.length - projection.arc_length)
+        return held
+
     def _throttle(self, time: float, reference: Reference, path: Path, projection: Projection) -> float:
         """Planned throttle plus feedback on the progress; a contingency never gets more throttle than planned.
 
@@ -67,5 +76,5 @@ class KinodynamicController:
         if reference.kind is ReferenceKind.PLAN:
             return throttle
         if time >= reference.end:
-            return float(reference.rest[self._model.throttle])
+            return float(self._held(reference, path, projection)[self._model.throttle])
         return min(throttle, planned) if path.direction > 0 else max(throttle, planned)
