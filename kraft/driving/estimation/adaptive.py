@@ -19,7 +19,7 @@ from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter
 from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
-from kraft.driving.method import Adaptive, Filter
+from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.settings import Noise
@@ -135,11 +135,8 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     Raises:
         InputError: if the vehicle states no range of a parameter.
     """
-    missing = [name for name in vehicle.parameters if name not in vehicle.ranges]
-    if missing or not vehicle.parameters:
-        problem = f"states no min, max and std of {', '.join(missing)}" if missing else "has no parameters"
-        expected = "expected them in its file, because the method estimates parameters while it drives"
-        raise InputError.of(vehicle.name, problem, expected, Code.MISSING)
+    if problem := unstated_ranges(vehicle):
+        raise InputError.of(vehicle.name, problem, RANGES_EXPECTED, Code.MISSING)
     specs = [
         ParameterSpec(name, value, vehicle.ranges[name].low, vehicle.ranges[name].high, vehicle.ranges[name].std,
                       "", "", True)
