@@ -152,12 +152,10 @@ class PlannerSettings(StrictModel):
                 f"expected at least {self.iterations}",
                 ("max_iterations",),
             )
-        if self.on_board == "contingency" and (not self.is_safe or self.mode == "one-shot"):
-            raise refuse("needs contingencies", "expected `mode: replanning`, and `safety` or `bound`", ("on_board",))
-        if self.contingencies == "tracked" and (not self.is_safe or self.mode == "one-shot"):
-            raise refuse(
-                "needs contingencies", "expected `mode: replanning`, and `safety` or `bound`", ("contingencies",)
-            )
+        if not self.is_safe or self.mode == "one-shot":
+            chosen = {"on_board": self.on_board == "contingency", "contingencies": self.contingencies == "tracked"}
+            for name in [name for name, is_chosen in chosen.items() if is_chosen]:
+                raise refuse("needs contingencies", "expected `mode: replanning`, and `safety` or `bound`", (name,))
         return self
 
 
