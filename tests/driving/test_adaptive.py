@@ -160,7 +160,7 @@ def test_the_uncertainty_grows_until_the_horizon() -> None:
     """The covariance is that of the state in which a command will act, not that of the newest pose."""
     states, commands = driven(exciting, 6.0, {}, 0.0)
     subject = estimator()
-    _, estimate = drive(subject, states, commands, correlated(np.random.default_rng(1), len(states), SIGMAS, 0.0))
+    drive(subject, states, commands, correlated(np.random.default_rng(1), len(states), SIGMAS, 0.0))
     belief = subject.belief
     assert belief is not None
     later = subject.replanning_estimate(6.5)
@@ -254,11 +254,11 @@ def test_after_a_car_was_moved_the_stated_error_is_that_of_a_pose() -> None:
         subject.observe(pose_at(k, BEGIN + np.array([1.0 if k > 40 else 0.0, 0.0, 0.0, 0.0]), np.zeros(3)))
     belief = subject.belief
     assert belief is not None
-    assert belief.mean == pytest.approx(BEGIN[:3] + [1.0, 0.0, 0.0], abs=1e-9)
+    assert belief.mean == pytest.approx(BEGIN[:3] + np.array([1.0, 0.0, 0.0]), abs=1e-9)
     whole = settings.position_noise**2 + settings.position_offset**2
     assert belief.covariance[0, 0] == pytest.approx(whole)
     for k in range(46, 200):
         subject.observe(pose_at(k, BEGIN + np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)))
     assert subject.belief is not None
     assert settings.position_offset**2 * 0.5 < subject.belief.covariance[0, 0] < whole  # the offset cannot be told
-    assert subject.belief.mean == pytest.approx(BEGIN[:3] + [1.0, 0.0, 0.0], abs=0.02)
+    assert subject.belief.mean == pytest.approx(BEGIN[:3] + np.array([1.0, 0.0, 0.0]), abs=0.02)

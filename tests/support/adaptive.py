@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from functools import cache
 
 import numpy as np
-from support.driving import RATE, Truth
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.adaptive import online_parameters
@@ -17,6 +16,7 @@ from kraft.driving.method import Adaptive
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
+from support.driving import RATE, Truth
 
 BEGIN = np.array([1.0, 0.5, 1.2, 0.0])
 SETTINGS = Adaptive(kind="adaptive")
