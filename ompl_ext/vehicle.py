@@ -90,7 +90,7 @@ class Vehicle:
     """of the parameters that may be estimated while the vehicle drives; planning does not use them"""
 
     def __post_init__(self) -> None:
-        problems = [*_shape_problems(self)]
+        problems = [*_shape_problems(self), *_range_problems(self)]
         if problems:
             raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
 
@@ -177,4 +177,13 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
         problems.append("manoeuvres are empty: a vehicle needs a way to stop")
     if vehicle.stop is None and len(vehicle.manoeuvres) > 1:
         problems.append("several manoeuvres need a stop(x, p, k) function")
+    return problems
+
+
+def _range_problems(vehicle: Vehicle) -> list[str]:
+    unknown = [name for name in vehicle.ranges if name not in vehicle.parameters]
+    problems = [f"ranges names {name!r}, which is not a parameter" for name in unknown]
+    for name, allowed in vehicle.ranges.items():
+        if not (allowed.low < allowed.high and 0 < allowed.std < math.inf):
+            problems.append(f"the range of {name} needs low < high and a finite positive std, got {allowed}")
     return problems

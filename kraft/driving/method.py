@@ -5,8 +5,9 @@ Each file of `configs/methods/` is one row of a results table; a new method need
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 
@@ -14,7 +15,10 @@ from kraft.config import bundled
 from kraft.config.schema import NonNegative, Positive, Probability, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
-from kraft.errors import Code
+from kraft.errors import Code, InputError
+
+if TYPE_CHECKING:
+    from ompl_ext.vehicle import Vehicle
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Seconds = Annotated[float, Field(gt=0, le=1000)]
@@ -52,12 +56,24 @@ class CalibratedBound(StrictModel):
     """root mean square of observed deviations over the bound where the stated covariance is right"""
     limits: tuple[Positive, Positive] = (0.7, 2.5)
     """least and largest scale"""
-    shares: tuple[Probability, ...] = (1.0, 0.7, 0.45, 0.25)
+    shares: Annotated[tuple[Annotated[float, Field(gt=0, le=1)], ...], Field(min_length=1)] = (1.0, 0.7, 0.45, 0.25)
     """shares of the bound that plans keep: the first one that leaves a way to the goal"""
     recheck: Probability = 0.5
     """share of the clearance of a plan that suffices when it is checked again, from a newer estimate"""
     foresight: NonNegative = 0.0
     """time for which a plan keeps the clearance, if that is longer than the cycle, s"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        low, high = self.limits
+        if low >= high:
+            problem = f"the interval [{low:g}, {high:g}] is empty or inverted"
+            raise refuse(problem, "expected [least, largest] with least < largest", ("limits",), Code.CONFLICT)
+        for k, (larger, smaller) in enumerate(itertools.pairwise(self.shares), 1):
+            if smaller >= larger:
+                problem = f"is {smaller:g}, not less than the share before it"
+                raise refuse(problem, f"expected less than {larger:g}", ("shares", k), Code.CONFLICT)
+        return self
 
 
 RESERVE = 0.2
@@ -126,6 +142,8 @@ class PlannerSettings(StrictModel):
     def _check(self) -> Self:
         if self.safety is not None and self.bound is not None:
             raise refuse("replaces `safety`, which is there too", "expected one of them", ("bound",), Code.CONFLICT)
+        if self.bound is not None and self.mode == "one-shot":
+            raise refuse("is set in every cycle", "expected `mode: replanning`", ("bound",), Code.CONFLICT)
         if self.lead >= self.cycle:
             raise refuse(f"is {self.lead:g}, not less than the cycle", f"expected less than {self.cycle:g}", ("lead",))
         if self.largest_budget < self.iterations:
@@ -134,10 +152,10 @@ class PlannerSettings(StrictModel):
                 f"expected at least {self.iterations}",
                 ("max_iterations",),
             )
-        if self.on_board == "contingency" and (not self.is_safe or self.mode == "one-shot"):
-            raise refuse("needs contingencies", "expected `mode: replanning` and `safety`", ("on_board",))
-        if self.contingencies == "tracked" and (not self.is_safe or self.mode == "one-shot"):
-            raise refuse("needs contingencies", "expected `mode: replanning` and `safety`", ("contingencies",))
+        if not self.is_safe or self.mode == "one-shot":
+            chosen = {"on_board": self.on_board == "contingency", "contingencies": self.contingencies == "tracked"}
+            for name in [name for name, is_chosen in chosen.items() if is_chosen]:
+                raise refuse("needs contingencies", "expected `mode: replanning`, and `safety` or `bound`", (name,))
         return self
 
 
@@ -296,6 +314,13 @@ class Method(StrictModel):
 
     _source: Source = PrivateAttr(default_factory=Source)
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.planner.bound is not None and not isinstance(self.estimator, Adaptive):
+            problem = f"needs the uncertainty of the estimate, which the estimator {self.estimator.kind} does not state"
+            raise refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
+        return self
+
     @property
     def source(self) -> Source:
         """Position of each value in the file."""
@@ -311,3 +336,29 @@ def load_method(name_or_path: str | Path) -> Method:
     method, document = read_model(bundled.find("method", name_or_path), Method)
     method._source = document.source  # frozen fields stay as they are; this is where they came from
     return method
+
+
+def check_vehicle(method: Method, vehicle: Vehicle, *, own: bool) -> None:
+    """Check that a vehicle has what the method's estimator needs; `own` is whether the method itself names it.
+
+    Raises:
+        InputError: if parameters are to be estimated whose ranges the vehicle does not state; at the line of the method
+            that names the vehicle, if one does.
+    """
+    problem = unstated_ranges(vehicle) if isinstance(method.estimator, Adaptive) else ""
+    if problem and own:
+        problem = f"{vehicle.name} {problem}"
+        raise InputError([method.source.diagnostic("planner.vehicle", problem, RANGES_EXPECTED, code=Code.MISSING)])
+    if problem:
+        raise InputError.of(vehicle.name, problem, RANGES_EXPECTED, Code.MISSING)
+
+
+def unstated_ranges(vehicle: Vehicle) -> str:
+    """Why the parameters of a vehicle cannot be estimated while it drives; empty if they can."""
+    missing = [name for name in vehicle.parameters if name not in vehicle.ranges]
+    if not vehicle.parameters:
+        return "has no parameters"
+    return f"states no min, max and std of {', '.join(missing)}" if missing else ""
+
+
+RANGES_EXPECTED = "expected them in its file, because the method estimates parameters while it drives"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
 
-from kraft.driving.method import Method, load_method
+from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.job import Job
 from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of
@@ -184,6 +184,7 @@ def _cells(
                 if reference not in loaded:
                     loaded[reference] = load_planning_vehicle(scenario, reference)
                 model = loaded[reference]
+                check_vehicle(method, model, own=vehicle is None and method.planner.vehicle is not None)
                 if reference not in checked:
                     checked.add(reference)
                     check_placement(scenario, model, start_state(scenario, model))

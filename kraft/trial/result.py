@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kraft.driving.messages import Cycle, Observation
-from kraft.driving.method import Method, load_method
+from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
@@ -66,7 +66,9 @@ class TrialSpec:
         """
         loaded, loaded_method = load_scenario(scenario, settings), load_method(method)
         reference = vehicle_reference(loaded, loaded_method, vehicle)
-        return cls(loaded, loaded_method, load_planning_vehicle(loaded, reference), seed)
+        model = load_planning_vehicle(loaded, reference)
+        check_vehicle(loaded_method, model, own=vehicle is None and loaded_method.planner.vehicle is not None)
+        return cls(loaded, loaded_method, model, seed)
 
 
 def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = None) -> str:

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from kraft.config import bundled
 from kraft.config.validation import Model, check
 from kraft.config.yaml_reader import Document, read_document
-from kraft.driving.method import Method
+from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError
 from kraft.evaluation.suite import SuiteFile, load_suite
 from kraft.logs.mapping import Mapping
@@ -26,6 +26,7 @@ from kraft.text import nearest
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.cache_error import CacheError
+from ompl_ext.vehicle import Vehicle
 
 FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "suite", "map", "mapping", "plan"]
 
@@ -130,9 +131,9 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         _validated(VehicleConfig, document)
         load_vehicle(str(path))
     elif kind == "method":
-        method = _validated(Method, document)
+        method = load_method(path)
         if method.planner.vehicle is not None:
-            _check_vehicle(method.planner.vehicle, document, path.parent)
+            check_vehicle(method, _planning_vehicle(method.planner.vehicle, document, path.parent), own=True)
     elif kind == "suite":
         load_suite(path)
     elif kind == "plan":
@@ -150,10 +151,10 @@ def _validated(model: type[Model], document: Document) -> Model:
     return value
 
 
-def _check_vehicle(reference: str, document: Document, folder: Path) -> None:
-    """Load the vehicle that a method names; problems of the reference are reported at its line."""
+def _planning_vehicle(reference: str, document: Document, folder: Path) -> Vehicle:
+    """Vehicle that a method names; problems of the reference are reported at its line."""
     try:
-        load_vehicle(reference, folder)
+        return load_vehicle(reference, folder)
     except InputError as error:
         raise InputError(
             document.source.diagnostic("planner.vehicle", d.problem, d.expected, code=d.code)

@@ -16,10 +16,10 @@ import numpy as np
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter
+from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
 from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
-from kraft.driving.method import Adaptive, Filter
+from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.settings import Noise
@@ -135,11 +135,8 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     Raises:
         InputError: if the vehicle states no range of a parameter.
     """
-    missing = [name for name in vehicle.parameters if name not in vehicle.ranges]
-    if missing or not vehicle.parameters:
-        problem = f"states no min, max and std of {', '.join(missing)}" if missing else "has no parameters"
-        expected = "expected them in its file, because the method estimates parameters while it drives"
-        raise InputError.of(vehicle.name, problem, expected, Code.MISSING)
+    if problem := unstated_ranges(vehicle):
+        raise InputError.of(vehicle.name, problem, RANGES_EXPECTED, Code.MISSING)
     specs = [
         ParameterSpec(name, value, vehicle.ranges[name].low, vehicle.ranges[name].high, vehicle.ranges[name].std,
                       "", "", True)
@@ -240,6 +237,24 @@ class CorrelatedFilter(PoseFilter):
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         cross = covariance[:, self._pose] + covariance[:, -6:-3] + covariance[:, -3:]
         return mean[self._pose] + mean[-6:-3] + mean[-3:], cross, cross[self._pose] + cross[-6:-3] + cross[-3:]
+
+    def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
+        """Posterior with the pose reset to a measured one, and nothing known of the errors in it.
+
+        The outliers before it have moved the errors.
+        """
+        posterior = super()._reset(pose, mean, covariance, innovation)
+        errors = range(len(posterior.mean) - 6, len(posterior.mean))
+        posterior.mean[self._pose] += posterior.mean[-6:-3] + posterior.mean[-3:]
+        posterior.mean[errors] = 0.0
+        variance = 0.5 * self._variance_rate[-6:] * self._errors.times
+        posterior.covariance[errors, :] = posterior.covariance[:, errors] = 0.0
+        posterior.covariance[errors, errors] = variance
+        posterior.covariance[self._pose, self._pose] += variance[CORRELATED] + variance[OFFSET]
+        for part in (CORRELATED, OFFSET):
+            posterior.covariance[errors[part], self._pose] = -variance[part]
+            posterior.covariance[self._pose, errors[part]] = -variance[part]
+        return posterior
 
 
 CORRELATED, OFFSET = slice(0, 3), slice(3, 6)

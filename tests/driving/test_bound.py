@@ -1,0 +1,203 @@
+"""The measured bound: its shape, its calibration by observed deviations, and the share of it that plans keep."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.replanner import mushr, replanner, start
+
+from kraft.driving.bound import BoundCalibration, DeviationBound
+from kraft.driving.messages import Estimate, PredictedMotion, Uncertainty
+from kraft.driving.method import CalibratedBound
+from kraft.driving.proposer import HYSTERESIS, STEADY, Proposal
+from kraft.driving.replanner import Replanner
+
+SETTINGS = CalibratedBound()
+SHARES = CalibratedBound(foresight=60.0, shares=(1.0, 0.5, 0.25))
+WIDE, NARROW = DeviationBound(0.05), DeviationBound(0.5)  # half of `NARROW` does not fit through Turns, a quarter does
+
+
+def uncertainty(position: float = 0.02, heading: float = 0.03, delay: float = 0.01) -> Uncertainty:
+    return Uncertainty(np.diag([position**2, (0.5 * position) ** 2, heading**2, 0.05**2]), delay)
+
+
+def straight(seconds: float = 2.0, speed: float = 0.5) -> PredictedMotion:
+    times = np.linspace(1.0, 1.0 + seconds, 21)
+    states = np.column_stack([speed * (times - 1.0), np.zeros((21, 2)), np.full(21, speed)])
+    return PredictedMotion(times, states, 0.0)
+
+
+def calibrated(deviation: float, cycles: int, settings: CalibratedBound = SETTINGS) -> BoundCalibration:
+    """Calibration after `cycles` cycles in which the vehicle was `deviation` m beside its prediction."""
+    subject = BoundCalibration(settings, mushr())
+    for _ in range(cycles):
+        subject.committed(straight(), uncertainty())
+        subject.observe(2.0, np.array([0.5, deviation, 0.0, 0.5]))
+    return subject
+
+
+# Shape
+
+
+def test_the_bound_is_that_of_pose_delay_and_time() -> None:
+    bound = BoundCalibration(SETTINGS, mushr()).bound(uncertainty())
+    quantile = math.sqrt(-2.0 * math.log(1.0 - SETTINGS.level))
+    scale = SETTINGS.initial * quantile
+    assert bound.delta == pytest.approx(scale * math.hypot(0.02, mushr().footprint.reach * 0.03))
+    assert bound.per_speed == pytest.approx(scale * 0.01)
+    assert bound.per_time == pytest.approx(scale * SETTINGS.growth)
+    assert bound.horizon == SETTINGS.horizon
+
+
+def test_the_largest_axis_of_the_position_counts_whatever_its_direction() -> None:
+    c, s = math.cos(0.7), math.sin(0.7)
+    turn = np.array([[c, -s], [s, c]])
+    turned = uncertainty()
+    turned.state[:2, :2] = turn @ turned.state[:2, :2] @ turn.T
+    subject = BoundCalibration(SETTINGS, mushr())
+    assert subject.bound(turned).delta == pytest.approx(subject.bound(uncertainty()).delta)
+
+
+def test_delta_grows_with_time_until_the_horizon_and_with_speed_in_both_directions() -> None:
+    bound = DeviationBound(0.1, 0.2, 0.04, 1.5)
+    since, speeds = np.array([-1.0, 0.0, 1.0, 1.5, 9.0]), np.array([0.0, 0.5, -0.5, 0.0, 0.0])
+    assert bound.at(since, speeds) == pytest.approx([0.1, 0.2, 0.24, 0.16, 0.16])
+    assert bound.scaled(0.5).at(since, speeds) == pytest.approx(0.5 * bound.at(since, speeds))
+
+
+# Calibration
+
+
+def test_before_deviations_are_observed_the_scale_is_the_stated_one() -> None:
+    assert BoundCalibration(SETTINGS, mushr()).factor == pytest.approx(SETTINGS.initial)
+
+
+def test_the_scale_rises_after_large_deviations_and_falls_after_small_ones_within_its_limits() -> None:
+    low, high = SETTINGS.limits
+    some, many = calibrated(0.3, 2).factor, calibrated(0.3, 100).factor
+    assert SETTINGS.initial < some <= many == high
+    assert low == calibrated(0.0, 100).factor < calibrated(0.0, 2).factor < SETTINGS.initial
+
+
+def test_deviations_as_large_as_expected_lead_to_a_scale_of_one() -> None:
+    """Also where the vehicle is turned: its farthest corner counts."""
+    unscaled = BoundCalibration(SETTINGS, mushr()).bound(uncertainty()).scaled(1.0 / SETTINGS.initial)
+    expected = SETTINGS.expected_ratio * float(unscaled.at(np.array([1.0]), np.array([0.5]))[0])
+    assert calibrated(expected, 300).factor == pytest.approx(1.0, abs=0.01)
+    turned = BoundCalibration(SETTINGS, mushr())
+    for _ in range(300):
+        turned.committed(straight(), uncertainty())
+        turned.observe(2.0, np.array([0.5, 0.0, expected / mushr().footprint.reach, 0.5]))
+    assert turned.factor == pytest.approx(1.0, abs=0.01)
+
+
+def test_old_deviations_lose_their_weight() -> None:
+    subject = calibrated(0.3, 10)
+    before = subject.factor
+    for _ in range(round(5 * SETTINGS.memory_cycles)):
+        subject.committed(straight(), uncertainty())
+        subject.observe(2.0, np.array([0.5, 0.0, 0.0, 0.5]))
+    assert subject.factor == SETTINGS.limits[0] < before
+
+
+@pytest.mark.parametrize("time", [0.5, 1.0, 3.5])
+def test_an_estimate_outside_the_prediction_is_not_compared(time: float) -> None:
+    subject = BoundCalibration(SETTINGS, mushr())
+    subject.observe(2.0, np.array([5.0, 5.0, 0.0, 0.5]))  # without a prediction neither
+    subject.committed(straight(), uncertainty())
+    subject.observe(time, np.array([5.0, 5.0, 0.0, 0.5]))
+    assert subject.factor == pytest.approx(SETTINGS.initial)
+
+
+# Shares
+
+
+def proposals(*bounds: DeviationBound) -> tuple[Replanner, list[Proposal]]:
+    """Proposals with a bound each, from the start of Turns and then from where each plan leads in a cycle."""
+    subject, root, found = replanner(bound=SHARES, iterations=600), start(), list[Proposal]()
+    for number, bound in enumerate(bounds):
+        subject._proposer.set_bound(bound)
+        found.append(subject._proposer.propose(number, root, found[-1].plan if found else None))
+        plan = found[-1].plan
+        assert plan is not None
+        root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
+    return subject, found
+
+
+def test_a_bound_that_leaves_a_way_is_kept_wholly() -> None:
+    subject, (found,) = proposals(WIDE)
+    assert found.kept == 1.0
+    assert found.plan is not None
+    assert subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min() >= WIDE.delta - 1e-9
+
+
+def test_a_bound_that_leaves_no_way_is_kept_in_the_first_share_that_does() -> None:
+    subject, (found,) = proposals(NARROW)
+    assert found.kept == 0.25
+    assert found.plan is not None
+    assert found.plan.reaches_goal
+    assert subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min() >= 0.25 * NARROW.delta - 1e-9
+
+
+def test_a_plan_is_checked_again_with_a_part_of_the_share_that_it_keeps() -> None:
+    subject, _ = proposals(NARROW)
+    assert subject.dirt.safety.delta == pytest.approx(0.25 * SHARES.recheck * NARROW.delta)
+
+
+def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_once() -> None:
+    _, found = proposals(NARROW, *[WIDE] * (STEADY * 4))
+    kept = [proposal.kept for proposal in found]
+    assert kept[1] == 0.25
+    assert kept[-1] == 1.0
+    assert kept == sorted(kept)
+
+
+def test_the_rest_of_a_plan_needs_a_little_less_than_a_new_plan() -> None:
+    subject, _ = proposals(WIDE)
+    proposer = subject._proposer
+    new, rest = (
+        [subject.dirt.safety.delta for _, _, kept in proposer._attempts(start(), has_rest) if kept == 1.0][0]
+        for has_rest in (False, True)
+    )
+    assert (new, rest) == (pytest.approx(WIDE.delta), pytest.approx(HYSTERESIS * WIDE.delta))
+
+
+# In the replanner
+
+
+def test_the_recorded_delta_is_the_full_bound_also_where_the_plan_keeps_a_share() -> None:
+    subject = replanner(bound=SHARES, iterations=600)
+    wide = uncertainty(position=0.12, heading=0.03)
+    current, cycles = subject.begin(start()), []
+    state, time = start(), 0.0
+    for _ in range(3):
+        cycles.append(subject.step(Estimate(time, state, 0.0, None, wide), current))
+        current, time = cycles[-1].commitment, subject.next_step
+        predicted = cycles[-1].predicted
+        state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
+    assert subject._proposal.kept < 1.0
+    bound, last = subject._bound, cycles[-1]
+    assert bound is not None
+    assert last.predicted.delta is not None
+    speeds = last.predicted.states[:, 3]
+    assert last.predicted.delta == pytest.approx(bound.at(last.predicted.times - last.time, speeds))
+    assert last.predicted.delta[0] > 1.5 * subject.dirt.safety.delta
+
+
+def test_parameters_in_the_estimate_are_those_that_are_planned_with() -> None:
+    subject = replanner(bound=SHARES, iterations=100)
+    current = subject.begin(start())
+    values = mushr().parameter_array * [1.1, 1.0, 0.8]
+    subject.step(Estimate(0.0, start(), 0.0, values, uncertainty()), current)
+    for dirt in (subject._solvers.checking, subject._solvers.planning):
+        assert dirt.vehicle.parameter_array == pytest.approx(values)
+        assert dirt.problem.parameters[:3] == pytest.approx(values)
+
+
+def test_without_uncertainty_a_bound_would_ask_for_nothing() -> None:
+    """So a method file with a bound needs an estimator that states one, see test_methods."""
+    subject = replanner(bound=SHARES, iterations=100)
+    cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
+    assert cycle.predicted.delta == pytest.approx(np.zeros(len(cycle.predicted.times)))
