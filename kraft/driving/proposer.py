@@ -16,12 +16,11 @@ from kraft.driving.bound import DeviationBound
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.stopping import least_slack
-from kraft.driving.ways import goes_same_way
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
 from kraft.text import counted
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query import Safety, remaining_edges
 from ompl_ext.retainment import RetainableEdges
@@ -460,3 +459,29 @@ def _first_loss(dirt: DirtSolver, state: Floats, controls: Floats, durations: Fl
     if safety.enabled and time < safety.cycle and not math.isclose(time, safety.cycle):
         return PlanLoss.NONE if dirt.contingency(state) is not None else PlanLoss.UNSAFE
     return PlanLoss.NONE
+
+
+WAY_HORIZON = 5.0  # time over which ways are compared (s)
+WAY_WIDTH = 0.5  # distance at which one plan leaves the way of another (m)
+
+
+def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
+    """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
+    one, two = (_positions(dirt, each) for each in (plan, other))
+    return _follows(dirt, one[plan.times <= WAY_HORIZON], two) and _follows(dirt, two[other.times <= WAY_HORIZON], one)
+
+
+def _positions(dirt: DirtSolver, plan: Plan) -> Matrix:
+    positions: Matrix = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
+    return positions
+
+
+def _follows(dirt: DirtSolver, points: Matrix, path: Matrix) -> bool:
+    """Whether points (n, 2) are near a path (m, 2), with no obstacle between each of them and its nearest point."""
+    away = np.linalg.norm(points[:, None] - path[None], axis=2)
+    nearest = away.argmin(axis=1)
+    if away[np.arange(len(points)), nearest].max() > WAY_WIDTH:
+        return False
+    shares = np.linspace(0.0, 1.0, 12)[:, None, None]
+    between = points + shares * (path[nearest] - points)
+    return not dirt.is_occupied(between.reshape(-1, 2)).any()

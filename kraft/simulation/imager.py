@@ -15,8 +15,7 @@ import numpy as np
 from kraft.gl import offscreen_context
 from kraft.simulation.camera import HALF_MARKER
 from kraft.simulation.car import FRONT, MARKER_HEIGHT, REAR, SIDE
-from kraft.simulation.opencv import PURPOSE, opencv, tag_cells
-from kraft.simulation.optics import HEIGHT, WIDTH, Lens, View, rotation_about
+from kraft.simulation.optics import HEIGHT, PURPOSE, WIDTH, Lens, View, opencv, rotation_about, tag_cells
 from ompl_ext.arrays import Floats, Matrix
 
 CORNERS: Final = HALF_MARKER * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])

@@ -10,8 +10,7 @@ import numpy as np
 from kraft.simulation.camera import HALF_MARKER
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.imager import CORNERS
-from kraft.simulation.opencv import dictionary, opencv
-from kraft.simulation.optics import WIDTH, Lens, View
+from kraft.simulation.optics import WIDTH, Lens, View, dictionary, opencv
 from ompl_ext.arrays import Floats, Matrix
 
 

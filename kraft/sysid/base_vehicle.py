@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kraft.errors import InputError
-from kraft.vehicles.check import check_functions
-from kraft.vehicles.code import vehicle_of
+from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import (
     Footprint,
     Parameter,

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kraft.sysid.auxiliary import speed_index
-from kraft.sysid.parameters import Parameters
+from kraft.sysid.parameters import Parameters, speed_index
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from kraft.sysid.auxiliary import YAW_RATES, speed_index
 from kraft.sysid.chains import Chains
 from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.parameters import Parameters
+from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
 from kraft.sysid.smoothing import smoothed
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kraft.errors import Code, InputError
-from kraft.sysid.auxiliary import auxiliary_parameters
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.initial_values import smooth_chains
 from kraft.sysid.observation import noise_model
 from kraft.sysid.optimiser import optimise
-from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
+from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Problem, assemble, simulated, starting_point
 from kraft.sysid.result import PredictionErrors
 from kraft.sysid.settings import Settings

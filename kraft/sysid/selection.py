@@ -12,8 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.sysid.auxiliary import affects_motion, auxiliary_parameters
-from kraft.sysid.parameters import Parameters
+from kraft.sysid.parameters import Parameters, affects_motion, auxiliary_parameters
 from kraft.sysid.result import CORRELATION_REMOVED
 from kraft.sysid.settings import Settings
 from kraft.sysid.uncertainty import Uncertainty, inverse

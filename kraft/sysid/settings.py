@@ -37,8 +37,8 @@ class Settings:
     values: Mapping[str, float] = field(default_factory=dict)
     """nominal values in place of those of the vehicle, for parameters of the model and auxiliary ones"""
     auxiliary: AuxiliarySelection = "auto"
-    """auxiliary parameters (`kraft.sysid.auxiliary`): automatic model selection, the same without those that affect the
-    motion, which planning does not model, none, or those named"""
+    """auxiliary parameters (`kraft.sysid.parameters`): automatic model selection, the same without those that affect
+    the motion, which planning does not model, none, or those named"""
     graph: Literal["fast", "paper"] = "fast"
     """the factor graph with states and controls eliminated in compiled code, or every factor explicit"""
     step: float = 0.05

@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.sysid.auxiliary import auxiliary_parameters
-from kraft.sysid.parameters import out_of_bounds, parameter_specs, vehicle_of
+from kraft.sysid.parameters import auxiliary_parameters, out_of_bounds, parameter_specs, vehicle_of
 from kraft.sysid.selection import candidates_of
 from kraft.sysid.settings import Settings
 from kraft.text import suggestion

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
-from kraft.vehicles.check import check_functions
-from kraft.vehicles.code import vehicle_of
+from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
 from ompl_ext.vehicle import Footprint, Vehicle

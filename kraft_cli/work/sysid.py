@@ -14,11 +14,11 @@ from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
 from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions, objections
-from kraft.sysid.auxiliary import affects_motion
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
 from kraft.sysid.compilation import ensure_compiled
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.identify import identify
+from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification
 from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings

@@ -18,7 +18,7 @@ from support.paths import ROOT
 from support.recorded import recorded_logs
 
 from kraft.sysid import compilation
-from kraft.sysid.auxiliary import affects_motion
+from kraft.sysid.parameters import affects_motion
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.terminal import Terminal

@@ -13,10 +13,9 @@ from benchmarks.sysid import TRUTH
 from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
 from kraft.sysid.actuators import hat_means
-from kraft.sysid.auxiliary import auxiliary_parameters
 from kraft.sysid.dynamics import DiscreteModel, Dynamics
 from kraft.sysid.observation import Observation
-from kraft.sysid.parameters import parameters_of, vehicle_of
+from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
 from kraft.sysid.selection import selection_note
 from kraft.sysid.settings_validation import check_free_parameters
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
-from kraft.driving.estimation.latest import LatestPose
+from kraft.driving.estimation.dead_reckoning import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive, Filter, Latest
