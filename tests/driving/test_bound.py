@@ -158,7 +158,7 @@ def test_the_rest_of_a_plan_needs_a_little_less_than_a_new_plan() -> None:
     subject, _ = proposals(WIDE)
     proposer = subject._proposer
     new, rest = (
-        [subject.dirt.safety.delta for _, _, kept in proposer._attempts(start(), has_rest) if kept == 1.0][0]
+        next(subject.dirt.safety.delta for _, _, kept in proposer._attempts(start(), has_rest) if kept == 1.0)
         for has_rest in (False, True)
     )
     assert (new, rest) == (pytest.approx(WIDE.delta), pytest.approx(HYSTERESIS * WIDE.delta))
