@@ -114,6 +114,14 @@ def test_the_table_of_noise_is_the_one_in_the_code() -> None:
     assert [float(number) for number in re.findall(r"([\d.]+) (?:mm|deg|%)", row)] == pytest.approx(expected, abs=0.051)
 
 
+def test_the_mean_error_of_the_noise_is_the_one_in_the_code() -> None:
+    found = re.search(r"a mean error away from the\s+camera \((\d+) mm and (\d+) mm there\)", TEXT)
+    assert found is not None
+    mean = PRESETS["single-tag"].along.mean
+    expected = [1000 * mean.at(*place) for place in ((4.8, 0.0), (5.6, math.radians(30.0)))]
+    assert [float(number) for number in found.groups()] == pytest.approx(expected, abs=0.5)
+
+
 def test_the_factors_of_a_tag_that_stands_are_those_in_the_code() -> None:
     noise = PRESETS["single-tag"]
     words = " ".join(TEXT.split())
