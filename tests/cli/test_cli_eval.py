@@ -281,6 +281,15 @@ def test_a_start_in_collision_is_found_before_any_trial(capsys: pytest.CaptureFi
     assert not Path("o").exists()
 
 
+@pytest.mark.parametrize("vehicle", ["benchmark", "unicycle2"])
+def test_a_vehicle_whose_parameters_cannot_be_estimated_is_found_before_any_trial(
+    vehicle: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", "turns", "--methods", "kraft,adaptive-kraft", "--vehicle", vehicle, "--out", "o"]) == 2
+    assert places(capsys.readouterr().err) == [vehicle]
+    assert not Path("o").exists()
+
+
 def test_quiet_says_nothing_and_bars_are_only_for_a_terminal(inline: None) -> None:
     out, err = io.StringIO(), Screen()
     assert main(["eval", "turns", "--methods", "kraft", "--trials", "1", "--out", "o", "-q"], Terminal(out, err)) == 0

@@ -132,6 +132,7 @@ def test_a_collision_names_what_was_hit(short: Path) -> None:
         (["short.yaml", "--method", "krft"], ["krft"]),
         (["shrt"], ["shrt"]),
         (["short.yaml", "--vehicle", "mushrr"], ["mushrr"]),
+        (["short.yaml", "--method", "adaptive-kraft", "--vehicle", "benchmark"], ["benchmark"]),
         (["short.yaml", "--seed", "-1"], ["--seed"]),
         (["short.yaml", "--method", ""], ["--method"]),
         (["short.yaml", "--out", "."], ["."]),

@@ -8,7 +8,8 @@ import pytest
 
 from kraft.config import bundled
 from kraft.driving.method import Filter, Kinodynamic, Latest, load_method
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.trial.result import TrialSpec
 from kraft_cli.work.validate import check_file
 
 GOOD = """name: mine
@@ -89,3 +90,81 @@ def test_a_method_without_contingencies_has_none_on_board(tmp_path: Path, key: s
     planner = "planner: {mode: replanning, safety: {delta: 0.05, delta_per_speed: 0.25}}"
     problems = problems_of(tmp_path, GOOD.replace(planner, f"planner: {{{without}, {key}}}"))
     assert [problem.path for problem in problems] == [f"planner.{key.split(':', maxsplit=1)[0]}"]
+
+
+ADAPTIVE = """name: mine
+title: Mine
+planner: {mode: replanning, vehicle: mushr-force, bound: {shares: [1.0, 0.5], limits: [0.7, 2.5]}}
+estimator: {kind: adaptive}
+controller: {kind: kinodynamic}
+"""
+
+
+def test_a_good_file_with_a_bound_has_no_problems(tmp_path: Path) -> None:
+    assert problems_of(tmp_path, ADAPTIVE) == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "path", "name"),
+    [
+        ("[1.0, 0.5]", "[0.5, 1.0]", (3, 73), "planner.bound.shares[1]", "less than 0.5"),
+        ("[1.0, 0.5]", "[1.0, 0.5, 0.5]", (3, 78), "planner.bound.shares[2]", "less than 0.5"),
+        ("[1.0, 0.5]", "[1.0, 0]", (3, 73), "planner.bound.shares[1]", "greater than 0"),
+        ("[1.0, 0.5]", "[1.5, 0.5]", (3, 68), "planner.bound.shares[0]", "at most 1"),
+        ("[1.0, 0.5]", "[]", (3, 67), "planner.bound.shares", "1 items or more"),
+        ("[0.7, 2.5]", "[2.5, 0.7]", (3, 87), "planner.bound.limits", "least < largest"),
+        ("[0.7, 2.5]", "[0.7, 0.7]", (3, 87), "planner.bound.limits", "least < largest"),
+        ("shares", "share", (3, 59), "planner.bound.share", "did you mean 'shares'"),
+        ("bound:", "safety: {delta: 0.01}, bound:", (3, 81), "planner.bound", "`safety`"),
+        ("mode: replanning", "mode: one-shot", (3, 56), "planner.bound", "`mode: replanning`"),
+        ("kind: adaptive", "kind: filter", (3, 58), "planner.bound", "`estimator: {kind: adaptive}`"),
+        ("estimator: {kind: adaptive}\n", "", (3, 58), "planner.bound", "latest"),
+        ("kind: adaptive", "kind: adaptive, window: 0.5", (4, 37), "estimator.window", "at least 1"),
+        ("mushr-force", "benchmark", (3, 38), "planner.vehicle", "benchmark states no min, max and std of gain"),
+    ],
+)  # fmt: skip
+def test_a_wrong_bound_or_vehicle_has_one_problem_at_its_place(
+    old: str, new: str, place: tuple[int, int], path: str, name: str, tmp_path: Path
+) -> None:
+    (problem,) = problems_of(tmp_path, ADAPTIVE.replace(old, new))
+    assert ((problem.line, problem.column), problem.path) == (place, path)
+    assert name in str(problem)
+
+
+@pytest.mark.parametrize("key", ["on_board: contingency", "contingencies: tracked"])
+def test_a_bound_has_contingencies(tmp_path: Path, key: str) -> None:
+    assert problems_of(tmp_path, ADAPTIVE.replace("bound:", f"{key}, bound:")) == ()
+
+
+def test_a_vehicle_without_parameters_is_refused_at_its_line(tmp_path: Path) -> None:
+    (tmp_path / "bare.py").write_text(BARE)
+    (problem,) = problems_of(tmp_path, ADAPTIVE.replace("mushr-force", "bare.py:BARE"))
+    assert (problem.path, problem.code) == ("planner.vehicle", Code.MISSING)
+    assert "bare has no parameters" in problem.problem
+
+
+def test_a_trial_with_a_vehicle_without_ranges_is_refused_when_it_is_specified(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        TrialSpec.load("turns", "adaptive-kraft", vehicle="benchmark")
+    (problem,) = caught.value.diagnostics
+    assert (problem.file, problem.line, problem.code) == ("benchmark", None, Code.MISSING)
+    (tmp_path / "m.yaml").write_text(ADAPTIVE.replace("mushr-force", "benchmark"))
+    with pytest.raises(InputError) as caught:
+        TrialSpec.load("turns", tmp_path / "m.yaml")
+    (problem,) = caught.value.diagnostics
+    assert (problem.file, problem.line, problem.code) == (str(tmp_path / "m.yaml"), 3, Code.MISSING)
+
+
+BARE = """from ompl_ext import Footprint, Vehicle, cos, derivative, sin
+
+
+@derivative
+def motion(x, u, p):
+    return x[3] * cos(x[2]), x[3] * sin(x[2]), u[1], u[0] - x[3]
+
+
+BARE = Vehicle(
+    name="bare", derivative=motion, state=("x", "y", "theta", "v"), top_speed=1.0,
+    controls={"throttle": (0.0, 1.0), "steering": (-1.0, 1.0)}, footprint=Footprint(0.4, 0.2),
+)
+"""

@@ -14,6 +14,7 @@ from support.driving import PROMPT, car, slow_car
 from kraft.driving.car_model import SETTLING_TIME, CarModel
 from kraft.errors import Code, InputError
 from kraft.vehicles.benchmark import BENCHMARK
+from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Settings
@@ -104,3 +105,37 @@ def test_a_car_that_does_not_move_is_refused() -> None:
 
 def test_a_copy_is_the_same_model() -> None:
     assert copy.deepcopy(car()) is car()
+
+
+@pytest.mark.parametrize(
+    "changes", [{"L": 0.39, "phi_diff": 0.06, "v_delta": 0.6}, {"tau": 1.1, "u_0": 0.2, "v_delta": 0.8}], ids=str
+)
+def test_changed_parameters_give_the_tables_of_a_new_model(changes: dict[str, float]) -> None:
+    vehicle = load_vehicle("mushr-force")
+    model, fresh = CarModel(vehicle), CarModel(vehicle.with_parameters(changes))
+    before = model.curvature(0.3), model.throttle_for(0.4)
+    model.set_parameters(fresh.vehicle.parameter_array)
+    assert (model.curvature(0.3), model.throttle_for(0.4)) != pytest.approx(before, rel=0.02)
+    for steering in np.linspace(-0.38, 0.38, 21):
+        assert model.curvature(steering) == pytest.approx(fresh.curvature(steering), abs=0.01 * fresh.curvature(0.38))
+        assert model.slip(steering) == pytest.approx(fresh.slip(steering), abs=0.01 * fresh.slip(0.38))
+    for speed in np.linspace(0.05, 0.7, 21):
+        assert model.throttle_for(speed) == pytest.approx(fresh.throttle_for(speed), abs=0.01)
+    assert model.wheelbase == pytest.approx(fresh.wheelbase, rel=0.01)
+    assert np.array_equal(model.advance(STATE, CONTROL, 1.0), fresh.advance(STATE, CONTROL, 1.0))
+
+
+def test_parameters_with_which_the_car_does_not_move_leave_the_tables_of_the_speed() -> None:
+    vehicle = load_vehicle("mushr-force")
+    model = CarModel(vehicle)
+    before = [model.throttle_for(speed) for speed in (0.1, 0.4, 0.6)]
+    model.set_parameters(vehicle.with_parameters({"a_x": -2.0}).parameter_array)
+    assert [model.throttle_for(speed) for speed in (0.1, 0.4, 0.6)] == before
+
+
+def test_changed_parameters_do_not_change_other_models_of_the_vehicle() -> None:
+    vehicle = load_vehicle("mushr-force")
+    model, other = CarModel(vehicle), CarModel(vehicle)
+    curvature = other.curvature(0.3)
+    model.set_parameters(vehicle.with_parameters({"L": 0.5}).parameter_array)
+    assert other.curvature(0.3) == CarModel(vehicle).curvature(0.3) == curvature

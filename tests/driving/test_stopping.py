@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, mushr, replanner, start
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.replanner import Replanner
-from kraft.driving.stopping import emergency_reference, plan_reference, stop_control
+from kraft.driving.stopping import emergency_reference, holding_control, plan_reference, stop_control
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
+from ompl_ext.plan import Plan
 
 
 def along(subject: Replanner, state: Floats, number: int) -> tuple[float, float]:
@@ -91,3 +94,46 @@ def test_a_vehicle_without_a_stop_function_stops_with_zero_control() -> None:
     coasting = replace(mushr(), stop=None, manoeuvres=("coast",))
     np.testing.assert_array_equal(stop_control(coasting, start(), 0), np.zeros(2))
     np.testing.assert_array_equal(stop_control(mushr(), start(), 3), [0.0, 0.38])
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.2, -2.0, math.pi])
+def test_on_a_slope_the_throttle_holds_a_car_that_stands(heading: float) -> None:
+    """0.4 m/s^2 along x, as on a slope of 2.3 degrees: without throttle the car moves down it."""
+    vehicle = load_vehicle("mushr-force").with_parameters({"a_x": 0.4})
+    state, model = np.array([0.5, -0.3, heading, 0.0]), CarModel(vehicle)
+    control = holding_control(vehicle, state)
+    assert control[0] * math.cos(heading) < 0.0
+    assert control[1] == 0.0
+    assert model.advance(state, control, 5.0) == pytest.approx(state, abs=1e-6)
+    moved = model.advance(state, np.zeros(2), 5.0) - state
+    assert moved[0] > 0.05 * math.cos(heading) ** 2
+
+
+def test_on_a_steep_slope_the_throttle_holds_as_well_as_its_limit_allows() -> None:
+    vehicle = load_vehicle("mushr-force").with_parameters({"a_x": 0.8})
+    assert holding_control(vehicle, np.zeros(4)).tolist() == [-0.5, 0.0]
+
+
+def test_the_holding_throttle_is_that_of_standstill_whatever_the_speed() -> None:
+    """Brakes that stay on would push a car that stands."""
+    vehicle = load_vehicle("mushr-force").with_parameters({"a_x": 0.2})
+    standing, rolling = np.array([0.0, 0.0, 0.4, 0.0]), np.array([0.0, 0.0, 0.4, 0.3])
+    assert np.array_equal(holding_control(vehicle, rolling), holding_control(vehicle, standing))
+    assert stop_control(vehicle, rolling, 0)[0] < holding_control(vehicle, rolling)[0]
+
+
+@pytest.mark.parametrize("name", ["mushr", "mushr-lag", "mushr-drive", "mushr-force"])
+def test_on_level_ground_a_car_that_stands_is_held_by_no_throttle(name: str) -> None:
+    control = holding_control(load_vehicle(name), np.array([0.0, 0.0, 0.4, 0.3]))
+    assert control.tolist() == [0.0, 0.0]
+    assert not np.signbit(control).any()
+
+
+def test_on_a_slope_the_reference_of_a_standing_car_holds_it() -> None:
+    vehicle = load_vehicle("mushr-force").with_parameters({"a_x": -0.4})
+    plan = Plan(
+        states=start()[None, :], controls=np.zeros((0, 2)), durations=np.zeros(0), times=np.zeros(1),
+        trajectory=start()[None, :], cost=0.0, cost_to_go=0.0, reaches_goal=True, contingency=None,
+    )  # fmt: skip
+    reference = plan_reference(vehicle, plan, 2.0)
+    assert reference.control_at(9.0) == pytest.approx(holding_control(vehicle, start()))

@@ -12,17 +12,44 @@ from pydantic.fields import FieldInfo
 from support.paths import ROOT
 
 from kraft.config import bundled
-from kraft.driving.method import Clearance, Filter, Geometric, Kinodynamic, Method, PlannerSettings, load_method
+from kraft.driving.estimation.adaptive import DRIVE_MAX, PRIOR_CORRELATION, PRIOR_POSES
+from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.method import (  # fmt: skip
+    Adaptive,
+    CalibratedBound,
+    Clearance,
+    Filter,
+    Geometric,
+    Kinodynamic,
+    Method,
+    PlannerSettings,
+    load_method,
+)
+from kraft.driving.proposer import HYSTERESIS, RETAINED_TOLERANCE, STALLED, STEADY
 from kraft.scenario import Sensing
-from kraft.simulation.noise import PRESETS
+from kraft.simulation.noise import BLURRED_SPEED, PRESETS
 
 TEXT = (ROOT / "docs" / "driving.md").read_text(encoding="utf-8")
 
 
-def documented() -> dict[str, str]:
-    """Setting and default of every row of a table of settings."""
+TABLES = {
+    PlannerSettings: "keys of `planner`:",
+    Clearance: "The keys of its `safety`:",
+    CalibratedBound: "The keys of its `bound`:",
+    Filter: "### filter\n",
+    Adaptive: "### adaptive\n",
+    Geometric: "### geometric\n",
+    Kinodynamic: "### kinodynamic\n",
+}
+"""Text before the table of each model's settings."""
+
+
+def documented(model: type[BaseModel]) -> dict[str, str]:
+    """Setting and default of every row of the table of a model."""
+    table = re.search(r"^(\|.*\n)+", TEXT[TEXT.index(TABLES[model]) :], re.MULTILINE)
+    assert table is not None
     found = {}
-    for row in re.findall(r"^\| (`\w+`.*?) \| (.*?) \|", TEXT, re.MULTILINE):
+    for row in re.findall(r"^\| (`\w+`.*?) \| (.*?) \|", table.group(), re.MULTILINE):
         names = re.findall(r"`(\w+)`", row[0])
         values = [row[1]] if len(names) == 1 else row[1].split(", ")
         found.update(zip(names, values, strict=False))
@@ -34,15 +61,15 @@ def shown(field: FieldInfo) -> set[str]:
     if field.is_required():
         return {"required"}
     default = list(field.default) if isinstance(field.default, tuple) else field.default
-    words = {"None": "none", "False": "false"}
+    words = {"None": "none", "False": "false", "True": "true"}
     return {words.get(str(default), str(default)), f"{default:g}" if isinstance(default, float) else "?"}
 
 
-@pytest.mark.parametrize("model", [PlannerSettings, Clearance, Filter, Geometric, Kinodynamic])
+@pytest.mark.parametrize("model", TABLES)
 def test_every_setting_is_documented_with_its_default(model: type[BaseModel]) -> None:
-    for name, field in model.model_fields.items():
-        if name not in ("kind", "rate_hz"):
-            assert documented()[name] in shown(field), name
+    rows, fields = documented(model), model.model_fields
+    assert sorted(rows) == sorted(name for name in fields if name not in ("kind", "rate_hz"))
+    assert {name: default for name, default in rows.items() if default not in shown(fields[name])} == {}
 
 
 def test_every_key_of_a_method_file_is_mentioned() -> None:
@@ -59,8 +86,8 @@ def test_the_table_of_methods_is_the_bundled_ones() -> None:
     assert sorted(name for name, _ in rows) == sorted(bundled.names("method"))
     for name, row in rows:
         method = load_method(name)
-        planner, safety = method.planner, method.planner.safety
-        clearance = f"{safety.delta:g} + {safety.delta_per_speed:g} v" if safety else "none"
+        planner, safety, bound = method.planner, method.planner.safety, method.planner.bound
+        clearance = f"{safety.delta:g} + {safety.delta_per_speed:g} v" if safety else "calibrated" if bound else "none"
         expected = [
             planner.mode, planner.vehicle or "the scenario's", f"{planner.margin:g}", clearance, method.controller.kind,
             method.estimator.kind,
@@ -68,7 +95,9 @@ def test_the_table_of_methods_is_the_bundled_ones() -> None:
         assert row.split(" | ") == expected
         once = planner.mode == "one-shot"
         assert (planner.iterations, planner.goal_margin) == ((20_000, 0.0) if once else (1000, 0.1))
-        assert planner.recover == (safety is not None and safety.foresight == 3.0)
+        assert planner.recover == planner.is_safe
+        assert safety is None or safety.foresight == 3.0
+        assert bound is None or bound.foresight == 60.0
 
 
 def test_every_setting_of_the_camera_is_mentioned() -> None:
@@ -83,3 +112,34 @@ def test_the_table_of_noise_is_the_one_in_the_code() -> None:
     expected = [1000 * model.size.at(*place) for model in (noise.along, noise.across) for place in places]
     expected += [math.degrees(noise.heading.size.at(*place)) for place in places] + [100 * noise.dropout]
     assert [float(number) for number in re.findall(r"([\d.]+) (?:mm|deg|%)", row)] == pytest.approx(expected, abs=0.051)
+
+
+def test_the_mean_error_of_the_noise_is_the_one_in_the_code() -> None:
+    found = re.search(r"a mean error away from the\s+camera \((\d+) mm and (\d+) mm there\)", TEXT)
+    assert found is not None
+    mean = PRESETS["single-tag"].along.mean
+    expected = [1000 * mean.at(*place) for place in ((4.8, 0.0), (5.6, math.radians(30.0)))]
+    assert [float(number) for number in found.groups()] == pytest.approx(expected, abs=0.5)
+
+
+def test_the_factors_of_a_tag_that_stands_are_those_in_the_code() -> None:
+    noise = PRESETS["single-tag"]
+    words = " ".join(TEXT.split())
+    found = re.search(r"along the line of sight are then ([\d.]+) times, those of the heading ([\d.]+) times", words)
+    assert found is not None
+    assert tuple(map(float, found.groups())) == (noise.along.standing, noise.heading.standing)
+    assert noise.across.standing == 1.0
+    assert f"rises to 1 at {BLURRED_SPEED:g} m/s" in words
+
+
+def test_quoted_constants_are_those_in_the_code() -> None:
+    """Numbers of the sections on the bound and on the adaptive estimator that are constants, not settings."""
+    words = " ".join(TEXT.split())
+    for text in (
+        f"its rest needs only {HYSTERESIS:g} of the clearance", f"costs over {STALLED:g} s more than what was left",
+        f"costs at most {RETAINED_TOLERANCE:g} s more", f"a stop of less than {DRIVE_MAX:g} s",
+        f"the settings count as {PRIOR_POSES:g} poses, and as {PRIOR_CORRELATION:g} correlation times",
+        f"from 0 to {DELAY_MAX:g} s",
+    ):  # fmt: skip
+        assert text in words
+    assert STEADY == 2

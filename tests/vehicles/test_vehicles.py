@@ -13,14 +13,14 @@ from kraft.config import bundled
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
-from kraft.vehicles.mushr import BREAKAWAY, MUSHR, MUSHR_DRIVE, MUSHR_LAG
+from kraft.vehicles.mushr import BREAKAWAY, MUSHR, MUSHR_DRIVE, MUSHR_FORCE, MUSHR_LAG
 from kraft.vehicles.unicycle2 import UNICYCLE2
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
-BUNDLED = (BENCHMARK, MUSHR, MUSHR_DRIVE, MUSHR_LAG, UNICYCLE2)
+BUNDLED = (BENCHMARK, MUSHR, MUSHR_DRIVE, MUSHR_FORCE, MUSHR_LAG, UNICYCLE2)
 
 
 def rate(vehicle: Vehicle, state: Iterable[float], control: Iterable[float]) -> list[float]:
@@ -160,6 +160,29 @@ def test_a_throttle_that_friction_uses_up_does_not_move_the_drive_train() -> Non
     for throttle in (-0.1274, -0.06, 0.06, 0.1274):
         assert abs(after(MUSHR_DRIVE, [0, 0, 0, 0], [throttle, 0], 10.0)[3]) <= BREAKAWAY
     assert after(MUSHR_DRIVE, [0, 0, 0, 0], [2 * 0.1274, 0], 10.0)[3] == pytest.approx(0.1, rel=0.06)
+
+
+def test_without_a_force_mushr_force_is_mushr_drive() -> None:
+    drive, force = load_vehicle("mushr-drive"), load_vehicle("mushr-force")
+    assert dict(list(force.parameters.items())[:5]) == drive.parameters
+    assert (force.parameters["a_x"], force.parameters["a_y"]) == (0.0, 0.0)
+    assert (force.footprint, force.top_speed, force.controls) == (drive.footprint, drive.top_speed, drive.controls)
+    assert force.manoeuvres == drive.manoeuvres
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        state, control = rng.uniform(-1.0, 1.0, 4), rng.uniform([-0.5, -0.38], [1.0, 0.38])
+        assert rate(force, state, control) == rate(drive, state, control)
+        for k in range(len(drive.manoeuvres)):
+            theirs = drive.stop(tuple(state), tuple(drive.parameter_array), k)  # type: ignore[misc]
+            assert force.stop(tuple(state), tuple(force.parameter_array), k) == pytest.approx(theirs)  # type: ignore[misc]
+
+
+def test_a_force_accelerates_along_its_direction_whatever_the_heading() -> None:
+    pushed = MUSHR_FORCE.with_parameters({"a_x": 0.3, "a_y": -0.4})
+    for heading in (0.0, 0.9, math.pi / 2, -2.5):
+        state, control = (0.0, 0.0, heading, 0.2), (0.5, 0.1)
+        more = np.subtract(rate(pushed, state, control), rate(MUSHR_DRIVE, state, control))
+        assert more == pytest.approx([0.0, 0.0, 0.0, 0.3 * math.cos(heading) - 0.4 * math.sin(heading)])
 
 
 def test_the_unicycle_never_exceeds_its_speeds_nor_drives_backwards() -> None:
