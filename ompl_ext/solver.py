@@ -349,6 +349,19 @@ class DirtSolver:
             distance = np.minimum(distance, field[inside] - scalar[at.DISC_RADIUS])
         return distance
 
+    def least_distance(self, poses: Matrix) -> float:
+        """Smallest exact distance of the footprint at poses (n, 3) to an obstacle (m), asked of as few as possible."""
+        (x_low, x_high), (y_low, y_high) = self.workspace.bounds
+        x, y = poses[:, 0], poses[:, 1]
+        inside = (x_low <= x) & (x <= x_high) & (y_low <= y) & (y <= y_high)
+        bounds = np.where(inside, self.clearances(poses), -math.inf)
+        least = math.inf
+        for k in np.argsort(bounds):
+            if bounds[k] >= least:
+                break
+            least = min(least, self.exact.distance(*poses[k]))
+        return least
+
     def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
         """States (samples + 1, nx) at equal intervals along a control held for `duration` s, unchecked."""
         states = np.empty((samples + 1, len(self.vehicle.state)))

@@ -334,7 +334,7 @@ class Replanner:
             kind=decision.reference.kind,
             reason=decision.reason,
             cost_to_goal=plan.cost + plan.cost_to_go if plan else math.inf,
-            clearance=float(self.dirt.exact.distances(poses).min()),
+            clearance=self.dirt.least_distance(poses),
             iterations=proposal.iterations,
             nodes=proposal.nodes,
             retained=proposal.retained,

@@ -103,6 +103,15 @@ def test_the_spare_clearance_of_a_pose_never_exceeds_the_exact_clearance(
             assert exact.distance(x, y, theta) > 0.0
 
 
+@given(seeds, st.sampled_from([1, 5, 40]))
+@settings(deadline=None, max_examples=15)
+def test_the_least_distance_of_poses_is_the_smallest_exact_one(seed: int, count: int) -> None:
+    dirt = pinned_dirt(random_workspace(seed), Footprint(0.4, 0.2, 0.1))
+    generator = np.random.default_rng(seed)
+    poses = np.column_stack([generator.uniform(-0.5, 3.5, (count, 2)), generator.uniform(-7.0, 7.0, count)])
+    assert dirt.least_distance(poses) == dirt.exact.distances(poses).min()
+
+
 def test_a_pose_with_room_to_spare_is_never_refused() -> None:
     footprint = Footprint(0.4, 0.28)
     refused = cover(footprint).radius - footprint.width / 2 + 2 * 0.02 * math.sqrt(0.5) + 0.1 * math.sqrt(2) + 1e-4
