@@ -15,8 +15,9 @@ import numpy as np
 
 from kraft.driving.messages import PredictedMotion, Uncertainty
 from kraft.driving.method import CalibratedBound
-from kraft.planning.workspace import pose_of
+from kraft.planning.workspace import displacement
 from ompl_ext.arrays import Floats
+from ompl_ext.query import Safety
 from ompl_ext.vehicle import Vehicle
 
 
@@ -31,8 +32,10 @@ class DeviationBound:
 
     def at(self, since: Floats, speeds: Floats) -> Floats:
         """Bound (n,) at times (n,) since the commit (s) and speeds (n,), m."""
-        bound: Floats = self.delta + self.per_speed * np.abs(speeds) + self.per_time * np.clip(since, 0.0, self.horizon)
-        return bound
+        safety = Safety(
+            delta=self.delta, delta_per_speed=self.per_speed, delta_per_time=self.per_time, delta_horizon=self.horizon
+        )
+        return safety.clearance(speeds, since)
 
     def scaled(self, factor: float) -> DeviationBound:
         """Bound times a factor."""
@@ -70,9 +73,7 @@ class BoundCalibration:
         if time > predicted.times[-1] + 1e-9:
             return
         expected = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
-        (x, y, theta), (x0, y0, theta0) = pose_of(state, self._vehicle), pose_of(expected, self._vehicle)
-        turned = abs(math.remainder(theta - theta0, math.tau))
-        deviation = math.hypot(x - x0, y - y0) + self._vehicle.footprint.reach * turned
+        deviation = displacement(state, expected, self._vehicle)
         speed = expected[[self._vehicle.rest_indices[0]]]
         ratio = deviation / float(bound.at(np.array([time - predicted.times[0]]), speed)[0])
         kept = 1.0 - 1.0 / self._settings.memory_cycles

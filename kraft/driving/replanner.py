@@ -39,7 +39,7 @@ from kraft.driving.stopping import (  # fmt: skip
     plan_reference,
     required_clearance,
 )
-from kraft.planning.workspace import pose_of
+from kraft.planning.workspace import displacement, pose_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 
@@ -291,10 +291,9 @@ class Replanner:
         Any point of the vehicle may deviate from its prediction by delta(v), and the estimate from the vehicle by as
         much (Theorem 1).
         """
-        vehicle = self.dirt.vehicle
-        (x, y, theta), (x0, y0, theta0) = pose_of(root, vehicle), pose_of(expected, vehicle)
-        off = math.hypot(x - x0, y - y0) + vehicle.footprint.reach * abs(math.remainder(theta - theta0, math.tau))
-        return off <= 2.0 * float(required_clearance(self.dirt, expected[None, :], 0.0)[0])
+        return displacement(root, expected, self.dirt.vehicle) <= 2.0 * float(
+            required_clearance(self.dirt, expected[None, :], 0.0)[0]
+        )
 
     def _nearest_free(self, state: Floats) -> Floats:
         """Nearest collision-free state within 0.3 m: a vehicle that still drives has not collided."""

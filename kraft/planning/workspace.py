@@ -111,6 +111,13 @@ def pose_of(state: Floats, vehicle: Vehicle) -> tuple[float, float, float]:
     return float(state[vehicle.index("x")]), float(state[vehicle.index("y")]), heading_of(state, vehicle)
 
 
+def displacement(state: Floats, other: Floats, vehicle: Vehicle) -> float:
+    """Upper bound of the distance between any point of the vehicle in one state and the same point in another, m."""
+    (x, y, theta), (x0, y0, theta0) = pose_of(state, vehicle), pose_of(other, vehicle)
+    turned = abs(math.remainder(theta - theta0, math.tau))
+    return math.hypot(x - x0, y - y0) + vehicle.footprint.reach * turned
+
+
 def pose_text(x: float, y: float, heading: float) -> str:
     """Pose as a phrase."""
     return f"({x:.3g}, {y:.3g}) heading {math.degrees(heading):.4g} deg"

@@ -33,8 +33,16 @@ REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
 PRIOR_POSES: Final = 40.0
 """Number of poses that the stated noise counts for beside the measured residuals."""
+PRIOR_CORRELATION: Final = 4.0
+"""Number of correlation times of residuals that weigh as much as the stated share."""
 LAG: Final = 0.2
 """Time over which the correlation of residuals is measured, s."""
+SHARE_MAX: Final = 0.95
+"""Largest share of the pose error that counts as correlated."""
+DRIVE_MAX: Final = 30.0
+"""Age of the oldest poses that are kept for the window, s."""
+CORRELATED, OFFSET = slice(0, 3), slice(3, 6)
+"""Parts of the pose error within its six components."""
 
 
 class AdaptiveEstimator:
@@ -109,10 +117,9 @@ class AdaptiveEstimator:
     def _identify(self, time: float) -> None:
         """Update parameters, delay and noise from the poses until `time` (s)."""
         drive = self._history.drive(time - DRIVE_MAX)
-        noise = self._noise.of_one_pose(drive.interval) if drive is not None else None
-        if drive is None or noise is None:
+        if drive is None:
             return
-        identified = self._window.update(drive, self._history.moving, noise)
+        identified = self._window.update(drive, self._history.moving, self._noise.of_one_pose(drive.interval))
         if identified is None:
             return
         self._identified = identified
@@ -123,10 +130,6 @@ class AdaptiveEstimator:
         if self._delay_index >= 0:
             self.horizon = float(identified.rho[self._delay_index])
             self._filter.set_delay(self.horizon)
-
-
-DRIVE_MAX: Final = 30.0
-"""Age of the oldest poses that are kept for the window, s."""
 
 
 def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
@@ -186,11 +189,6 @@ class NoiseEstimate:
         inflation = 1.0 - self.share + self.share * (1.0 + kept) / (1.0 - kept)
         sigma = np.sqrt(self.variance * inflation)
         return Noise(float(math.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2))), float(sigma[2]))
-
-
-PRIOR_CORRELATION: Final = 4.0
-"""Number of correlation times of residuals that weigh as much as the stated share."""
-SHARE_MAX: Final = 0.95
 
 
 class CorrelatedFilter(PoseFilter):
@@ -255,10 +253,6 @@ class CorrelatedFilter(PoseFilter):
             posterior.covariance[errors[part], self._pose] = -variance[part]
             posterior.covariance[self._pose, errors[part]] = -variance[part]
         return posterior
-
-
-CORRELATED, OFFSET = slice(0, 3), slice(3, 6)
-"""Parts of the pose error within its six components."""
 
 
 class PoseErrorModel:

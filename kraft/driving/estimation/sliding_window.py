@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from kraft.logs.log import Part
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.observation import NoiseModel, threshold
@@ -22,11 +23,10 @@ from kraft.sysid.problem import Point, Problem, assemble
 from kraft.sysid.settings import Noise
 from ompl_ext.arrays import Floats, Matrix
 
-if TYPE_CHECKING:
-    from kraft.logs.log import Part
-
 POSES_MIN: Final = 5
 """Number of poses below which a stretch of motion is not used."""
+ROBUST: Final = 2.0
+"""Residual, in standard deviations, above which the weight of a pose decreases."""
 MARGIN: Final = 0.5
 """Time before and after a motion that belongs to it, s: standstill determines the speed there."""
 
@@ -102,15 +102,11 @@ class SlidingWindow:
         free = self.parameters.free
         covariance = np.zeros((len(free), len(free)))
         covariance[np.ix_(free, free)] = np.linalg.inv(optimum.factors.total_information[np.ix_(free, free)])
-        return Identified(
-            self.rho.copy(), covariance,
-            np.concatenate([s.part.pose_times[s.poses] for s in segments]), -problem.pose_residuals(optimum.point),
-        )  # fmt: skip
+        times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
+        return Identified(self.rho.copy(), covariance, times, -problem.pose_residuals(optimum.point))
 
     def _segments(self, drive: Drive, moving: Sequence[tuple[float, float]]) -> list[Segment]:
         """Segments of the last `length` s of motion, in the order of time."""
-        from kraft.logs.log import Part
-
         left, spans = self._length, list[tuple[float, float]]()
         for begin, end in reversed(moving):
             first = max(begin, end - left)
@@ -118,7 +114,7 @@ class SlidingWindow:
             left -= end - first
             if left <= 0.0:
                 break
-        part: Part = Part(drive.command_times, drive.commands, drive.times, drive.poses)
+        part = Part(drive.command_times, drive.commands, drive.times, drive.poses)
         segments = []
         for begin, end in _joined(spans[::-1]):
             first, last = (int(k) for k in np.searchsorted(drive.times, (begin, end)))
@@ -131,10 +127,6 @@ class SlidingWindow:
         times = np.concatenate([s.times for s in problem.chains.segments])
         states = np.column_stack([np.interp(times, drive.times, column) for column in drive.states.T])
         return Point(states, problem.actuators.mean(self.rho)[0], self.rho.copy())
-
-
-ROBUST: Final = 2.0
-"""Residual, in standard deviations, above which the weight of a pose decreases."""
 
 
 def _joined(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
