@@ -88,6 +88,8 @@ class Vehicle:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     ranges: Mapping[str, ParameterRange] = field(default_factory=dict)
     """of the parameters that may be estimated while the vehicle drives; planning does not use them"""
+    gravity_share: float | None = None
+    """share of gravity along a slope that accelerates the vehicle, the rest the drive takes; None if it is not known"""
 
     def __post_init__(self) -> None:
         problems = [*_shape_problems(self), *_range_problems(self)]

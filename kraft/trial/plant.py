@@ -7,6 +7,7 @@ from collections import deque
 
 import numpy as np
 
+from kraft.driving.estimation import LevelCamera
 from kraft.driving.messages import Observation
 from kraft.scenario import Scenario
 from kraft.simulation.camera import Camera, MarkerCamera
@@ -31,6 +32,13 @@ class Radio:
         lost = self._generator.random() < self._loss and self._sent > 1
         self.lost += lost
         return not lost
+
+
+def level_camera(scenario: Scenario) -> LevelCamera | None:
+    """Camera as its user knows it, if its poses rest on the assumption of a level floor."""
+    if scenario.sensing.preset == "rendered":  # the height of the tag is measured as well
+        return None
+    return LevelCamera(scenario.sensing.camera, MARKER_HEIGHT, (scenario.start.x, scenario.start.y))
 
 
 class Plant:

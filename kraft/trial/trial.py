@@ -24,7 +24,7 @@ from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.world import World
 from kraft.trial.measures import ClosestApproach, Measures, Step, measure
 from kraft.trial.oracle import OracleEstimator, true_vehicle
-from kraft.trial.plant import Plant, Radio
+from kraft.trial.plant import Plant, Radio, level_camera
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from ompl_ext.exact import ExactClearance
 
@@ -97,7 +97,7 @@ class _Trial:
         self._estimator: Estimator = (
             OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
             if isinstance(settings, Oracle)
-            else make_estimator(settings, model, start)
+            else make_estimator(settings, model, start, level_camera(scenario))
         )
         self._model = model
         self._controller = make_controller(method.controller, model)

@@ -65,6 +65,8 @@ class VehicleConfig(StrictModel):
     """{length, width, offset}"""
     top_speed: Annotated[float | str, PlainValidator(_speed, json_schema_input_type=_SpeedSchema)]
     """speed that the vehicle never exceeds, m/s, or the parameter that is that speed"""
+    gravity_share: Annotated[float, Field(gt=0, le=1)] | None = None
+    """share of gravity along a slope that accelerates the vehicle; the rest the inertia of the drive takes"""
     identification: IdentificationRecord | None = None
     """where the parameters come from, as `kraft sysid` writes it"""
 

@@ -8,11 +8,12 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.estimation.dead_reckoning import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
+from kraft.driving.estimation.sloping_floor import LevelCamera
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive, Filter, Latest
 from ompl_ext.arrays import Floats
 
-__all__ = ["AdaptiveEstimator", "Estimator", "LatestPose", "PoseFilter", "make_estimator"]
+__all__ = ["AdaptiveEstimator", "Estimator", "LatestPose", "LevelCamera", "PoseFilter", "make_estimator"]
 
 
 class Estimator(Protocol):
@@ -43,14 +44,18 @@ class Estimator(Protocol):
         """Estimate for a decision that holds for a whole cycle; it may combine several observations."""
 
 
-def make_estimator(settings: Latest | Filter | Adaptive, model: CarModel, start_state: Floats) -> Estimator:
+def make_estimator(
+    settings: Latest | Filter | Adaptive, model: CarModel, start_state: Floats, camera: LevelCamera | None = None
+) -> Estimator:
     """Make the estimator of a method; the state at time 0 is `start_state` (nx,).
+
+    `camera` is the one that the poses come from, if it takes the floor as level.
 
     Raises:
         InputError: if parameters are to be estimated whose ranges the vehicle does not state.
     """
     if isinstance(settings, Adaptive):
-        return AdaptiveEstimator(settings, model, start_state)
+        return AdaptiveEstimator(settings, model, start_state, camera)
     if isinstance(settings, Filter):
         return PoseFilter(settings, model, start_state)
     return LatestPose(settings, model, start_state)

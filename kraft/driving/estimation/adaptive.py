@@ -9,7 +9,7 @@ matters: in the time of the stamps, a command acts that much later.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,7 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
 from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
+from kraft.driving.estimation.sloping_floor import FLOOR_SIZE, GRAVITY, LevelCamera
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.errors import Code, InputError
@@ -27,6 +28,8 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
 DELAY: Final = "delay"
+GRAVITY_SHARE_ERROR: Final = 0.25
+"""Standard deviation of the share of gravity that a vehicle feels, as a share of it."""
 MOVING: Final = 0.05
 """Speed above which the vehicle moves, m/s."""
 REST_BEFORE: Final = 0.5
@@ -41,22 +44,28 @@ SHARE_MAX: Final = 0.95
 """Largest share of the pose error that counts as correlated."""
 DRIVE_MAX: Final = 30.0
 """Age of the oldest poses that are kept for the window, s."""
-CORRELATED, OFFSET = slice(0, 3), slice(3, 6)
-"""Parts of the pose error within its six components."""
+CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
+"""Parts of the pose error, and the floor that it depends on, within the last components of the filter's state."""
+ERRORS: Final = FLOOR.stop
+FORCE: Final = ("a_x", "a_y")
+"""Parameters that are the acceleration by a force along x and y, m/s^2."""
 
 
 class AdaptiveEstimator:
     """Estimates state, parameters, delay and noise; see the module."""
 
-    def __init__(self, settings: Adaptive, model: CarModel, start_state: Floats) -> None:
-        """Begin at rest at `start_state` (nx,).
+    def __init__(
+        self, settings: Adaptive, model: CarModel, start_state: Floats, camera: LevelCamera | None = None
+    ) -> None:
+        """Begin at rest at `start_state` (nx,); `camera` is one that takes the floor as level, None for others.
 
         Raises:
             InputError: if the vehicle states no ranges of its parameters.
         """
         self._settings, self._model = settings, model
         self._noise = NoiseEstimate.of(settings)
-        self._filter = CorrelatedFilter(settings, model, start_state)
+        self._filter = CorrelatedFilter(settings, model, start_state, camera)
+        self._camera = camera
         self._filter.set_noise(self._noise)
         parameters = online_parameters(model.vehicle, settings)
         process = np.full(len(model.vehicle.state), settings.speed_drift)
@@ -119,17 +128,33 @@ class AdaptiveEstimator:
         drive = self._history.drive(time - DRIVE_MAX)
         if drive is None:
             return
+        if self._camera is not None:
+            drive = replace(drive, poses=self._camera.on_floor(drive.poses, self._filter.floor))
         identified = self._window.update(drive, self._history.moving, self._noise.of_one_pose(drive.interval))
         if identified is None:
             return
         self._identified = identified
         self._noise = self._noise.updated(identified, drive.interval)
         self._filter.set_noise(self._noise)
+        self._observe_slope(identified)
         if self._settings.identify:
             self._model.set_parameters(self._window.parameters.model_values(identified.rho))
         if self._delay_index >= 0:
             self.horizon = float(identified.rho[self._delay_index])
             self._filter.set_delay(self.horizon)
+
+
+    def _observe_slope(self, identified: Identified) -> None:
+        """Take the identified force as the floor's slope, for a vehicle that states what share of gravity it feels."""
+        share, names = self._model.vehicle.gravity_share, self._window.parameters.names
+        if share is None or self._camera is None or not self._settings.identify:
+            return
+        force = [names.index(name) for name in FORCE]
+        slope = -identified.rho[force] / (share * GRAVITY)
+        covariance = identified.covariance[np.ix_(force, force)] / (share * GRAVITY) ** 2
+        cycles = self._settings.window  # successive windows share most of their poses
+        error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
+        self._filter.observe_slope(slope, cycles * (covariance + error**2 * np.eye(2)))
 
 
 def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
@@ -192,17 +217,43 @@ class NoiseEstimate:
 
 
 class CorrelatedFilter(PoseFilter):
-    """Filter whose state (nx + 7,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
+    """Filter whose state (nx + 10,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
 
-    The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.
+    The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.  The
+    last components are the floor, by which a camera that takes it as level is wrong.
     """
 
-    def __init__(self, settings: Adaptive, model: CarModel, start_state: Floats) -> None:
+    def __init__(
+        self, settings: Adaptive, model: CarModel, start_state: Floats, camera: LevelCamera | None = None
+    ) -> None:
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
         self._errors = PoseErrorModel(model, settings.offset_time)
         super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, self._errors)
         offset = settings.position_offset, settings.position_offset, math.radians(settings.heading_offset_deg)
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
+        self._camera = camera
+        if camera is not None:
+            floor = np.array([settings.slope, settings.slope, settings.floor_height])
+            self.posterior.covariance[self._part(FLOOR), self._part(FLOOR)] = floor**2
+
+    @property
+    def floor(self) -> Floats:
+        """Estimated floor (3,) of `LevelCamera`."""
+        return self.posterior.mean[self._part(FLOOR)]
+
+    def observe_slope(self, slope: Floats, covariance: Matrix) -> None:
+        """Process a measured slope (2,) of the floor with its covariance (2, 2)."""
+        newest, parts = self.posterior, self._part(FLOOR)[:2]
+        cross = newest.covariance[:, parts]
+        gain = np.linalg.solve(cross[parts] + covariance, cross.T).T
+        mean = newest.mean + gain @ (slope - newest.mean[parts])
+        self._posteriors = [replace(newest, mean=mean, covariance=newest.covariance - gain @ cross.T)]
+        self._reckoning.reset(newest.time, mean, newest.time)
+
+    def _part(self, part: slice) -> list[int]:
+        """Indices of a part of the pose error, or of the floor, into the state."""
+        first = self._process_model.size - ERRORS
+        return list(range(first, first + ERRORS))[part]
 
     def set_noise(self, noise: NoiseEstimate) -> None:
         """Set the noise of poses from now on."""
@@ -212,8 +263,7 @@ class CorrelatedFilter(PoseFilter):
 
     def _set_variance(self, part: slice, variance: Floats, time: float) -> None:
         """Set the stationary variance (3,) of a part of the pose error, whose time constant is `time` s."""
-        first = len(self._variance_rate) - len(self._errors.times)
-        components = range(first, len(self._variance_rate))[part]
+        components = self._part(part)
         self._variance_rate[components] = 2.0 * variance / time
         if self.posterior.observation is None:  # the error of the first pose is of full size
             self.posterior.covariance[components, components] = variance
@@ -233,8 +283,17 @@ class CorrelatedFilter(PoseFilter):
         return found
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
-        cross = covariance[:, self._pose] + covariance[:, -6:-3] + covariance[:, -3:]
-        return mean[self._pose] + mean[-6:-3] + mean[-3:], cross, cross[self._pose] + cross[-6:-3] + cross[-3:]
+        jacobian = np.zeros((3, len(mean)))
+        jacobian[range(3), self._pose] = 1.0
+        pose = mean[self._pose]
+        if self._camera is not None:
+            pose, found = self._camera.linearised(pose, mean[self._part(FLOOR)])
+            jacobian[:, self._pose], jacobian[:, self._part(FLOOR)] = found[:, :3], found[:, 3:]
+        for part in (CORRELATED, OFFSET):
+            jacobian[range(3), self._part(part)] = 1.0
+            pose = pose + mean[self._part(part)]
+        cross = covariance @ jacobian.T
+        return pose, cross, jacobian @ cross
 
     def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
         """Posterior with the pose reset to a measured one, and nothing known of the errors in it.
@@ -242,41 +301,42 @@ class CorrelatedFilter(PoseFilter):
         The outliers before it have moved the errors.
         """
         posterior = super()._reset(pose, mean, covariance, innovation)
-        errors = range(len(posterior.mean) - 6, len(posterior.mean))
-        posterior.mean[self._pose] += posterior.mean[-6:-3] + posterior.mean[-3:]
+        errors = self._part(CORRELATED) + self._part(OFFSET)
+        posterior.mean[self._pose] += posterior.mean[errors[:3]] + posterior.mean[errors[3:]]
         posterior.mean[errors] = 0.0
-        variance = 0.5 * self._variance_rate[-6:] * self._errors.times
+        variance = 0.5 * self._variance_rate[errors] * self._errors.times[: len(errors)]
         posterior.covariance[errors, :] = posterior.covariance[:, errors] = 0.0
         posterior.covariance[errors, errors] = variance
         posterior.covariance[self._pose, self._pose] += variance[CORRELATED] + variance[OFFSET]
         for part in (CORRELATED, OFFSET):
-            posterior.covariance[errors[part], self._pose] = -variance[part]
-            posterior.covariance[self._pose, errors[part]] = -variance[part]
+            posterior.covariance[self._part(part), self._pose] = -variance[part]
+            posterior.covariance[self._pose, self._part(part)] = -variance[part]
         return posterior
 
 
 class PoseErrorModel:
-    """Process model of the state (nx + 7,): as `ExcessSpeedModel`, and two parts of the pose error that decay."""
+    """Process model of the state (nx + 10,): as `ExcessSpeedModel`, two parts of the pose error that decay, a floor."""
 
     def __init__(self, model: CarModel, offset_time: float) -> None:
         self._motion = ExcessSpeedModel(model)
-        self.times = np.full(6, offset_time)
-        """time constants of the components of the pose error, s"""
+        self.times = np.full(ERRORS, offset_time)
+        self.times[FLOOR] = math.inf
+        """time constants of the components of the pose error and the floor, s"""
         self.size = self._motion.size + len(self.times)
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx + 7,) after holding a control (nu,) for `duration` s."""
+        """State (nx + 10,) after holding a control (nu,) for `duration` s."""
         kept = np.exp(-duration / self.times)
-        return np.concatenate([self._motion.advance(state[:-6], control, duration), kept * state[-6:]])
+        return np.concatenate([self._motion.advance(state[:-ERRORS], control, duration), kept * state[-ERRORS:]])
 
     def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
-        """State (nx + 7,) after `duration` s and its Jacobian (nx + 7, nx + 7) with respect to the state before."""
-        after, jacobian = self._motion.linearised(state[:-6], control, duration)
+        """State (nx + 10,) after `duration` s and its Jacobian (nx + 10, nx + 10) with respect to the state before."""
+        after, jacobian = self._motion.linearised(state[:-ERRORS], control, duration)
         kept = np.exp(-duration / self.times)
         full = np.zeros((self.size, self.size))
-        full[:-6, :-6] = jacobian
-        full[range(-6, 0), range(-6, 0)] = kept
-        return np.concatenate([after, kept * state[-6:]]), full
+        full[:-ERRORS, :-ERRORS] = jacobian
+        full[range(-ERRORS, 0), range(-ERRORS, 0)] = kept
+        return np.concatenate([after, kept * state[-ERRORS:]]), full
 
 
 class _History:
