@@ -272,8 +272,6 @@ class Adaptive(StrictModel):
     """time in which the vehicle comes to a place with another offset, s"""
     slope: NonNegative = 0.08
     """standard deviation of the slope of the floor before the vehicle shows it, in height per length"""
-    floor_height: NonNegative = 0.05
-    """standard deviation of the height of the floor at the start, m"""
     start_position_noise: Positive = 0.02
     """standard deviation of the start that the scenario gives, m"""
     start_heading_noise_deg: Positive = 2.0

@@ -217,7 +217,7 @@ class NoiseEstimate:
 
 
 class CorrelatedFilter(PoseFilter):
-    """Filter whose state (nx + 10,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
+    """Filter whose state (nx + 9,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
 
     The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.  The
     last components are the floor, by which a camera that takes it as level is wrong.
@@ -233,17 +233,16 @@ class CorrelatedFilter(PoseFilter):
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
         self._camera = camera
         if camera is not None:
-            floor = np.array([settings.slope, settings.slope, settings.floor_height])
-            self.posterior.covariance[self._part(FLOOR), self._part(FLOOR)] = floor**2
+            self.posterior.covariance[self._part(FLOOR), self._part(FLOOR)] = settings.slope**2
 
     @property
     def floor(self) -> Floats:
-        """Estimated floor (3,) of `LevelCamera`."""
+        """Estimated slope (2,) of the floor, see `LevelCamera`."""
         return self.posterior.mean[self._part(FLOOR)]
 
     def observe_slope(self, slope: Floats, covariance: Matrix) -> None:
         """Process a measured slope (2,) of the floor with its covariance (2, 2)."""
-        newest, parts = self.posterior, self._part(FLOOR)[:2]
+        newest, parts = self.posterior, self._part(FLOOR)
         cross = newest.covariance[:, parts]
         gain = np.linalg.solve(cross[parts] + covariance, cross.T).T
         mean = newest.mean + gain @ (slope - newest.mean[parts])
@@ -295,6 +294,18 @@ class CorrelatedFilter(PoseFilter):
         cross = covariance @ jacobian.T
         return pose, cross, jacobian @ cross
 
+    def _gain(self, covariance: Matrix, cross_covariance: Matrix, innovation: Matrix) -> tuple[Matrix, Matrix]:
+        """Gain that leaves the floor as it is (Schmidt's filter), so that errors of the camera are not taken for slopes.
+
+        Its uncertainty is part of all covariances; only the identified force tells about it.
+        """
+        gain, after = super()._gain(covariance, cross_covariance, innovation)
+        floor = self._part(FLOOR)
+        gain[floor] = 0.0
+        after[floor, :] = covariance[floor, :] - cross_covariance[floor] @ gain.T
+        after[:, floor] = after[floor, :].T
+        return gain, after
+
     def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
         """Posterior with the pose reset to a measured one, and nothing known of the errors in it.
 
@@ -315,7 +326,7 @@ class CorrelatedFilter(PoseFilter):
 
 
 class PoseErrorModel:
-    """Process model of the state (nx + 10,): as `ExcessSpeedModel`, two parts of the pose error that decay, a floor."""
+    """Process model of the state (nx + 9,): as `ExcessSpeedModel`, two parts of the pose error that decay, a floor."""
 
     def __init__(self, model: CarModel, offset_time: float) -> None:
         self._motion = ExcessSpeedModel(model)
@@ -325,12 +336,12 @@ class PoseErrorModel:
         self.size = self._motion.size + len(self.times)
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx + 10,) after holding a control (nu,) for `duration` s."""
+        """State (nx + 9,) after holding a control (nu,) for `duration` s."""
         kept = np.exp(-duration / self.times)
         return np.concatenate([self._motion.advance(state[:-ERRORS], control, duration), kept * state[-ERRORS:]])
 
     def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
-        """State (nx + 10,) after `duration` s and its Jacobian (nx + 10, nx + 10) with respect to the state before."""
+        """State (nx + 9,) after `duration` s and its Jacobian (nx + 9, nx + 9) with respect to the state before."""
         after, jacobian = self._motion.linearised(state[:-ERRORS], control, duration)
         kept = np.exp(-duration / self.times)
         full = np.zeros((self.size, self.size))

@@ -151,9 +151,16 @@ class PoseFilter:
             if len(outliers) >= OUTLIERS_BEFORE_RESET and agree:
                 return self._reset(pose, mean, covariance, innovation)
             outliers, noise = outliers[-OUTLIERS_BEFORE_RESET:], noise * (distance / self._limit)
-        gain = np.linalg.solve(pose_covariance + noise, cross_covariance.T).T
-        after = covariance - gain @ cross_covariance.T
+        gain, after = self._gain(covariance, cross_covariance, pose_covariance + noise)
         return Posterior(pose.time, mean + gain @ innovation, 0.5 * (after + after.T), pose, outliers)
+
+    def _gain(self, covariance: Matrix, cross_covariance: Matrix, innovation: Matrix) -> tuple[Matrix, Matrix]:
+        """Gain (n, 3) of a pose, and the covariance (n, n) after it.
+
+        `cross_covariance` (n, 3) is of the state with the expected pose, `innovation` (3, 3) that of the innovation.
+        """
+        gain = np.linalg.solve(innovation, cross_covariance.T).T
+        return gain, covariance - gain @ cross_covariance.T
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         """Expected pose (3,), its covariance with the state (n, 3), and its covariance without noise (3, 3)."""

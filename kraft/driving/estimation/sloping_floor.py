@@ -19,15 +19,15 @@ HALF_LENGTH: Final = 0.1
 """Half the distance between two points that show a heading, m."""
 DIFFERENCE: Final = 1e-4
 """Step of the numeric derivatives, SI."""
-FLOOR_SIZE: Final = 3
-"""Number of components of a floor: rise per metre of floor along x and along y, and height at the start (m)."""
+FLOOR_SIZE: Final = 2
+"""Number of components of a floor: rise per metre of floor along x and along y."""
 
 
 @dataclass(frozen=True)
 class LevelCamera:
     """Camera at `position` (x, y, z) m that takes the floor as level, and the marker as `marker_height` m above it.
 
-    `start` is the x, y (m) at which the height of a floor is given.
+    `start` is the x, y (m) where the floor is at the height that the camera takes it to be at.
     """
 
     position: tuple[float, float, float]
@@ -35,22 +35,22 @@ class LevelCamera:
     start: tuple[float, float]
 
     def observed(self, pose: Floats, floor: Floats) -> Floats:
-        """Pose (3,) that is measured of a pose (3,) on a floor (3,)."""
+        """Pose (3,) that is measured of a pose (3,) on a floor (2,)."""
         seen: Floats = self._observed(pose[None], floor[None])[0]
         seen[2] = pose[2] + math.remainder(seen[2] - pose[2], math.tau)
         return seen
 
     def linearised(self, pose: Floats, floor: Floats) -> tuple[Floats, Matrix]:
-        """Measured pose (3,), and its Jacobian (3, 6) with respect to the pose and the floor."""
-        steps = DIFFERENCE * np.vstack([np.zeros(6), np.eye(6), -np.eye(6)])
+        """Measured pose (3,), and its Jacobian (3, 5) with respect to the pose and the floor."""
+        steps = DIFFERENCE * np.vstack([np.zeros(5), np.eye(5), -np.eye(5)])
         seen = self._observed(pose + steps[:, :3], floor + steps[:, 3:])
-        changes = seen[1:7] - seen[7:]
+        changes = seen[1:6] - seen[6:]
         changes[:, 2] -= math.tau * np.round(changes[:, 2] / math.tau)
         seen[0, 2] = pose[2] + math.remainder(seen[0, 2] - pose[2], math.tau)
         return seen[0], changes.T / (2.0 * DIFFERENCE)
 
     def on_floor(self, poses: Matrix, floor: Floats) -> Matrix:
-        """Poses (n, 3) on a floor (3,), given those (n, 3) that were measured."""
+        """Poses (n, 3) on a floor (2,), given those (n, 3) that were measured."""
         along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
         front, rear = (self._place_on_floor(poses[:, :2] + sign * along, floor) for sign in (1.0, -1.0))
         turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
@@ -64,13 +64,13 @@ class LevelCamera:
         return np.column_stack([0.5 * (front + rear), np.arctan2(*(front - rear).T[::-1])])
 
     def _observed_place(self, places: Matrix, floors: Matrix) -> Matrix:
-        """Measured places (n, 2) of the marker for places (n, 2) of the vehicle, on a floor (3,) each."""
+        """Measured places (n, 2) of the marker for places (n, 2) of the vehicle, on a floor (2,) each."""
         x, y, z = self.position
-        slope, away = floors[:, :2], places - self.start
+        slope, away = floors, places - self.start
         level = np.sqrt(np.maximum(1.0 - (slope * slope).sum(axis=1), 0.0))  # cosine of the angle of the slope
         rise = (slope * away).sum(axis=1)
         marker = self.start + away - (rise / (1.0 + level) + self.marker_height)[:, None] * slope
-        height = floors[:, 2] + rise + self.marker_height * level
+        height = rise + self.marker_height * level
         stretch = (z - self.marker_height) / np.maximum(z - height, 0.1 * z)
         seen: Matrix = (x, y) + stretch[:, None] * (marker - (x, y))
         return seen
@@ -78,11 +78,11 @@ class LevelCamera:
     def _place_on_floor(self, seen: Matrix, floor: Floats) -> Matrix:
         """Inverse of `_observed_place` for one floor: where the line of sight meets the plane of the marker."""
         x, y, z = self.position
-        slope = floor[:2]
-        level = math.sqrt(max(1.0 - float(slope @ slope), 0.0))
+        slope, level = floor, math.sqrt(max(1.0 - float(floor @ floor), 0.0))
         # The marker is at `camera` + share (seen - camera), at the height z - share (z - marker_height).
         direction = seen - (x, y)
-        above = z - floor[2] - self.marker_height * level - (slope @ (np.array([x, y]) - self.start + self.marker_height * slope)) / level
+        away = np.array([x, y]) - self.start + self.marker_height * slope
+        above = z - self.marker_height * level - slope @ away / level
         share = above / (z - self.marker_height + direction @ slope / level)
         marker = (x, y) + share[:, None] * direction - self.start + self.marker_height * slope
         rise = marker @ slope / level
