@@ -33,6 +33,7 @@ MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 CORRECTION_ATTEMPTS = 8  # at retaining a rest with different random corrections
 STALLED = 0.5  # cost by which a plan exceeds what was left of the last one before it may keep less of the bound (s)
+SMALL_SHARE = 0.3  # of the bound: no plan keeps less only because others cost more
 HYSTERESIS = 0.8  # share of the clearance of new edges that suffices for retained ones
 STEADY = 2  # cycles after which a larger share of the bound is tried
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
@@ -155,6 +156,8 @@ class Proposer:
         self._extra = settings.largest_budget - settings.iterations
         last, self._grown, proposal = self._grown, None, Proposal(None)
         for dirt, share, kept in self._attempts(root):
+            if kept < SMALL_SHARE and proposal.plan is not None and proposal.plan.reaches_goal:
+                break
             dirt.set_goal_radius(radius)
             found = replace(self._search(number, dirt, root, rest, began, share), kept=kept)
             if kept > self._shares[self._kept] and not self._may_keep_more(found, rest):

@@ -30,6 +30,8 @@ from ompl_ext.vehicle import Vehicle
 DELAY: Final = "delay"
 GRAVITY_SHARE_ERROR: Final = 0.25
 """Standard deviation of the share of gravity that a vehicle feels, as a share of it."""
+INFORMATION_MIN: Final = 1.0
+"""Least information of an identified slope beyond that of the one before: a standard deviation of 1."""
 MOVING: Final = 0.05
 """Speed above which the vehicle moves, m/s."""
 REST_BEFORE: Final = 0.5
@@ -76,6 +78,7 @@ class AdaptiveEstimator:
             settings.iterations,
         )  # fmt: skip
         self._identified: Identified | None = None
+        self._slope_time, self._slope_information = 0.0, np.zeros((2, 2))  # of the last identified slope
         self._history = _History(start_state, model)
         self._delay_index = parameters.index(DELAY)
         self.horizon = 0.0
@@ -136,7 +139,7 @@ class AdaptiveEstimator:
         self._identified = identified
         self._noise = self._noise.updated(identified, drive.interval)
         self._filter.set_noise(self._noise)
-        self._observe_slope(identified)
+        self._observe_slope(time, identified)
         if self._settings.identify:
             self._model.set_parameters(self._window.parameters.model_values(identified.rho))
         if self._delay_index >= 0:
@@ -144,7 +147,7 @@ class AdaptiveEstimator:
             self._filter.set_delay(self.horizon)
 
 
-    def _observe_slope(self, identified: Identified) -> None:
+    def _observe_slope(self, time: float, identified: Identified) -> None:
         """Take the identified force as the floor's slope, for a vehicle that states what share of gravity it feels."""
         share, names = self._model.vehicle.gravity_share, self._window.parameters.names
         if share is None or self._camera is None or not self._settings.identify:
@@ -152,9 +155,13 @@ class AdaptiveEstimator:
         force = [names.index(name) for name in FORCE]
         slope = -identified.rho[force] / (share * GRAVITY)
         covariance = identified.covariance[np.ix_(force, force)] / (share * GRAVITY) ** 2
-        cycles = self._settings.window  # successive windows share most of their poses
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
-        self._filter.observe_slope(slope, cycles * (covariance + error**2 * np.eye(2)))
+        information = np.linalg.inv(covariance + error**2 * np.eye(2))
+        kept = math.exp(-(time - self._slope_time) / self._settings.window)  # successive windows share most poses
+        values, axes = np.linalg.eigh(information - kept * self._slope_information)
+        self._slope_time, self._slope_information = time, information
+        added = np.maximum(values, INFORMATION_MIN)
+        self._filter.observe_slope(slope, axes @ np.diag(1.0 / added) @ axes.T)
 
 
 def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
