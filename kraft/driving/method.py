@@ -270,8 +270,6 @@ class Adaptive(StrictModel):
     """the same of the heading, degrees"""
     offset_time: Seconds = 4.0
     """time in which the vehicle comes to a place with another offset, s"""
-    slope: NonNegative = 0.08
-    """standard deviation of the slope of the floor before the vehicle shows it, in height per length"""
     start_position_noise: Positive = 0.02
     """standard deviation of the start that the scenario gives, m"""
     start_heading_noise_deg: Positive = 2.0

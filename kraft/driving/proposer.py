@@ -32,9 +32,8 @@ RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is belo
 MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 CORRECTION_ATTEMPTS = 8  # at retaining a rest with different random corrections
-STALLED = 0.5  # cost by which a plan exceeds what was left of the last one before it may keep less of the bound (s)
-SMALL_SHARE = 0.3  # of the bound: no plan keeps less only because others cost more
-HYSTERESIS = 0.8  # share of the clearance of new edges that suffices for retained ones
+STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
+HYSTERESIS = 0.8  # share of the clearance of a plan that suffices for its rest
 STEADY = 2  # cycles after which a larger share of the bound is tried
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
@@ -45,8 +44,7 @@ class Proposal:
     """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search.
 
     `kept` is the share of the bound that the plan keeps.  `lost` is why the rest of the plan that is being executed was
-    not retained, `whole` whether all of its edges were.  `switch_refused` is whether a better plan that goes another way
-    was found, but does not save enough.
+    not retained.  `switch_refused` is whether a better plan that goes another way was found, but does not save enough.
     """
 
     plan: Plan | None
@@ -57,7 +55,6 @@ class Proposal:
     seconds: float = 0.0
     missed: bool = False
     lost: PlanLoss = PlanLoss.NONE
-    whole: bool = False
     switch_refused: bool = False
     tree: TreeView | None = None
     kept: float = 1.0
@@ -92,18 +89,13 @@ class Solvers:
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the clearance that SAFETY asks for in both."""
         for dirt in (self.checking, self.planning):
-            set_bound(dirt, bound)
+            dirt.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
 
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,) in both."""
         self.checking.set_parameters(values)
         if self.planning is not self.checking:
             self.planning.set_parameters(values)
-
-
-def set_bound(dirt: DirtSolver, bound: DeviationBound) -> None:
-    """Set the clearance that SAFETY asks for."""
-    dirt.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
 
 
 def method_safety(settings: PlannerSettings) -> Safety:
@@ -136,7 +128,6 @@ class Proposer:
         self._delta = self.dirt.safety.delta
         self._recovering = False
         self._bound: DeviationBound | None = None
-        self._required = DeviationBound(0.0)  # by the attempt that runs
         self._shares = settings.bound.shares if settings.bound else (1.0,)
         self._kept = 0  # index into the shares
         self._steady = 0  # number of cycles with this share since a larger one was tried
@@ -155,9 +146,7 @@ class Proposer:
         radius, rest = self._goal_radius(root), self._rest(previous)
         self._extra = settings.largest_budget - settings.iterations
         last, self._grown, proposal = self._grown, None, Proposal(None)
-        for dirt, share, kept in self._attempts(root):
-            if kept < SMALL_SHARE and proposal.plan is not None and proposal.plan.reaches_goal:
-                break
+        for dirt, share, kept in self._attempts(root, rest is not None):
             dirt.set_goal_radius(radius)
             found = replace(self._search(number, dirt, root, rest, began, share), kept=kept)
             if kept > self._shares[self._kept] and not self._may_keep_more(found, rest):
@@ -167,11 +156,9 @@ class Proposer:
                 self._grown = None if found.plan is None else (dirt, found.plan)
             if proposal.plan is None or (self._bound is not None and not proposal.plan.reaches_goal):
                 continue
-            if last is None or not self._is_worse(proposal, rest):
+            if last is None or dirt is last[0] or not self._is_worse(proposal, rest):
                 break
-            if dirt is last[0] and self._bound is None:
-                break
-        self._keep(proposal)
+        self._keep(proposal, rest)
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
         if self._realtime and missed:
@@ -188,20 +175,22 @@ class Proposer:
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
         return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
 
-    def _attempts(self, root: Floats) -> Iterator[tuple[DirtSolver, float, float]]:
+    def _attempts(self, root: Floats, has_rest: bool) -> Iterator[tuple[DirtSolver, float, float]]:
         """Solvers in turn, each with its share of the remaining time and the share of the bound that plans keep.
 
         The bound is tried in shares from the last one that left a way to the goal, so that its plan can be retained,
-        and now and then from the one before.
+        and now and then from the one before.  A rest needs a little less than what it was planned with, because
+        estimate and bound change.
         """
         if self._bound is None:
             yield from ((dirt, share, 1.0) for dirt, share in self._solvers_in_turn(root))
             return
         first = self._kept - 1 if self._steady >= STEADY else self._kept
         for number in range(max(first, 0), len(self._shares)):
-            self._required = self._bound.scaled(self._shares[number])
-            self._delta = self._required.delta
-            self._solvers.set_bound(self._required)
+            eased = HYSTERESIS if number == self._kept and has_rest else 1.0
+            bound = self._bound.scaled(self._shares[number] * eased)
+            self._delta = bound.delta
+            self._solvers.set_bound(bound)
             for dirt, share in self._solvers_in_turn(root, recover=number == len(self._shares) - 1):
                 yield dirt, share, self._shares[number]
 
@@ -211,11 +200,16 @@ class Proposer:
             return False
         return rest is None or total_cost(found.plan) <= rest.left + RETAINED_TOLERANCE
 
-    def _keep(self, proposal: Proposal) -> None:
-        """Ask for the share of the bound that the proposed plan keeps until the next proposal."""
+    def _keep(self, proposal: Proposal, rest: Rest | None) -> None:
+        """Ask for the share of the bound that the proposed plan keeps until the next proposal.
+
+        If the vehicle makes no progress, the next plan may keep less.
+        """
         if self._bound is not None and proposal.plan is not None and not self._recovering:
             before, self._kept = self._kept, self._shares.index(proposal.kept)
             self._steady = self._steady % STEADY + 1 if self._kept == before else 0
+            if rest is not None and total_cost(proposal.plan) > rest.left + STALLED:
+                self._kept, self._steady = min(self._kept + 1, len(self._shares) - 1), 0
             self._require(self._bound)
 
     def set_bound(self, bound: DeviationBound) -> None:
@@ -264,9 +258,7 @@ class Proposer:
         """Whether a plan replaces a lost rest and costs more; if a gain is required, the rest's solver is asked."""
         if self._settings.switch_gain == 0.0 or rest is None or proposal.lost is PlanLoss.NONE or proposal.plan is None:
             return False
-        if self._bound is not None and proposal.whole:
-            return False  # it costs more from where the vehicle is, which no smaller clearance changes
-        return total_cost(proposal.plan) > rest.left + (RETAINED_TOLERANCE if self._bound is None else STALLED)
+        return total_cost(proposal.plan) > rest.left + RETAINED_TOLERANCE
 
     def _is_better(self, found: Proposal, proposal: Proposal) -> bool:
         """Whether a plan to the goal that another solver found saves the gain, or alone reaches the goal."""
@@ -285,29 +277,19 @@ class Proposer:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
         lost = PlanLoss.NONE
         if rest is not None:
-            self._ease(dirt, eased=True)
             if rest.edges is not None:
                 _start_with_best_corrections(dirt, root, rest, self._seed * 100_003 + number)
             lost = retain(dirt, root, rest)  # ll. 1-8
         kept = None if rest is None or self._settings.switch_gain == 0.0 else _retained_plan(dirt, rest)
-        self._ease(dirt, eased=False)
         progress = self._grow(dirt, math.inf if rest is None else rest.left, began, share)
-        self._ease(dirt, eased=True)
         plan, refused = self._choose(dirt, kept)
         if plan is not None:
             self._verify(number, dirt, plan)
         reason = "" if plan is not None else _failure_reason(progress)
         tree = dirt.tree() if self._keep_trees else None
         return Proposal(
-            plan, reason, progress.iterations, progress.nodes, progress.retained, 0.0, False, lost, kept is not None,
-            refused, tree,
-        )  # fmt: skip
-
-    def _ease(self, dirt: DirtSolver, eased: bool) -> None:
-        """Require of edges that are retained a little less than of new ones, because estimate and bound change."""
-        if self._bound is not None and not self._recovering:
-            factor = HYSTERESIS if eased else 1.0
-            set_bound(dirt, self._required.scaled(factor))
+            plan, reason, progress.iterations, progress.nodes, progress.retained, 0.0, False, lost, refused, tree
+        )
 
     def _choose(self, dirt: DirtSolver, kept: Plan | None) -> tuple[Plan | None, bool]:
         """Best plan, or the best one that goes the way of the retained plan if leaving it does not save enough."""

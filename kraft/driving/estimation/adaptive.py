@@ -30,8 +30,6 @@ from ompl_ext.vehicle import Vehicle
 DELAY: Final = "delay"
 GRAVITY_SHARE_ERROR: Final = 0.25
 """Standard deviation of the share of gravity that a vehicle feels, as a share of it."""
-INFORMATION_MIN: Final = 1.0
-"""Least information of an identified slope beyond that of the one before: a standard deviation of 1."""
 MOVING: Final = 0.05
 """Speed above which the vehicle moves, m/s."""
 REST_BEFORE: Final = 0.5
@@ -78,7 +76,6 @@ class AdaptiveEstimator:
             settings.iterations,
         )  # fmt: skip
         self._identified: Identified | None = None
-        self._slope_time, self._slope_information = 0.0, np.zeros((2, 2))  # of the last identified slope
         self._history = _History(start_state, model)
         self._delay_index = parameters.index(DELAY)
         self.horizon = 0.0
@@ -139,7 +136,7 @@ class AdaptiveEstimator:
         self._identified = identified
         self._noise = self._noise.updated(identified, drive.interval)
         self._filter.set_noise(self._noise)
-        self._observe_slope(time, identified)
+        self._set_slope(identified)
         if self._settings.identify:
             self._model.set_parameters(self._window.parameters.model_values(identified.rho))
         if self._delay_index >= 0:
@@ -147,7 +144,7 @@ class AdaptiveEstimator:
             self._filter.set_delay(self.horizon)
 
 
-    def _observe_slope(self, time: float, identified: Identified) -> None:
+    def _set_slope(self, identified: Identified) -> None:
         """Take the identified force as the floor's slope, for a vehicle that states what share of gravity it feels."""
         share, names = self._model.vehicle.gravity_share, self._window.parameters.names
         if share is None or self._camera is None or not self._settings.identify:
@@ -156,12 +153,14 @@ class AdaptiveEstimator:
         slope = -identified.rho[force] / (share * GRAVITY)
         covariance = identified.covariance[np.ix_(force, force)] / (share * GRAVITY) ** 2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
-        information = np.linalg.inv(covariance + error**2 * np.eye(2))
-        kept = math.exp(-(time - self._slope_time) / self._settings.window)  # successive windows share most poses
-        values, axes = np.linalg.eigh(information - kept * self._slope_information)
-        self._slope_time, self._slope_information = time, information
-        added = np.maximum(values, INFORMATION_MIN)
-        self._filter.observe_slope(slope, axes @ np.diag(1.0 / added) @ axes.T)
+        self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
+
+
+def slope_deviations(vehicle: Vehicle) -> Floats:
+    """Standard deviations (2,) of the floor's slope by the ranges of the force; zeros if the share is not known."""
+    if vehicle.gravity_share is None:
+        return np.zeros(2)
+    return np.array([vehicle.ranges[name].std for name in FORCE]) / (vehicle.gravity_share * GRAVITY)
 
 
 def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
@@ -240,20 +239,21 @@ class CorrelatedFilter(PoseFilter):
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
         self._camera = camera
         if camera is not None:
-            self.posterior.covariance[self._part(FLOOR), self._part(FLOOR)] = settings.slope**2
+            self.posterior.covariance[self._part(FLOOR), self._part(FLOOR)] = slope_deviations(model.vehicle) ** 2
 
     @property
     def floor(self) -> Floats:
         """Estimated slope (2,) of the floor, see `LevelCamera`."""
         return self.posterior.mean[self._part(FLOOR)]
 
-    def observe_slope(self, slope: Floats, covariance: Matrix) -> None:
-        """Process a measured slope (2,) of the floor with its covariance (2, 2)."""
-        newest, parts = self.posterior, self._part(FLOOR)
-        cross = newest.covariance[:, parts]
-        gain = np.linalg.solve(cross[parts] + covariance, cross.T).T
-        mean = newest.mean + gain @ (slope - newest.mean[parts])
-        self._posteriors = [replace(newest, mean=mean, covariance=newest.covariance - gain @ cross.T)]
+    def set_slope(self, slope: Floats, covariance: Matrix) -> None:
+        """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""
+        newest, floor = self.posterior, self._part(FLOOR)
+        before = newest.covariance[np.ix_(floor, floor)]
+        gain = np.linalg.solve(before, newest.covariance[floor]).T
+        mean = newest.mean + gain @ (slope - newest.mean[floor])
+        after = newest.covariance + gain @ (covariance - before) @ gain.T
+        self._posteriors = [replace(newest, mean=mean, covariance=0.5 * (after + after.T))]
         self._reckoning.reset(newest.time, mean, newest.time)
 
     def _part(self, part: slice) -> list[int]:
