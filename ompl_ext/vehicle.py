@@ -88,6 +88,8 @@ class Vehicle:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     ranges: Mapping[str, ParameterRange] = field(default_factory=dict)
     """of the parameters that may be estimated while the vehicle drives; planning does not use them"""
+    file: str = field(default="", compare=False)
+    """file that its numbers were read from, for messages; empty for a vehicle in code alone"""
 
     def __post_init__(self) -> None:
         problems = [*_shape_problems(self), *_range_problems(self)]

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from kraft.config.schema import LENGTH_MIN, Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
 from kraft.errors import Code
+from kraft.vehicles.robot import Robot
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]
@@ -114,7 +115,7 @@ class VehicleGap(StrictModel):
         return math.radians(self.steering_offset_deg)
 
 
-class Truth(StrictModel):
+class Truth(Robot):
     """Everything the planner's model leaves out; the default is a flat floor with good grip."""
 
     floor_friction: Friction = 1.0
@@ -147,6 +148,10 @@ class Truth(StrictModel):
             found.append(_count(len(self.movable_boxes), "box that can be pushed", "boxes that can be pushed"))
         if self.vehicle != VehicleGap():
             found.append("a car that differs from its model")
+        if self.process_noise:
+            found.append("noise of the motion")
+        if self.parameters:
+            found.append(f"{_count(len(self.parameters), 'other parameter', 'other parameters')}")
         return tuple(found)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from typing import Any, Final
 
 import mujoco
@@ -12,8 +13,7 @@ import numpy as np
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Polygon, Scenario
 from kraft.scenario.truth import FrictionPatch, MovableBox, SpeedBump
 from kraft.simulation import appearance, contacts
-from kraft.simulation.car import GRAVITY, add_car
-from kraft.simulation.car_visuals import add_car_visuals
+from kraft.simulation.car import GRAVITY
 from kraft.simulation.floor_frame import FloorFrame
 from ompl_ext.arrays import Matrix
 from ompl_ext.triangulate import triangles
@@ -166,8 +166,8 @@ def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: Floo
     body.add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
 
 
-def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
-    """Compile the world of a scenario; returns a `mujoco.MjModel`."""
+def build(scenario: Scenario, frame: FloorFrame, timestep: float, add_robot: Callable[[Any], None]) -> Any:
+    """Compile the world of a scenario with the robot that `add_robot` adds; returns a `mujoco.MjModel`."""
     spec = mujoco.MjSpec()
     spec.modelname = scenario.name
     spec.compiler.degree = False
@@ -189,7 +189,7 @@ def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
     appearance.add_light(spec, scenario)
     ground = add_scene(spec, scenario, frame)
     appearance.add_surroundings(spec, ground, scenario, frame)
-    add_car_visuals(spec, add_car(spec, scenario.truth.vehicle))
+    add_robot(spec)
     with warnings.catch_warnings():  # a box that touches the car is awake from the start, as it should be
         warnings.filterwarnings("ignore", message=".*could be slept")
         return spec.compile()

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
+from kraft.driving.car_model import CONTROLS
 from kraft.errors import Code, Defect, InputError
-from kraft.scenario import Scenario, Start
+from kraft.scenario import Goal, Scenario, Start
 from kraft.simulation import car as drivetrain
-from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, sag
+from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, add_car, sag
+from kraft.simulation.car_visuals import add_car_visuals
 from kraft.simulation.collision import Collision, CollisionDetector
 from kraft.simulation.floor_frame import FloorFrame
 from kraft.simulation.scene import build, quaternion, yaw_quaternion
@@ -37,6 +40,7 @@ class World:
     """
 
     dt: Final = TIMESTEP
+    controls: Final = CONTROLS
 
     def __init__(self, scenario: Scenario) -> None:
         """Build the world with the car at the start.
@@ -66,20 +70,21 @@ class World:
         """Return to time 0 and to `start` (the scenario's if None), with zero throttle and straight wheels."""
         mujoco.mj_resetData(self.model, self.data)
         self._place(self._start if start is None else start)
-        self.apply(0.0, 0.0)
+        self.apply((0.0, 0.0))
         mujoco.mj_step1(self.model, self.data)
         self._steps = 0
         self._collision = self._contacts.first(0.0)
 
-    def apply(self, throttle: float, steering: float) -> None:
-        """Hold a command from now on; it is clamped to throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad."""
+    def apply(self, control: Floats | Sequence[float]) -> None:
+        """Hold a control from now on; it is clamped to throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad."""
+        throttle, steering = map(float, control)
         stop = drivetrain.STEERING_MAX
         commanded = min(max(steering, -stop), stop)
         true = commanded * self._truth_vehicle.steering_scale + self._truth_vehicle.steering_offset
         left, right = drivetrain.wheel_angles(drivetrain.LINKAGE * min(max(true, -stop), stop))
-        control = self.data.ctrl
-        control[self._motor] = self._truth_vehicle.drive_scale * drivetrain.wheel_torque(throttle)
-        control[self._servos[0]], control[self._servos[1]] = left, right
+        inputs = self.data.ctrl
+        inputs[self._motor] = self._truth_vehicle.drive_scale * drivetrain.wheel_torque(throttle)
+        inputs[self._servos[0]], inputs[self._servos[1]] = left, right
 
     def step(self, steps: int) -> None:
         """Advance by `steps` of `dt`, or to the first collision; after that nothing moves.
@@ -125,6 +130,11 @@ class World:
         return (forward[0] * velocity[0] + forward[1] * velocity[1]) / math.hypot(*forward)
 
     @property
+    def components(self) -> dict[str, float]:
+        """True components of a vehicle's state beside pose and speed, by name: the turning rate, rad/s."""
+        return {"omega": float(self.frame.normal @ self._body.cvel[:3])}
+
+    @property
     def marker(self) -> tuple[Floats, Matrix]:
         """Position (3,), m, and rotation (3, 3) of the marker on the roof in the world's frame."""
         return self._marker.xpos.copy(), self._marker.xmat.reshape(3, 3).copy()
@@ -142,12 +152,7 @@ class World:
     @property
     def in_goal(self) -> bool:
         """Whether the true pose is within the goal region, including the heading if the goal has one."""
-        (x, y, theta), goal = self._planar(self._body), self._goal
-        if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
-            return False
-        if goal.heading is None or goal.heading_tolerance is None:
-            return True
-        return abs(math.remainder(theta - goal.heading, 2 * math.pi)) <= goal.heading_tolerance
+        return is_in_goal(self._goal, *self._planar(self._body))
 
     @property
     def configuration(self) -> Floats:
@@ -191,7 +196,20 @@ class World:
 @lru_cache(4)
 def _compiled(scenario: Scenario) -> Any:
     """Compiled model of a scenario, kept because compiling takes as long as a second of a drive; copy it before use."""
-    return build(scenario, FloorFrame.of(scenario.truth.tilt), TIMESTEP)
+
+    def add_robot(spec: Any) -> None:
+        add_car_visuals(spec, add_car(spec, scenario.truth.vehicle))
+
+    return build(scenario, FloorFrame.of(scenario.truth.tilt), TIMESTEP, add_robot)
+
+
+def is_in_goal(goal: Goal, x: float, y: float, theta: float) -> bool:
+    """Whether a pose (m, rad) is within a goal region, including the heading if the goal has one."""
+    if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
+        return False
+    if goal.heading is None or goal.heading_tolerance is None:
+        return True
+    return abs(math.remainder(theta - goal.heading, 2 * math.pi)) <= goal.heading_tolerance
 
 
 def steps_of(duration: float, dt: float) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
+from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.messages import Commitment, Cycle, Observation
@@ -21,15 +21,15 @@ from kraft.driving.on_board import OnBoard
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
-from kraft.simulation.world import World
+from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.measures import ClosestApproach, Measures, Step, measure
-from kraft.trial.oracle import OracleEstimator, true_vehicle
+from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
-OnStep = Callable[[World, Step], None]
+OnStep = Callable[[TrueWorld, Step], None]
 
 
 def run_trial(
@@ -44,7 +44,7 @@ def run_trial(
         keep_trees: keep a copy of the planner's tree in each cycle.
 
     Raises:
-        InputError: if the model is not of a car with throttle and steering, or the camera does not see the car.
+        InputError: if the true robot cannot be simulated there or takes other controls, or the camera does not see it.
         MissingDependency: if frames of the camera are rendered and OpenCV or OpenGL is missing.
         Defect: if a plan fails its verification.
     """
@@ -88,12 +88,12 @@ class _Trial:
 
     def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
         scenario, method = spec.scenario, spec.method
-        self.world = World(scenario)
-        self._plant = Plant(self.world, scenario, spec.seed, method.controller.rate_hz)
         settings, vehicle = method.estimator, spec.vehicle
+        self.world = world_of(scenario, vehicle, spec.seed)
+        self._plant = Plant(self.world, scenario, vehicle.controls, spec.seed, method.controller.rate_hz)
         if isinstance(settings, Oracle):
-            vehicle = true_vehicle(vehicle, scenario.truth.vehicle)
-        model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
+            vehicle = true_model(vehicle, self.world, scenario.truth.vehicle)
+        model, start = model_of(vehicle), start_state(scenario.task(), vehicle)
         self._estimator: Estimator = (
             OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
             if isinstance(settings, Oracle)
@@ -172,7 +172,7 @@ class _Trial:
             return
         estimate = self._estimator.estimate(now)
         command = self._controller.command(estimate, self._on_board.reference(estimate))
-        self._plant.send(float(command[0]), float(command[1]))
+        self._plant.send(command)
         self._estimator.commanded(now, command)
         pose = self._true_pose
         self.approach.add(*pose)
@@ -186,7 +186,7 @@ class _Trial:
         """Measures of what the method promised."""
         model = self._model
         return measure(
-            log.cycles, log.steps, model.vehicle.footprint, (model.x, model.y, model.theta),
+            log.cycles, log.steps, model.vehicle.footprint, model.pose,
             self._radio.lost, self._errors_squared, self._on_board.stops,
         )  # fmt: skip
 

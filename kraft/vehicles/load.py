@@ -67,6 +67,7 @@ def configured(config: VehicleConfig) -> Vehicle:
         footprint=Footprint(shape.length, shape.width, shape.offset),
         top_speed=config.speed_limit,
         ranges=config.ranges,
+        file=config.source.file,
     )
 
 

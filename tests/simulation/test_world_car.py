@@ -79,7 +79,7 @@ def test_the_inner_wheel_turns_more() -> None:
 
 def test_the_servo_turns_at_its_rate() -> None:
     world = open_world()
-    world.apply(0.0, STEERING_MAX)
+    world.apply((0.0, STEERING_MAX))
     world.step(25)
     early = world.data.joint("front right steering").qpos[0]
     world.step(25)

@@ -83,7 +83,7 @@ def test_the_marker_is_level_above_the_reference_point_on_a_flat_floor() -> None
 @pytest.mark.parametrize("height", [0.025, 0.05])
 def test_the_car_gets_over_a_bump_and_loses_speed(height: float) -> None:
     world = open_world(f"speed_bumps: [{{center: [1.5, 0], size: [0.3, 2], height: {height}}}]")
-    world.apply(1.0, 0.0)
+    world.apply((1.0, 0.0))
     highest, slowest, before = 0.0, math.inf, 0.0
     while world.pose[0] < 2.2:
         world.step(5)

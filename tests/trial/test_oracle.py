@@ -43,7 +43,7 @@ def errors_told_and_not(gap: dict[str, float]) -> tuple[float, float]:
         states = [np.append(world.pose, 0.0) for _ in models]
         for _ in range(4):
             command = np.array([random.uniform(0.3, 1.0), random.uniform(-0.38, 0.38)])
-            world.apply(*command)
+            world.apply(command)
             world.step(250)
             states = [model.advance(state, command, 0.5) for model, state in zip(models, states, strict=True)]
         errors.append([float(np.hypot(*(state[:2] - world.pose[:2]))) for state in states])

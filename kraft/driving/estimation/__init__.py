@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.estimation.dead_reckoning import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive, Filter, Latest
+from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 
 __all__ = ["AdaptiveEstimator", "Estimator", "LatestPose", "PoseFilter", "make_estimator"]
@@ -43,7 +43,7 @@ class Estimator(Protocol):
         """Estimate for a decision that holds for a whole cycle; it may combine several observations."""
 
 
-def make_estimator(settings: Latest | Filter | Adaptive, model: CarModel, start_state: Floats) -> Estimator:
+def make_estimator(settings: Latest | Filter | Adaptive, model: VehicleModel, start_state: Floats) -> Estimator:
     """Make the estimator of a method; the state at time 0 is `start_state` (nx,).
 
     Raises:

@@ -14,12 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
 from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.settings import Noise
@@ -28,7 +28,7 @@ from ompl_ext.vehicle import Vehicle
 
 DELAY: Final = "delay"
 MOVING: Final = 0.05
-"""Speed above which the vehicle moves, m/s."""
+"""Speed or turning rate above which the vehicle moves, m/s or rad/s."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
 PRIOR_POSES: Final = 40.0
@@ -48,7 +48,7 @@ CORRELATED, OFFSET = slice(0, 3), slice(3, 6)
 class AdaptiveEstimator:
     """Estimates state, parameters, delay and noise; see the module."""
 
-    def __init__(self, settings: Adaptive, model: CarModel, start_state: Floats) -> None:
+    def __init__(self, settings: Adaptive, model: VehicleModel, start_state: Floats) -> None:
         """Begin at rest at `start_state` (nx,).
 
         Raises:
@@ -84,8 +84,8 @@ class AdaptiveEstimator:
     def commanded(self, time: float, control: Floats) -> None:
         """Record that `control` (nu,) is sent at `time` (s, ascending) and held until the next one."""
         self._filter.commanded(time, control)
-        speed = abs(float(self._filter.posterior.mean[self._model.v]))
-        self._history.command(time, control, speed > MOVING)
+        velocities = np.abs(self._filter.posterior.mean[self._model.velocities])
+        self._history.command(time, control, bool((velocities > MOVING).any()))
 
     def estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s) plus the horizon."""
@@ -197,7 +197,7 @@ class CorrelatedFilter(PoseFilter):
     The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.
     """
 
-    def __init__(self, settings: Adaptive, model: CarModel, start_state: Floats) -> None:
+    def __init__(self, settings: Adaptive, model: VehicleModel, start_state: Floats) -> None:
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
         self._errors = PoseErrorModel(model, settings.offset_time)
         super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, self._errors)
@@ -258,7 +258,7 @@ class CorrelatedFilter(PoseFilter):
 class PoseErrorModel:
     """Process model of the state (nx + 7,): as `ExcessSpeedModel`, and two parts of the pose error that decay."""
 
-    def __init__(self, model: CarModel, offset_time: float) -> None:
+    def __init__(self, model: VehicleModel, offset_time: float) -> None:
         self._motion = ExcessSpeedModel(model)
         self.times = np.full(6, offset_time)
         """time constants of the components of the pose error, s"""
@@ -282,7 +282,7 @@ class PoseErrorModel:
 class _History:
     """Recorded poses with the filter's states, commands and times of motion, the last `DRIVE_MAX` s of them."""
 
-    def __init__(self, start_state: Floats, model: CarModel) -> None:
+    def __init__(self, start_state: Floats, model: VehicleModel) -> None:
         self._theta = model.theta
         pose = start_state[[model.x, model.y, model.theta]]
         before = np.arange(-REST_BEFORE, -0.05, 0.1)
