@@ -92,10 +92,10 @@ class _Trial:
         self._plant = Plant(self.world, scenario, spec.seed, method.controller.rate_hz)
         settings, vehicle = method.estimator, spec.vehicle
         if isinstance(settings, Oracle):
-            vehicle = true_vehicle(vehicle, scenario.truth.vehicle)
+            vehicle, *_ = (true_vehicle(vehicle, state.vehicle) for state in scenario.truth.states)
         model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
         self._estimator: Estimator = (
-            OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
+            OracleEstimator(self.world, scenario.sensing.command_delay, spec.vehicle, model, start)
             if isinstance(settings, Oracle)
             else make_estimator(settings, model, start)
         )
