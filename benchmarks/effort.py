@@ -19,7 +19,9 @@ class Effort:
         first_run: whether to compile all kernels anew, in an empty cache.
         scenes: random scenes.
         episodes: drives in the test of Theorem 1.
-        jobs: processes that share the random scenes; everything else runs alone.
+        jobs: processes that share the random scenes and trials; everything else runs alone.
+        changes: trials with each change of the true car.
+        method: method that drives where one is chosen.
     """
 
     seeds: int
@@ -32,6 +34,8 @@ class Effort:
     scenes: int
     episodes: int
     jobs: int
+    changes: int
+    method: str = "adaptive-kraft"
 
 
 FULL = Effort(
@@ -45,6 +49,7 @@ FULL = Effort(
     scenes=2000,
     episodes=2000,
     jobs=2,
+    changes=100,
 )
 QUICK = Effort(
     seeds=20,
@@ -57,7 +62,18 @@ QUICK = Effort(
     scenes=60,
     episodes=100,
     jobs=2,
+    changes=4,
 )
 SMOKE = Effort(
-    seeds=1, repeats=1, seconds=0.02, nodes=3_000, cycles=3, processes=1, first_run=False, scenes=2, episodes=4, jobs=1
+    seeds=1,
+    repeats=1,
+    seconds=0.02,
+    nodes=3_000,
+    cycles=3,
+    processes=1,
+    first_run=False,
+    scenes=2,
+    episodes=4,
+    jobs=1,
+    changes=1,
 )
