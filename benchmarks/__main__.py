@@ -25,12 +25,13 @@ TOPICS = (
     "world",
     "drive",
     "theorem",
+    "estimated",
     "changes",
     "sysid",
     "sensing",
 )
 NEEDS_OUT = ("peers",)
-CHOSEN = ("changes",)
+CHOSEN = ("estimated", "changes")
 """Topics that drive with a method of one's choice."""
 
 

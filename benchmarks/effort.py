@@ -21,6 +21,7 @@ class Effort:
         episodes: drives in the test of Theorem 1.
         jobs: processes that share the random scenes and trials; everything else runs alone.
         changes: trials with each change of the true car.
+        estimated: drives in the test of Theorem 1 with an estimated deviation.
         method: method that drives where one is chosen.
     """
 
@@ -35,6 +36,7 @@ class Effort:
     episodes: int
     jobs: int
     changes: int
+    estimated: int
     method: str = "adaptive-kraft"
 
 
@@ -50,6 +52,7 @@ FULL = Effort(
     episodes=2000,
     jobs=2,
     changes=100,
+    estimated=10_000,
 )
 QUICK = Effort(
     seeds=20,
@@ -63,6 +66,7 @@ QUICK = Effort(
     episodes=100,
     jobs=2,
     changes=4,
+    estimated=40,
 )
 SMOKE = Effort(
     seeds=1,
@@ -76,4 +80,5 @@ SMOKE = Effort(
     episodes=4,
     jobs=1,
     changes=1,
+    estimated=2,
 )

@@ -33,7 +33,11 @@ OnStep = Callable[[World, Step], None]
 
 
 def run_trial(
-    spec: TrialSpec, on_cycle: OnCycle | None = None, on_step: OnStep | None = None, keep_trees: bool = False
+    spec: TrialSpec,
+    on_cycle: OnCycle | None = None,
+    on_step: OnStep | None = None,
+    keep_trees: bool = False,
+    world: World | None = None,
 ) -> TrialResult:
     """Drive until the goal, a collision or the time limit.
 
@@ -42,13 +46,14 @@ def run_trial(
         on_cycle: called with each cycle when it is committed.
         on_step: called with the world after each tick of the controller.
         keep_trees: keep a copy of the planner's tree in each cycle.
+        world: world at time 0 to drive in; that of the scenario is made if None.
 
     Raises:
         InputError: if the model is not of a car with throttle and steering, or the camera does not see the car.
         MissingDependency: if frames of the camera are rendered and OpenCV or OpenGL is missing.
         Defect: if a plan fails its verification.
     """
-    trial = _Trial(spec, keep_trees)
+    trial = _Trial(spec, keep_trees, World(spec.scenario) if world is None else world)
     log = _Log(on_cycle, on_step)
     while (outcome := trial.outcome) is None:
         trial.observe(log)
@@ -86,9 +91,9 @@ class _Log:
 class _Trial:
     """Simulated world and robot of a trial, and the messages on their way between them."""
 
-    def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
+    def __init__(self, spec: TrialSpec, keep_trees: bool, world: World) -> None:
         scenario, method = spec.scenario, spec.method
-        self.world = World(scenario)
+        self.world = world
         self._plant = Plant(self.world, scenario, spec.seed, method.controller.rate_hz)
         settings, vehicle = method.estimator, spec.vehicle
         if isinstance(settings, Oracle):
