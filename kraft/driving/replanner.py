@@ -350,4 +350,5 @@ class Replanner:
             switch=cycle_start + self._settings.cycle if plan is not None and self._switches else math.inf,
             decided=estimate.time,
             stopping=self._with_delta(stopping, cycle_start) if self._switches and stopping is not None else None,
+            parameters=estimate.parameters,
         )

@@ -83,16 +83,21 @@ def sag(gap: VehicleGap) -> float:
     return (gap.mass_scale - 1.0) * CHASSIS_MASS * GRAVITY / 4 / STIFFNESS
 
 
+def chassis_inertia(gap: VehicleGap) -> tuple[float, list[float]]:
+    """Mass (kg) and moments of inertia (kg m^2) of the chassis."""
+    mass = CHASSIS_MASS * gap.mass_scale
+    a, b, c = CHASSIS_BODY
+    return mass, [mass / 12 * (b * b + c * c), mass / 12 * (a * a + c * c), mass / 12 * (a * a + b * b)]
+
+
 def add_car(spec: Any, gap: VehicleGap) -> Any:
     """Add the car at the origin of the world; returns its body."""
     body = spec.worldbody.add_body(name=CAR)
     body.add_freejoint(name=CAR)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a standing car must still respond to commands
-    mass = CHASSIS_MASS * gap.mass_scale
-    a, b, c = CHASSIS_BODY
     body.explicitinertial = True
-    body.mass, body.ipos = mass, CENTRE_OF_MASS
-    body.inertia = [mass / 12 * (b * b + c * c), mass / 12 * (a * a + c * c), mass / 12 * (a * a + b * b)]
+    body.ipos = CENTRE_OF_MASS
+    body.mass, body.inertia = chassis_inertia(gap)
     body.add_geom(
         name="chassis",
         type=mujoco.mjtGeom.mjGEOM_BOX,

@@ -166,6 +166,15 @@ def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: Floo
     body.add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
 
 
+def set_friction(model: Any, scenario: Scenario, floor_friction: float) -> None:
+    """Set the friction of the floor, with that of the bumps on it and of the boxes that slide on it."""
+    truth = scenario.truth
+    for name in (FLOOR, *(f"bump {i}" for i in range(len(truth.speed_bumps)))):
+        model.geom(name).friction[:] = contacts.friction(floor_friction)
+    for i, box in enumerate(truth.movable_boxes):
+        model.geom(f"movable {i}").friction[:] = contacts.friction(min(box.friction, floor_friction))
+
+
 def build(scenario: Scenario, frame: FloorFrame, timestep: float, add_robot: Callable[[Any], None]) -> Any:
     """Compile the world of a scenario with the robot that `add_robot` adds; returns a `mujoco.MjModel`."""
     spec = mujoco.MjSpec()

@@ -18,12 +18,13 @@ import numpy as np
 from kraft.driving.car_model import CONTROLS
 from kraft.errors import Code, Defect, InputError
 from kraft.scenario import Goal, Scenario, Start
+from kraft.scenario.truth import VehicleGap
 from kraft.simulation import car as drivetrain
 from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, add_car, sag
 from kraft.simulation.car_visuals import add_car_visuals
 from kraft.simulation.collision import Collision, CollisionDetector
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.simulation.scene import build, quaternion, yaw_quaternion
+from kraft.simulation.scene import build, quaternion, set_friction, yaw_quaternion
 from ompl_ext.arrays import Floats, Matrix
 
 TIMESTEP: Final = 0.002
@@ -48,11 +49,13 @@ class World:
         Raises:
             InputError: if a movable box overlaps the car at the start.
         """
-        truth = scenario.truth
+        truth, self._scenario = scenario.truth, scenario
+        self._states = truth.states
         self.frame: Final = FloorFrame.of(truth.tilt)
         self.model: Final[Any] = copy.copy(_compiled(scenario))
         self.data: Final[Any] = mujoco.MjData(self.model)
-        self._start, self._goal, self._truth_vehicle = scenario.start, scenario.goal, truth.vehicle
+        self._start, self._goal = scenario.start, scenario.goal
+        self._state, self._following = self._states[0], 1
         self._contacts = CollisionDetector(self.model, self.data, scenario, self.frame)
         self._body, self._marker = self.data.body(CAR), self.data.site(MARKER)
         self._joint = self.data.joint(CAR)
@@ -68,6 +71,8 @@ class World:
 
     def reset(self, start: Start | None = None) -> None:
         """Return to time 0 and to `start` (the scenario's if None), with zero throttle and straight wheels."""
+        if self._following > 1:
+            self._set_state(0)
         mujoco.mj_resetData(self.model, self.data)
         self._place(self._start if start is None else start)
         self.apply((0.0, 0.0))
@@ -75,16 +80,16 @@ class World:
         self._steps = 0
         self._collision = self._contacts.first(0.0)
 
-    def apply(self, control: Floats | Sequence[float]) -> None:
-        """Hold a control from now on; it is clamped to throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad."""
-        throttle, steering = map(float, control)
-        stop = drivetrain.STEERING_MAX
+    def apply(self, throttle: float, steering: float) -> None:
+        """Hold a command from now on; it is clamped to throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad."""
+        self._command = throttle, steering
+        stop, car = drivetrain.STEERING_MAX, self._state.vehicle
         commanded = min(max(steering, -stop), stop)
-        true = commanded * self._truth_vehicle.steering_scale + self._truth_vehicle.steering_offset
+        true = commanded * car.steering_scale + car.steering_offset
         left, right = drivetrain.wheel_angles(drivetrain.LINKAGE * min(max(true, -stop), stop))
-        inputs = self.data.ctrl
-        inputs[self._motor] = self._truth_vehicle.drive_scale * drivetrain.wheel_torque(throttle)
-        inputs[self._servos[0]], inputs[self._servos[1]] = left, right
+        control = self.data.ctrl
+        control[self._motor] = car.drive_scale * drivetrain.wheel_torque(throttle)
+        control[self._servos[0]], control[self._servos[1]] = left, right
 
     def step(self, steps: int) -> None:
         """Advance by `steps` of `dt`, or to the first collision; after that nothing moves.
@@ -92,8 +97,15 @@ class World:
         Raises:
             Defect: the physics diverged.
         """
-        if self._collision is not None:
-            return
+        end = self._steps + steps
+        while self._steps < end and self._collision is None:
+            if self._steps == self._next_change:
+                self._change()
+            after = self._next_change
+            self._advance((end if after is None else min(end, after)) - self._steps)
+
+    def _advance(self, steps: int) -> None:
+        """Advance by `steps` or to the first collision, without changes of the world."""
         model, data, contacts = self.model, self.data, self._contacts
         for _ in range(steps):
             # in this order positions and contacts are those of the new time
@@ -108,9 +120,35 @@ class World:
             raise Defect(f"the simulated world diverged before t = {self.time:.3f} s")
 
     @property
+    def _next_change(self) -> int | None:
+        """Physics step of the next change of the world; None without one."""
+        if self._following >= len(self._states):
+            return None
+        return steps_of(self._states[self._following].time, TIMESTEP)
+
+    def _change(self) -> None:
+        """Apply the next change of the world; the held command acts on the changed car."""
+        self._set_state(self._following)
+        self.apply(*self._command)
+        mujoco.mj_step1(self.model, self.data)  # contacts and inertia of the present time are those after the change
+
+    def _set_state(self, number: int) -> None:
+        """Set what can change during the drive to state `number` of the scenario's truth."""
+        self._state, self._following = self._states[number], number + 1
+        set_friction(self.model, self._scenario, self._state.floor_friction)
+        chassis = self.model.body(CAR)
+        chassis.mass[:], chassis.inertia[:] = drivetrain.chassis_inertia(self._state.vehicle)
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+
+    @property
     def time(self) -> float:
         """Time since the start, s."""
         return self._steps * TIMESTEP
+
+    @property
+    def vehicle(self) -> VehicleGap:
+        """How the true car differs from its model now."""
+        return self._state.vehicle
 
     @property
     def steps(self) -> int:
@@ -176,7 +214,7 @@ class World:
 
     def _place(self, start: Start) -> None:
         """Place the car on the floor, with its speed and the spin of its wheels."""
-        rotation, sunk = self.frame.rotation, sag(self._truth_vehicle)
+        rotation, sunk = self.frame.rotation, sag(self._state.vehicle)
         upright = np.empty(4)
         mujoco.mju_mulQuat(upright, quaternion(rotation), np.array(yaw_quaternion(start.heading)))
         self._joint.qpos[:3] = self.frame.to_world(np.array([start.x, start.y, -sunk]))

@@ -28,9 +28,16 @@ class OracleEstimator:
 
     belief: Final = None
 
-    def __init__(self, world: TrueWorld, command_delay: float, model: VehicleModel, start_state: Floats) -> None:
-        """Estimate the state of `world`, whose commands act `command_delay` s after they are sent."""
+    def __init__(
+        self, world: TrueWorld, command_delay: float, vehicle: Vehicle, model: VehicleModel, start_state: Floats
+    ) -> None:
+        """Estimate the state of `world`, whose commands act `command_delay` s after they are sent.
+
+        `model` is that of the true car at the begin of the drive, `vehicle` that of the car which the model was
+        identified on: if the car changes, the parameters of `model` follow.
+        """
         self._world, self._model, self.horizon = world, model, command_delay
+        self._vehicle, self._gap = vehicle, world.vehicle
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
 
     def observe(self, observation: Observation) -> None:
@@ -52,8 +59,13 @@ class OracleEstimator:
         return Estimate(time + self.horizon, self._reckoning.at(time + self.horizon), 0.0)
 
     def replanning_estimate(self, time: float) -> Estimate:
-        """State at `time` (s) plus the delay."""
-        return self.estimate(time)
+        """State at `time` (s) plus the delay, with the parameters of the car if they have changed."""
+        parameters = None
+        if self._world.vehicle != self._gap:
+            self._gap = self._world.vehicle
+            parameters = true_vehicle(self._vehicle, self._gap).parameter_array
+            self._model.set_parameters(parameters)
+        return replace(self.estimate(time), parameters=parameters)
 
 
 def true_model(vehicle: Vehicle, world: TrueWorld, gap: VehicleGap) -> Vehicle:

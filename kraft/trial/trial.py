@@ -33,7 +33,11 @@ OnStep = Callable[[TrueWorld, Step], None]
 
 
 def run_trial(
-    spec: TrialSpec, on_cycle: OnCycle | None = None, on_step: OnStep | None = None, keep_trees: bool = False
+    spec: TrialSpec,
+    on_cycle: OnCycle | None = None,
+    on_step: OnStep | None = None,
+    keep_trees: bool = False,
+    world: TrueWorld | None = None,
 ) -> TrialResult:
     """Drive until the goal, a collision or the time limit.
 
@@ -42,13 +46,14 @@ def run_trial(
         on_cycle: called with each cycle when it is committed.
         on_step: called with the world after each tick of the controller.
         keep_trees: keep a copy of the planner's tree in each cycle.
+        world: world at time 0 to drive in; that of the scenario is made if None.
 
     Raises:
         InputError: if the true robot cannot be simulated there or takes other controls, or the camera does not see it.
         MissingDependency: if frames of the camera are rendered and OpenCV or OpenGL is missing.
         Defect: if a plan fails its verification.
     """
-    trial = _Trial(spec, keep_trees)
+    trial = _Trial(spec, keep_trees, world or world_of(spec.scenario, spec.vehicle, spec.seed))
     log = _Log(on_cycle, on_step)
     while (outcome := trial.outcome) is None:
         trial.observe(log)
@@ -86,16 +91,16 @@ class _Log:
 class _Trial:
     """Simulated world and robot of a trial, and the messages on their way between them."""
 
-    def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
+    def __init__(self, spec: TrialSpec, keep_trees: bool, world: TrueWorld) -> None:
         scenario, method = spec.scenario, spec.method
+        self.world = world
         settings, vehicle = method.estimator, spec.vehicle
-        self.world = world_of(scenario, vehicle, spec.seed)
         self._plant = Plant(self.world, scenario, vehicle.controls, spec.seed, method.controller.rate_hz)
         if isinstance(settings, Oracle):
-            vehicle = true_model(vehicle, self.world, scenario.truth.vehicle)
+            vehicle = true_model(vehicle, world, scenario.truth.vehicle)
         model, start = model_of(vehicle), start_state(scenario.task(), vehicle)
         self._estimator: Estimator = (
-            OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
+            OracleEstimator(self.world, scenario.sensing.command_delay, spec.vehicle, model, start)
             if isinstance(settings, Oracle)
             else make_estimator(settings, model, start)
         )
