@@ -20,7 +20,7 @@ from benchmarks.effort import Effort
 from benchmarks.parallel import each, interval, planning_vehicle
 from benchmarks.random_arenas import random_arena
 from benchmarks.report import Report, Target, row
-from kraft.driving.car_model import CarModel
+from kraft.driving.car_model import CONTROLS, CarModel
 from kraft.driving.method import Method, load_method
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.scenario import Scenario
@@ -50,6 +50,7 @@ class ModelWorld:
     """World whose car is the vehicle's model with other parameters; it has what a trial needs of a `World`."""
 
     dt: Final = TIMESTEP
+    controls: Final = CONTROLS
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
         """Put the car, whose true parameters are those of `vehicle`, to the scenario's start."""
@@ -61,9 +62,9 @@ class ModelWorld:
         self.steps, self.collision = 0, cast("Collision | None", None)
         self._check(self._state)
 
-    def apply(self, throttle: float, steering: float) -> None:
-        """Hold a command from now on."""
-        self._control = self._model.command(throttle, steering)
+    def apply(self, control: Sequence[float]) -> None:
+        """Hold throttle and steering from now on."""
+        self._control = self._model.command(*map(float, control))
 
     def step(self, steps: int) -> None:
         """Advance by `steps` of `dt`, or to the first collision."""

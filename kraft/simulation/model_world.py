@@ -13,11 +13,12 @@ import numpy as np
 from kraft.errors import Defect
 from kraft.planning.workspace import planar_obstacle
 from kraft.scenario import Scenario, Start
+from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.simulation.car import CAR, MARKER_HEIGHT
 from kraft.simulation.collision import Collision
-from kraft.simulation.floor_frame import FloorFrame
-from kraft.simulation.scene import build, yaw_quaternion
+from kraft.simulation.floor_frame import FloorFrame, yaw_quaternion
+from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, is_in_goal
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
@@ -48,7 +49,8 @@ class ModelWorld:
             process_noise: standard deviation that a component of the state gains in one second of motion, in its unit.
             seed: of the noise.
         """
-        self.vehicle, self.controls = vehicle, tuple(vehicle.controls)
+        self.truth, self.controls = vehicle, tuple(vehicle.controls)
+        self.gap: Final = VehicleGap()
         self.frame: Final = FloorFrame.of(None)
         self.movable_poses: Final[Matrix] = np.zeros((0, 3))
         self._scenario, self._seed = scenario, seed
@@ -63,7 +65,7 @@ class ModelWorld:
     def reset(self, start: Start | None = None) -> None:
         """Return to time 0 and to `start` (the scenario's if None), with zero controls."""
         start = self._scenario.start if start is None else start
-        self._state = np.zeros(len(self.vehicle.state))
+        self._state = np.zeros(len(self.truth.state))
         self._state[self._pose] = start.x, start.y, start.heading
         self._state[self._velocities[0]] = start.speed
         self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, 0x4015E])))
@@ -92,7 +94,7 @@ class ModelWorld:
             self._steps += 1
             self._collision = self._obstacles.hit(self.pose, self.time)
         if not np.isfinite(state).all():
-            raise Defect(f"the model of {self.vehicle.name} diverged before t = {self.time:.3f} s")
+            raise Defect(f"the model of {self.truth.name} diverged before t = {self.time:.3f} s")
 
     @property
     def time(self) -> float:
@@ -118,7 +120,7 @@ class ModelWorld:
     @property
     def components(self) -> dict[str, float]:
         """True components of the state, by name."""
-        return dict(zip(self.vehicle.state, self._state.tolist(), strict=True))
+        return dict(zip(self.truth.state, self._state.tolist(), strict=True))
 
     @property
     def marker(self) -> tuple[Floats, Matrix]:
@@ -157,7 +159,7 @@ class ModelWorld:
 
     def _add_block(self, spec: Any) -> None:
         """Add the footprint as a block, with a stripe at its front."""
-        shape = self.vehicle.footprint
+        shape = self.truth.footprint
         body = spec.worldbody.add_body(name=CAR)
         body.add_freejoint()
         body.explicitinertial, body.mass, body.inertia = True, 1.0, [1.0, 1.0, 1.0]

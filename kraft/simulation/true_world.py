@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from kraft.config.source import Source
 from kraft.driving.car_model import CONTROLS, is_car
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario import Scenario, Start
 from kraft.scenario.truth import Truth, VehicleGap
+from kraft.simulation.car import design_of
 from kraft.simulation.collision import Collision
 from kraft.simulation.floor_frame import FloorFrame
+from kraft.simulation.mjcf import mjcf_robot
 from kraft.simulation.model_world import ModelWorld
+from kraft.simulation.robots import SimulatedCar
 from kraft.simulation.world import World
 from kraft.text import suggestion
 from kraft.vehicles.config import load_vehicle_config
@@ -21,6 +24,9 @@ from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.robot import CarDimensions, Robot, with_files
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
+
+SUNK_MAX: Final = 0.005
+"""Largest depth to which a robot may be in the floor at its start, m."""
 
 
 class TrueWorld(Protocol):
@@ -65,6 +71,10 @@ class TrueWorld(Protocol):
     @property
     def components(self) -> dict[str, float]:
         """True components of a vehicle's state beside pose and speed, by name, as far as the world knows them."""
+
+    @property
+    def gap(self) -> VehicleGap:
+        """How the true car differs from its model now."""
 
     @property
     def marker(self) -> tuple[Floats, Matrix]:
@@ -130,12 +140,32 @@ def world_of(scenario: Scenario, vehicle: Vehicle, seed: int) -> World | ModelWo
     true = true_robot(scenario, vehicle)
     if true.robot.kind == "car":
         _check_controls(vehicle, CONTROLS, true)
-        return World(scenario)
+        return World(scenario, SimulatedCar(design_of(true.robot.car or CarDimensions())))
+    if true.robot.kind == "mjcf":
+        return _mjcf_world(scenario, vehicle, true)
     model = _true_model(true, vehicle)
     _check_controls(vehicle, tuple(model.controls), true)
     if problems := _unknown_to_a_model(scenario):
         raise InputError(problems)
     return ModelWorld(scenario, model, true.robot.process_noise, seed)
+
+
+def _mjcf_world(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> World:
+    """World with a robot of an MJCF file, which stands freely on the floor at the start."""
+    robot = true.robot
+    assert robot.mjcf is not None, "it is of this kind"
+    if scenario.truth.vehicle != VehicleGap() or any(change.vehicle for change in scenario.truth.changes):
+        raise InputError([_without_effect(scenario, "vehicle", "a robot of a MuJoCo model")])
+    world = World(
+        scenario, mjcf_robot(robot.mjcf, vehicle.controls, robot.body, robot.actuators, robot.geoms, true.problem)
+    )
+    if world.collision is not None:
+        problem, expected = f"the robot touches {world.collision.obstacle!r}", "expected a start that is free"
+        raise InputError([scenario.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)])
+    if world.depth_in_floor > SUNK_MAX:
+        problem = f"the robot is {1000 * world.depth_in_floor:.0f} mm deep in the floor, which is at height 0"
+        raise InputError([true.problem("mjcf", problem, "expected a robot that stands on it", Code.GEOMETRY)])
+    return world
 
 
 def _check_controls(vehicle: Vehicle, controls: tuple[str, ...], true: TrueRobot) -> None:
@@ -165,10 +195,16 @@ def _true_model(true: TrueRobot, vehicle: Vehicle) -> Vehicle:
 def _unknown_to_a_model(scenario: Scenario) -> list[Diagnostic]:
     """Features of a world that only a simulated robot feels."""
     default, truth = Truth(), scenario.truth
-    keys = ("floor_friction", "friction_patches", "speed_bumps", "tilt", "movable_boxes")
+    keys = ("floor_friction", "friction_patches", "speed_bumps", "tilt", "movable_boxes", "changes")
     found = [key for key in keys if getattr(truth, key) != getattr(default, key)]
     if truth.vehicle != VehicleGap():
         found.append("vehicle")
-    expected = "expected a simulated robot: `car` or `mjcf`"
-    problem = "has no effect on a robot whose truth is its own model"
-    return [scenario.source.diagnostic(("truth", key), problem, expected, code=Code.CONFLICT) for key in found]
+    return [_without_effect(scenario, key, "a robot whose truth is its own model") for key in found]
+
+
+def _without_effect(scenario: Scenario, key: str, robot: str) -> Diagnostic:
+    problem, expected = (
+        f"has no effect on {robot}",
+        "expected a simulated car" if key == "vehicle" else ("expected a simulated robot: `car` or `mjcf`"),
+    )
+    return scenario.source.diagnostic(("truth", key), problem, expected, code=Code.CONFLICT)

@@ -14,7 +14,7 @@ from kraft.driving.messages import Estimate, Observation
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.scenario.truth import VehicleGap
-from kraft.simulation.car import CHASSIS_MASS, EFFECTIVE_MASS
+from kraft.simulation.car import MUSHR
 from kraft.simulation.model_world import ModelWorld
 from kraft.simulation.true_world import TrueWorld
 from ompl_ext.arrays import Floats
@@ -37,7 +37,7 @@ class OracleEstimator:
         identified on: if the car changes, the parameters of `model` follow.
         """
         self._world, self._model, self.horizon = world, model, command_delay
-        self._vehicle, self._gap = vehicle, world.vehicle
+        self._vehicle, self._gap = vehicle, world.gap
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
 
     def observe(self, observation: Observation) -> None:
@@ -61,8 +61,8 @@ class OracleEstimator:
     def replanning_estimate(self, time: float) -> Estimate:
         """State at `time` (s) plus the delay, with the parameters of the car if they have changed."""
         parameters = None
-        if self._world.vehicle != self._gap:
-            self._gap = self._world.vehicle
+        if self._world.gap != self._gap:
+            self._gap = self._world.gap
             parameters = true_vehicle(self._vehicle, self._gap).parameter_array
             self._model.set_parameters(parameters)
         return replace(self.estimate(time), parameters=parameters)
@@ -74,8 +74,8 @@ def true_model(vehicle: Vehicle, world: TrueWorld, gap: VehicleGap) -> Vehicle:
     Raises:
         InputError: as `true_vehicle`.
     """
-    if isinstance(world, ModelWorld) and world.vehicle.hash == vehicle.hash:
-        return vehicle.with_parameters(world.vehicle.parameters)
+    if isinstance(world, ModelWorld) and world.truth.hash == vehicle.hash:
+        return vehicle.with_parameters(world.truth.parameters)
     return true_vehicle(vehicle, gap)
 
 
@@ -100,5 +100,5 @@ def true_vehicle(vehicle: Vehicle, gap: VehicleGap) -> Vehicle:
     values["u_0"] = friction / drive
     values["L"] /= gap.steering_scale
     values["phi_diff"] += gap.steering_offset / gap.steering_scale
-    values["tau"] *= 1.0 + CHASSIS_MASS * (gap.mass_scale - 1.0) / EFFECTIVE_MASS
+    values["tau"] *= 1.0 + MUSHR.chassis_mass * (gap.mass_scale - 1.0) / MUSHR.effective_mass
     return replace(vehicle, parameters=values, top_speed=values["v_delta"])

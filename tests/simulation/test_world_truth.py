@@ -175,7 +175,7 @@ def test_the_motion_is_that_of_the_unchanged_car_until_the_change_and_another_on
     ))):  # fmt: skip
         same, changed = open_world(), open_world(f"changes: [{{time: 1.0, {value}}}]")
         for world in (same, changed):
-            world.apply(1.0, 0.1)
+            world.apply((1.0, 0.1))
             world.step(500)
         assert np.array_equal(same.configuration, changed.configuration), value
         for world in (same, changed):
@@ -210,7 +210,7 @@ def test_after_a_change_the_model_is_that_of_a_world_which_was_so_from_the_begin
         world.step(steps)
         for name in ("body_mass", "body_inertia", "body_invweight0", "dof_invweight0", "dof_M0", "geom_friction"):
             assert np.array_equal(getattr(world.model, name), getattr(reference.model, name)), name
-        assert world.vehicle == reference.vehicle
+        assert world.gap == reference.gap
 
 
 def test_a_change_does_not_depend_on_how_the_steps_are_counted_and_repeats() -> None:
@@ -218,7 +218,7 @@ def test_a_change_does_not_depend_on_how_the_steps_are_counted_and_repeats() -> 
     ends = []
     for world, parts in ((at_once, [600]), (singly, [1] * 600), (at_once, [349, 1, 1, 249])):
         world.reset()
-        world.apply(1.0, 0.2)
+        world.apply((1.0, 0.2))
         for part in parts:
             world.step(part)
         ends.append(world.configuration)
