@@ -60,7 +60,8 @@ class CollisionDetector:
         """Largest depth to which the car is in the floor, m; 0 without a contact."""
         contact = self._data.contact
         on_floor = self._of_car[contact.geom].any(axis=1) & self._floor[contact.geom].any(axis=1)
-        return max([0.0, *(-depth for depth in contact.dist[on_floor].tolist())])
+        depths: list[float] = (-contact.dist[on_floor]).tolist()
+        return max([0.0, *depths])
 
     @property
     def may_have_collision(self) -> bool:

@@ -14,7 +14,9 @@ Values = tuple[float, ...]
 
 SPEED_MAX = 2.0
 """Largest commanded speed of a side, m/s."""
-BRAKING = 0.5
+REVERSE = -0.5
+"""Lowest commanded speed of a side, m/s: with less, the wheels would slip in turns and when it brakes."""
+BRAKING = 0.25
 """Commanded speed against the motion over the speed."""
 
 
@@ -31,8 +33,8 @@ def motion(x: Values, u: Values, p: Values) -> Values:
 @derivative
 def stop(x: Values, p: Values, k: int) -> Values:
     """Brake; turn no more, or left or right at a rate that fades with the speed."""
-    turning = (0.0, 0.6, -0.6)[k] * x[3]
-    return -BRAKING * x[3] - 0.5 * turning, -BRAKING * x[3] + 0.5 * turning
+    turning = (0.0, 0.3, -0.3)[k] * x[3]
+    return -BRAKING * x[3] - turning, -BRAKING * x[3] + turning
 
 
 JACKAL = Vehicle(
@@ -41,9 +43,9 @@ JACKAL = Vehicle(
     stop=stop,
     manoeuvres=("straight", "left", "right"),
     state=("x", "y", "theta", "v", "omega"),
-    controls={"left": (-SPEED_MAX, SPEED_MAX), "right": (-SPEED_MAX, SPEED_MAX)},
+    controls={"left": (REVERSE, SPEED_MAX), "right": (REVERSE, SPEED_MAX)},
     rest=("v", "omega"),
-    parameters={"track": 0.376, "tau": 0.3, "tau_turn": 0.3, "gain": 1.0},
+    parameters={"track": 0.376, "tau": 0.4, "tau_turn": 0.4, "gain": 1.0},
     footprint=Footprint(0.51, 0.43),
     top_speed=SPEED_MAX,
 )
