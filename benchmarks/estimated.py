@@ -20,7 +20,7 @@ from benchmarks.effort import Effort
 from benchmarks.parallel import each, interval, planning_vehicle
 from benchmarks.random_arenas import random_arena
 from benchmarks.report import Report, Target, row
-from kraft.driving.car_model import CONTROLS, CarModel
+from kraft.driving.car_model import CarModel
 from kraft.driving.method import Method, load_method
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.scenario import Scenario
@@ -30,6 +30,7 @@ from kraft.simulation.world import TIMESTEP, World
 from kraft.trial.measures import farthest_point
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
+from kraft.vehicles import CAR_CONTROLS
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
@@ -50,7 +51,7 @@ class ModelWorld:
     """World whose car is the vehicle's model with other parameters; it has what a trial needs of a `World`."""
 
     dt: Final = TIMESTEP
-    controls: Final = CONTROLS
+    controls: Final = CAR_CONTROLS
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
         """Put the car, whose true parameters are those of `vehicle`, to the scenario's start."""

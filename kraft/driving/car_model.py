@@ -11,13 +11,13 @@ import numpy as np
 
 from kraft.driving.vehicle_model import MAX_STEP, VehicleModel, stop_control
 from kraft.errors import Code, InputError
+from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
 
 SETTLING_TIME: Final = 20.0
 """Time after which the response to a constant control is taken as steady, s."""
-CONTROLS: Final = ("throttle", "steering")
 TABLE_SIZE: Final = 65  # rows of a table of steady responses
 UPDATED_SIZE: Final = 33
 UPDATED_TIME: Final = 6.0
@@ -33,11 +33,6 @@ def model_of(vehicle: Vehicle) -> VehicleModel:
         InputError: if its state lacks a pose or a speed, or it is a car that does not move.
     """
     return CarModel(vehicle) if is_car(vehicle) else VehicleModel(vehicle)
-
-
-def is_car(vehicle: Vehicle) -> bool:
-    """Whether the controls of a vehicle are throttle and steering."""
-    return sorted(vehicle.controls) == sorted(CONTROLS)
 
 
 class CarModel(VehicleModel):
@@ -57,7 +52,7 @@ class CarModel(VehicleModel):
             raise InputError.of(vehicle.name, f"has the controls {has}", expected, Code.MISMATCH)
         super().__init__(vehicle)
         names = list(vehicle.controls)
-        self.throttle, self.steering = (names.index(name) for name in CONTROLS)
+        self.throttle, self.steering = (names.index(name) for name in CAR_CONTROLS)
         self._bounds: list[tuple[float, float]] = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
         self._tabulate()
 

@@ -10,12 +10,12 @@ from typing import Any, ClassVar, Protocol
 import mujoco
 import numpy as np
 
-from kraft.driving.car_model import CONTROLS
 from kraft.scenario import Start
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation.car import CAR, DRIVE, STEERED, WHEELS, CarDesign, add_car
 from kraft.simulation.car_visuals import add_car_visuals
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion
+from kraft.vehicles import CAR_CONTROLS
 from ompl_ext.arrays import Floats
 
 
@@ -75,7 +75,7 @@ class SimulatedCar:
 
     design: CarDesign
 
-    controls: ClassVar[tuple[str, ...]] = CONTROLS
+    controls: ClassVar[tuple[str, ...]] = CAR_CONTROLS
     body: ClassVar[str] = CAR
     root: ClassVar[str] = CAR
     has_plain_contacts: ClassVar[bool] = True

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, Protocol
 
 from kraft.config.source import Source
-from kraft.driving.car_model import CONTROLS, is_car
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario import Scenario, Start
 from kraft.scenario.truth import Truth, VehicleGap
@@ -19,9 +17,9 @@ from kraft.simulation.model_world import ModelWorld
 from kraft.simulation.robots import SimulatedCar
 from kraft.simulation.world import World
 from kraft.text import suggestion
-from kraft.vehicles.config import load_vehicle_config
-from kraft.vehicles.load import load_vehicle
-from kraft.vehicles.robot import CarDimensions, Robot, with_files
+from kraft.vehicles import CAR_CONTROLS
+from kraft.vehicles.load import load_vehicle, natural_robot
+from kraft.vehicles.robot import CarDimensions, Robot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -115,15 +113,11 @@ class TrueRobot:
 
 
 def true_robot(scenario: Scenario, vehicle: Vehicle) -> TrueRobot:
-    """True robot: the scenario's, else the one in the vehicle's file, else a car for a car, and else its own model."""
+    """True robot: the scenario's, else that of the vehicle."""
     if scenario.truth.kind is not None:
         return TrueRobot(scenario.truth, scenario.source)
-    if vehicle.file:
-        config = load_vehicle_config(Path(vehicle.file))
-        if config.truth is not None:
-            files, _ = with_files(config.truth, Path(vehicle.file).parent, config.source)
-            return TrueRobot(config.truth.model_copy(update=files), config.source)
-    return TrueRobot(Robot(car=CarDimensions()) if is_car(vehicle) else Robot(), scenario.source)
+    robot, source = natural_robot(vehicle)
+    return TrueRobot(robot, source if vehicle.file else scenario.source)
 
 
 def world_of(scenario: Scenario, vehicle: Vehicle, seed: int) -> World | ModelWorld:
@@ -139,15 +133,24 @@ def world_of(scenario: Scenario, vehicle: Vehicle, seed: int) -> World | ModelWo
     """
     true = true_robot(scenario, vehicle)
     if true.robot.kind == "car":
-        _check_controls(vehicle, CONTROLS, true)
+        _check_controls(vehicle, CAR_CONTROLS, true)
         return World(scenario, SimulatedCar(design_of(true.robot.car or CarDimensions())))
     if true.robot.kind == "mjcf":
         return _mjcf_world(scenario, vehicle, true)
-    model = _true_model(true, vehicle)
-    _check_controls(vehicle, tuple(model.controls), true)
-    if problems := _unknown_to_a_model(scenario):
-        raise InputError(problems)
-    return ModelWorld(scenario, model, true.robot.process_noise, seed)
+    return ModelWorld(scenario, _true_model(scenario, vehicle, true), true.robot.process_noise, seed)
+
+
+def check_world(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Check what `world_of` checks, without compiling a model.
+
+    Raises:
+        InputError: as `world_of`.
+    """
+    true = true_robot(scenario, vehicle)
+    if true.robot.kind in ("car", "mjcf"):
+        world_of(scenario, vehicle, 0)
+    else:
+        _true_model(scenario, vehicle, true)
 
 
 def _mjcf_world(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> World:
@@ -176,7 +179,7 @@ def _check_controls(vehicle: Vehicle, controls: tuple[str, ...], true: TrueRobot
         raise InputError([true.problem("", problem, expected, Code.MISMATCH)])
 
 
-def _true_model(true: TrueRobot, vehicle: Vehicle) -> Vehicle:
+def _true_model(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> Vehicle:
     """Model that is true, with its true parameters."""
     robot = true.robot
     base = vehicle if robot.model is None else load_vehicle(robot.model)
@@ -187,8 +190,10 @@ def _true_model(true: TrueRobot, vehicle: Vehicle) -> Vehicle:
         for name in getattr(robot, key)
         if name not in names
     ]
+    problems += _unknown_to_a_model(scenario)
     if problems:
         raise InputError(problems)
+    _check_controls(vehicle, tuple(base.controls), true)
     return base.with_parameters(robot.parameters)
 
 

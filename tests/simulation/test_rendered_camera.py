@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kraft.driving.car_model import CONTROLS
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.gl import offscreen_context
@@ -24,6 +23,7 @@ from kraft.simulation.rendered_camera import RenderedCamera, calibrated_side, vi
 from kraft.simulation.tag_vision import TagVision
 from kraft.simulation.world import World
 from kraft.trial.plant import Plant
+from kraft.vehicles import CAR_CONTROLS
 from ompl_ext.arrays import Matrix
 
 SCENE = load_scenario("turns")
@@ -169,7 +169,7 @@ def test_a_pose_arrives_later_by_the_latency() -> None:
 
 def test_a_plant_with_a_rendered_camera_observes_the_car() -> None:
     scenario = rendered()
-    plant = Plant(World(scenario), scenario, CONTROLS, 1, 30.0)
+    plant = Plant(World(scenario), scenario, CAR_CONTROLS, 1, 30.0)
     observation = plant.expose()
     assert observation is not None
     assert (observation.x, observation.y) == pytest.approx((1.0, -0.5), abs=0.3)
@@ -187,7 +187,7 @@ sensing:
 """
     scenario = parse_scenario(text)
     with pytest.raises(InputError) as caught:
-        Plant(World(scenario), scenario, CONTROLS, 0, 30.0)
+        Plant(World(scenario), scenario, CAR_CONTROLS, 0, 30.0)
     (diagnostic,) = caught.value.diagnostics
     assert (diagnostic.path, diagnostic.line, diagnostic.column) == ("sensing.camera", 7, 11)
     assert diagnostic.code is Code.GEOMETRY

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Protocol, TypeAlias
 
-from kraft.driving.car_model import CarModel, is_car
+from kraft.driving.car_model import CarModel
 from kraft.driving.control.geometric import GeometricController
 from kraft.driving.control.kinodynamic import KinodynamicController
-from kraft.driving.control.lqr import LqrController
+from kraft.driving.control.lqr import LqrController, check_controllable
 from kraft.driving.messages import Estimate, Reference
-from kraft.driving.method import Geometric, Kinodynamic, Lqr, OpenLoop
+from kraft.driving.method import Adaptive, Geometric, Kinodynamic, Lqr, Method, OpenLoop
 from kraft.driving.vehicle_model import VehicleModel
+from kraft.vehicles import is_car
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
@@ -21,6 +22,7 @@ __all__ = [
     "LqrController",
     "OpenLoopController",
     "make_controller",
+    "needs_steps",
     "settings_for",
 ]
 
@@ -34,12 +36,22 @@ def settings_for(settings: Settings, vehicle: Vehicle) -> Settings:
     return settings
 
 
+def needs_steps(method: Method, vehicle: Vehicle) -> bool:
+    """Whether a method identifies the vehicle or regulates it by its model, for which the model's steps are compiled."""
+    return isinstance(method.estimator, Adaptive) or isinstance(settings_for(method.controller, vehicle), Lqr)
+
+
 def make_controller(settings: Settings, model: VehicleModel) -> Controller:
-    """Make the controller of a method for the vehicle of `model`, see `settings_for`."""
+    """Make the controller of a method for the vehicle of `model`, see `settings_for`.
+
+    Raises:
+        InputError: if feedback from the linearised model cannot control the vehicle.
+    """
     match settings_for(settings, model.vehicle):
         case OpenLoop():
             return OpenLoopController(model)
         case Lqr() as chosen:
+            check_controllable(model)
             return LqrController(chosen, model)
         case law:
             assert isinstance(model, CarModel), "laws for cars drive cars"

@@ -17,6 +17,7 @@ from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Lqr
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from kraft.errors import Code, InputError
+from kraft.vehicles.load import problem_of
 from ompl_ext.arrays import Floats, Matrix
 
 KEPT: Final = 32
@@ -121,7 +122,7 @@ def check_controllable(model: VehicleModel) -> None:
     if best.least < REACH:
         problem = f"cannot be controlled along a motion: no control changes {best.component}"
         expected = "expected a model whose controls, in time, change the pose and every velocity"
-        raise InputError.of(model.vehicle.name, problem, expected, Code.MISMATCH)
+        raise InputError([problem_of(model.vehicle, "model", problem, expected, Code.MISMATCH)])
 
 
 def _motions(model: VehicleModel) -> list[tuple[Matrix, Matrix]]:
