@@ -7,6 +7,7 @@ import importlib
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,14 @@ TOPICS = (
     "world",
     "drive",
     "theorem",
+    "estimated",
+    "changes",
     "sysid",
     "sensing",
 )
 NEEDS_OUT = ("peers",)
+CHOSEN = ("estimated", "changes")
+"""Topics that drive with a method of one's choice."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -36,10 +41,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help=f"of {', '.join(TOPICS)}; all if none is given")
     parser.add_argument("--quick", action="store_true", help="measure little, to see that everything works")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), metavar="DIR", help="for the results")
+    parser.add_argument("--method", default=FULL.method, help=f"that drives in {', '.join(CHOSEN)} (%(default)s)")
     given = parser.parse_args(arguments)
     if unknown := [topic for topic in given.topics if topic not in TOPICS]:
         parser.error(f"there is no topic {', '.join(unknown)}; expected {', '.join(TOPICS)}")
-    effort = QUICK if given.quick else FULL
+    effort = replace(QUICK if given.quick else FULL, method=given.method)
     given.out.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {"machine": describe(), "quick": given.quick, "topics": {}}
     warn_if_busy(content["machine"])

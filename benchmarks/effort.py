@@ -19,7 +19,10 @@ class Effort:
         first_run: whether to compile all kernels anew, in an empty cache.
         scenes: random scenes.
         episodes: drives in the test of Theorem 1.
-        jobs: processes that share the random scenes; everything else runs alone.
+        jobs: processes that share the random scenes and trials; everything else runs alone.
+        changes: trials with each change of the true car.
+        estimated: drives in the test of Theorem 1 with an estimated deviation.
+        method: method that drives where one is chosen.
     """
 
     seeds: int
@@ -32,6 +35,9 @@ class Effort:
     scenes: int
     episodes: int
     jobs: int
+    changes: int
+    estimated: int
+    method: str = "adaptive-kraft"
 
 
 FULL = Effort(
@@ -45,6 +51,8 @@ FULL = Effort(
     scenes=2000,
     episodes=2000,
     jobs=2,
+    changes=100,
+    estimated=10_000,
 )
 QUICK = Effort(
     seeds=20,
@@ -57,7 +65,20 @@ QUICK = Effort(
     scenes=60,
     episodes=100,
     jobs=2,
+    changes=4,
+    estimated=40,
 )
 SMOKE = Effort(
-    seeds=1, repeats=1, seconds=0.02, nodes=3_000, cycles=3, processes=1, first_run=False, scenes=2, episodes=4, jobs=1
+    seeds=1,
+    repeats=1,
+    seconds=0.02,
+    nodes=3_000,
+    cycles=3,
+    processes=1,
+    first_run=False,
+    scenes=2,
+    episodes=4,
+    jobs=1,
+    changes=1,
+    estimated=2,
 )

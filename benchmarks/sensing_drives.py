@@ -101,5 +101,5 @@ def _frames(
         if given is None:
             count = k + 1
             break
-        world.apply(*given)
+        world.apply(given)
     return Errors(errors[:count], distances[:count], places[:count], spent / count)

@@ -56,7 +56,7 @@ def factor(world: World, seconds: float) -> float:
     simulated, drives, began = 0.0, 0, time.process_time()
     while time.process_time() - began < seconds:
         world.reset()
-        world.apply(1.0, STEERING[drives % len(STEERING)])
+        world.apply((1.0, STEERING[drives % len(STEERING)]))
         while world.collision is None and world.time < LONGEST:
             world.step(CONTROL)
         simulated += world.time

@@ -1,7 +1,4 @@
-"""The robot's model of itself, one state at a time: prediction, steady responses and their inverses.
-
-Predictions use the planner's own compiled derivative and Runge-Kutta step, so they agree with the plan.
-"""
+"""Model of a car with throttle and steering: its steady responses to them and their inverses."""
 
 from __future__ import annotations
 
@@ -12,16 +9,15 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.vehicle_model import MAX_STEP, VehicleModel, stop_control
 from kraft.errors import Code, InputError
+from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.kernels.specialise import kernels, step_kernels
+from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
 
-MAX_STEP: Final = 0.05
-"""Longest integration step, s."""
 SETTLING_TIME: Final = 20.0
 """Time after which the response to a constant control is taken as steady, s."""
-CONTROLS: Final = ("throttle", "steering")
 TABLE_SIZE: Final = 65  # rows of a table of steady responses
 UPDATED_SIZE: Final = 33
 UPDATED_TIME: Final = 6.0
@@ -30,11 +26,19 @@ Tables = tuple[list[float], list[float], list[float], list[float], list[float]]
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
 
 
-class CarModel:
+def model_of(vehicle: Vehicle) -> VehicleModel:
+    """Model of a vehicle: a `CarModel` if its controls are throttle and steering.
+
+    Raises:
+        InputError: if its state lacks a pose or a speed, or it is a car that does not move.
+    """
+    return CarModel(vehicle) if is_car(vehicle) else VehicleModel(vehicle)
+
+
+class CarModel(VehicleModel):
     """Dynamics of a car whose controls are throttle and steering, and its steady responses to them.
 
-    `x`, `y`, `theta`, `v` are indices into a state (nx,), `throttle` and `steering` indices into a control (nu,); `low`
-    and `high` (nu,) bound a control.
+    `throttle` and `steering` are indices into a control (nu,).
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -43,23 +47,14 @@ class CarModel:
         Raises:
             InputError: if the vehicle is not such a car.
         """
-        check_car(vehicle)
-        self.vehicle = vehicle
-        self._step = kernels(vehicle).advance
-        self._parameters = vehicle.parameter_array
+        if not is_car(vehicle):
+            has, expected = ", ".join(vehicle.controls), "expected throttle and steering, the controls of a car"
+            raise InputError.of(vehicle.name, f"has the controls {has}", expected, Code.MISMATCH)
+        super().__init__(vehicle)
         names = list(vehicle.controls)
-        self.x, self.y, self.theta = (vehicle.index(name) for name in ("x", "y", "theta"))
-        self.v = vehicle.rest_indices[0]
-        self._pose = [self.x, self.y, self.theta]
-        self.throttle, self.steering = (names.index(name) for name in CONTROLS)
-        self.low, self.high = vehicle.control_bounds[:, 0].copy(), vehicle.control_bounds[:, 1].copy()
+        self.throttle, self.steering = (names.index(name) for name in CAR_CONTROLS)
         self._bounds: list[tuple[float, float]] = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
-        self.rest = self.clamped(np.zeros(len(names)))
         self._tabulate()
-
-    def __deepcopy__(self, memo: object) -> CarModel:
-        """Return the model itself: copies of a controller or an estimator are of the same car."""
-        return self
 
     def set_parameters(self, values: Floats) -> None:
         """Change the parameters (np,), in the vehicle's order, for all who use this model.
@@ -67,7 +62,7 @@ class CarModel:
         The tables are made of fewer and shorter simulations than at first, in 1 ms.  If the car does not move at full
         throttle, the tables of the speed stay as they are.
         """
-        self._parameters = np.ascontiguousarray(values, dtype=np.float64)
+        super().set_parameters(values)
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], UPDATED_SIZE)
         speeds = self._responses(self.throttle, throttles, 0.0)[:, self.v]
         if speeds[-1] > 0.0:
@@ -75,7 +70,7 @@ class CarModel:
         steerings = np.linspace(self.low[self.steering], self.high[self.steering], UPDATED_SIZE)
         throttle = self.throttle_for(0.5 * self._speeds[-1])
         before = self._responses(self.steering, steerings, throttle)
-        before[:, self._pose] = 0.0
+        before[:, self.pose] = 0.0
         curvatures, slips = [], []
         for steering, state in zip(steerings.tolist(), before, strict=True):
             curvature, slip = self._turn(state, self.command(throttle, steering))
@@ -98,21 +93,23 @@ class CarModel:
         last: Matrix = states[-1]
         return last
 
-    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx,) after holding a control (nu,) for `duration` s; a copy of the state if that is not above 0."""
-        result = np.array(state, dtype=np.float64)
-        if duration <= 0.0:
-            return result
-        steps = math.ceil(duration / MAX_STEP - 1e-9)
-        held = np.ascontiguousarray(control, dtype=np.float64)
-        for _ in range(steps):
-            self._step(result, held, self._parameters, duration / steps, result)
-        return result
+    def course(self, state: Floats, control: Floats) -> tuple[float, float]:
+        """Curvature (1/m) and slip angle (rad) at a steering that is held."""
+        steering = float(control[self.steering])
+        return self.curvature(steering), self.slip(steering)
 
-    def clamped(self, control: Floats) -> Floats:
-        """Control (nu,) clamped to its bounds."""
-        inside: Floats = np.minimum(np.maximum(control, self.low), self.high)
-        return inside
+    def velocity_drift(self, speed_drift: float) -> Floats:
+        """None (nx,): the speed follows the throttle."""
+        return np.zeros(len(self.vehicle.state))
+
+    def control_to(self, state: Floats, control: Floats, after: Floats, duration: float) -> Floats:
+        """Control (nu,) with the throttle that leads to the speed of `after`: the brakes' while the car is faster."""
+        result, speed = control.copy(), float(after[self.v])
+        if float(state[self.v]) > speed + 1e-3:
+            result[self.throttle] = stop_control(self.vehicle, state, 0)[self.throttle]
+        else:
+            result[self.throttle] = self.throttle_for(speed)
+        return result
 
     def command(self, throttle: float, steering: float) -> Floats:
         """Control (nu,) from throttle and steering, clamped to their bounds."""
@@ -175,32 +172,14 @@ class CarModel:
 
     def _turn(self, before: Floats, control: Floats) -> tuple[float, float]:
         """Curvature (1/m) and slip angle (rad) of a step from a state (nx,) at the origin."""
-        dx, dy, turn = (float(d) for d in self.advance(before, control, MAX_STEP)[self._pose])
+        dx, dy, turn = (float(d) for d in self.advance(before, control, MAX_STEP)[self.pose])
         return turn / (MAX_STEP * float(before[self.v])), math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau)
 
     def _steady_state(self, control: Floats) -> Floats:
         """Steady state after holding a control from standstill, moved to the origin."""
         state = self.advance(np.zeros(len(self.vehicle.state)), control, SETTLING_TIME)
-        state[self._pose] = 0.0
+        state[self.pose] = 0.0
         return state
-
-
-def check_car(vehicle: Vehicle) -> None:
-    """Check that a vehicle is a car with throttle and steering.
-
-    Raises:
-        InputError: if it has other controls, or its state lacks a pose or a speed.
-    """
-    missing = [name for name in ("x", "y", "theta") if vehicle.index(name) < 0]
-    if tuple(sorted(vehicle.controls)) != tuple(sorted(CONTROLS)):
-        has = ", ".join(vehicle.controls)
-        expected = "expected throttle and steering, the commands of the simulated car"
-        raise InputError.of(vehicle.name, f"has the controls {has}", expected, Code.MISMATCH)
-    if missing or not vehicle.rest:
-        lacks = (
-            f"has no {' and no '.join(missing)} in its state" if missing else "names no speed in its rest components"
-        )
-        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed", Code.MISMATCH)
 
 
 def _inverse(value: float, values: list[float], arguments: list[float]) -> float:

@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference, ReferenceKind
-from kraft.driving.stopping import ClosedLoopPredictor, is_resting, least_slack, manoeuvre_reference, stop_control
+from kraft.driving.stopping import ClosedLoopPredictor, is_resting, least_slack, manoeuvre_reference
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.solver import DirtSolver
@@ -75,8 +75,8 @@ class _Candidate:
 class ContingencyRanking:
     """Ranks contingencies by the least slack of their tracked motion."""
 
-    def __init__(self, dirt: DirtSolver, predict: ClosedLoopPredictor, model: CarModel) -> None:
-        """`dirt` has the obstacles and the clearance, `predict` the controller, `model` the car."""
+    def __init__(self, dirt: DirtSolver, predict: ClosedLoopPredictor, model: VehicleModel) -> None:
+        """`dirt` has the obstacles and the clearance, `predict` the controller, `model` the vehicle."""
         self._dirt, self._predict, self._model = dirt, predict, model
 
     def best(
@@ -169,10 +169,13 @@ class ContingencyRanking:
         places = np.concatenate([[0.0], np.hypot(*np.diff(path[:, [model.x, model.y]], axis=0).T).cumsum()])
         speeds, arc_lengths = self._creeping_speeds(state, min(CREEPING_LENGTH, float(places[-1])))
         states = np.column_stack([np.interp(arc_lengths, places, column) for column in path.T])
+        others = model.velocities[1:]  # they stay in proportion to the speed
+        states[:, others] *= (np.array(speeds) / np.maximum(states[:, model.v], speeds))[:, None]
         states[:, model.v] = speeds
         times: Floats = time + step * np.arange(len(states), dtype=float)
-        controls = np.array([plan.control_at(float(t)) for t in np.interp(arc_lengths[:-1], places, planned)])
-        controls[:, model.throttle] = [self._throttle(*pair) for pair in zip(states[:-1], speeds[1:], strict=True)]
+        at = np.interp(arc_lengths[:-1], places, planned)
+        pairs = zip(at, states[:-1], states[1:], strict=True)
+        controls = np.array([model.control_to(x, plan.control_at(float(t)), after, step) for t, x, after in pairs])
         moving = Reference(ReferenceKind.PLAN, times, states, controls, plan.rest)
         return _joined(moving, time, self._manoeuvre(0, float(times[-1]), self._dirt.manoeuvres(states[-1])[0]))
 
@@ -185,12 +188,6 @@ class ContingencyRanking:
             speeds.append(max(float(braking[min(len(speeds), len(braking) - 1)]), slow))
             arc_lengths.append(arc_lengths[-1] + 0.5 * step * (speeds[-2] + speeds[-1]))
         return speeds, arc_lengths
-
-    def _throttle(self, state: Floats, after: float) -> float:
-        """Throttle that leads to the speed `after` (m/s): the brakes' while the vehicle is faster."""
-        if float(state[self._model.v]) > after + 1e-3:
-            return float(stop_control(self._dirt.vehicle, state, 0)[self._model.throttle])
-        return self._model.throttle_for(after)
 
 
 def _part(plan: Reference, begin: float, end: float) -> tuple[Floats, Matrix, Matrix]:

@@ -206,8 +206,9 @@ class Cycle:
     a plan is committed.  `planning_ms` is measured; all other fields are reproducible.  `tree` is None unless trees are
     kept.
 
-    `commitment` is the message to the car, `delivered` whether it arrives.  `stopping` is the predicted motion of the
-    contingency on board until standstill; None if the car stays on the plan.
+    `parameters` (np,) are those of the vehicle if they are estimated.  `commitment` is the message to the car,
+    `delivered` whether it arrives.  `stopping` is the predicted motion of the contingency on board until standstill;
+    None if the car stays on the plan.
     """
 
     number: int
@@ -233,6 +234,7 @@ class Cycle:
     decided: float = -math.inf
     stopping: PredictedMotion | None = None
     delivered: bool = True
+    parameters: Floats | None = None
 
     @property
     def commitment(self) -> Commitment:

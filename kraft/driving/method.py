@@ -202,7 +202,26 @@ class Kinodynamic(StrictModel):
     """how far ahead of the present time the law looks, to make up for the actuators' lag, s"""
 
 
-ControllerSettings = Annotated[OpenLoop | Geometric | Kinodynamic, Field(discriminator="kind")]
+class Lqr(StrictModel):
+    """Linear-quadratic regulator along the reference, from the vehicle's own model; for any vehicle."""
+
+    kind: Literal["lqr"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    position: Positive = 0.1
+    """error of the position that weighs 1, m"""
+    heading_deg: Positive = 10.0
+    """error of the heading that weighs 1, degrees"""
+    speed: Positive = 0.3
+    """error of the speed that weighs 1; of a turning rate, that of the vehicle's sides, m/s"""
+    control_share: Positive = 0.5
+    """correction of a control that weighs 1, as a share of its range"""
+    settling: Positive = 1.0
+    """time after the end of a reference that errors at its end count for, s"""
+
+
+ControllerSettings = Annotated[OpenLoop | Geometric | Kinodynamic | Lqr, Field(discriminator="kind")]
 
 
 class Latest(StrictModel):

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
 from kraft.driving.method import PlannerSettings
-from kraft.driving.stopping import manoeuvre_reference, stop_control
+from kraft.driving.stopping import manoeuvre_reference
+from kraft.driving.vehicle_model import VehicleModel, stop_control
 from ompl_ext.query import Safety
 
 
@@ -21,7 +21,7 @@ class OnBoard:
     manoeuvre of its contingency, until a message arrives that was decided after that, with a recent observation.
     """
 
-    def __init__(self, settings: PlannerSettings, safety: Safety, model: CarModel, commitment: Commitment) -> None:
+    def __init__(self, settings: PlannerSettings, safety: Safety, model: VehicleModel, commitment: Commitment) -> None:
         """Begin with the `commitment` of the replanner's `begin`; `safety` defines standstill."""
         self._limit = math.inf if settings.watchdog is None else settings.watchdog
         self._silence = settings.cycle + self._limit

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kraft.driving.bound import BoundCalibration, DeviationBound
-from kraft.driving.car_model import CarModel
+from kraft.driving.car_model import model_of
 from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
 from kraft.driving.control import Controller
 from kraft.driving.messages import (  # fmt: skip
@@ -39,6 +39,7 @@ from kraft.driving.stopping import (  # fmt: skip
     plan_reference,
     required_clearance,
 )
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.planning.workspace import displacement, pose_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
@@ -95,9 +96,9 @@ class Replanner:
         self._proposer = Proposer(solvers, settings, seed, realtime=realtime, keep_trees=keep_trees)
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
-        self._model: CarModel | None = None
+        self._model: VehicleModel | None = None
         if settings.contingencies == "tracked":
-            self._model = CarModel(self.dirt.vehicle)
+            self._model = model_of(self.dirt.vehicle)
             self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
         self._calibration = BoundCalibration(settings.bound, self.dirt.vehicle) if settings.bound else None
         self._bound: DeviationBound | None = None
@@ -349,4 +350,5 @@ class Replanner:
             switch=cycle_start + self._settings.cycle if plan is not None and self._switches else math.inf,
             decided=estimate.time,
             stopping=self._with_delta(stopping, cycle_start) if self._switches and stopping is not None else None,
+            parameters=estimate.parameters,
         )

@@ -11,6 +11,7 @@ import numpy as np
 
 from kraft.driving.control import Controller
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Reference, ReferenceKind, Stop
+from kraft.driving.vehicle_model import stop_control
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Contingency, Plan
@@ -48,13 +49,6 @@ def holding_control(vehicle: Vehicle, state: Floats) -> Floats:
     standing = np.array(state, dtype=float)
     standing[list(vehicle.rest_indices)] = 0.0
     return stop_control(vehicle, standing, 0) + 0.0  # without negative zeros
-
-
-def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
-    """Control (nu,) of manoeuvre `number` in a state; without a `stop` function it is zero."""
-    if vehicle.stop is None:
-        return np.zeros(len(vehicle.controls))
-    return np.array(vehicle.stop(tuple(map(float, state)), tuple(vehicle.parameter_array), number), dtype=float)
 
 
 def emergency_reference(dirt: DirtSolver, state: Floats, start: float) -> Reference:

@@ -15,7 +15,7 @@ from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entrie
 from kraft.planning.feasibility import check_placement
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
-from kraft.trial.result import load_planning_vehicle, vehicle_reference
+from kraft.trial.result import check_robot, load_planning_vehicle, vehicle_reference
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -184,10 +184,11 @@ def _cells(
                 if reference not in loaded:
                     loaded[reference] = load_planning_vehicle(scenario, reference)
                 model = loaded[reference]
-                check_vehicle(method, model, own=vehicle is None and method.planner.vehicle is not None)
+                check_vehicle(method, model, own=reference not in (vehicle, scenario.vehicle))
                 if reference not in checked:
                     checked.add(reference)
                     check_placement(scenario, model, start_state(scenario, model))
+                    check_robot(scenario, model)
                 yield Cell(entry, method, reference, model)
             except InputError as error:
                 problems += error.diagnostics

@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
 
+from kraft.driving.control import needs_steps
 from kraft.errors import Defect, KraftError
 from kraft.evaluation.job import DEATHS, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.row import Key, TrialRow
@@ -75,7 +76,8 @@ class Processes:
             Defect: if workers do not start.
         """
         for reference in dict.fromkeys(job.vehicle for job in jobs):  # once here, not by every worker during a trial
-            ensure_compiled(load_vehicle(reference), log)
+            vehicle, methods = load_vehicle(reference), {job.method.name: job.method for job in jobs}.values()
+            ensure_compiled(vehicle, log, steps=any(needs_steps(method, vehicle) for method in methods))
         state = _State(deque(jobs))
         try:
             while True:

@@ -17,7 +17,7 @@ from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.kernels.clearance import clearance_field
 from ompl_ext.kernels.costtogo import cost_to_go
-from ompl_ext.kernels.specialise import is_cached, kernels
+from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, step_kernels
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal
 from ompl_ext.solver import DirtSolver
@@ -26,13 +26,21 @@ from ompl_ext.vehicle import Vehicle
 POLL: Final = 0.05  # s, longest delay of an interrupt
 
 
-def ensure_compiled(vehicle: Vehicle, report: Callable[[str], None]) -> None:
-    """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages."""
+def ensure_compiled(vehicle: Vehicle, report: Callable[[str], None], *, steps: bool = False) -> None:
+    """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages.
+
+    With `steps`, compile the steps of the model too, which identification and the LQR need.
+    """
     if is_cached(vehicle):
+        if steps and not are_steps_cached(vehicle):
+            report(f"compiling the steps of the model of {vehicle.name} for this machine: once, about 5 s ...")
+            step_kernels(vehicle)
         return
     report(f"compiling the planner and the model of {vehicle.name} for this machine: once, about 20 s ...")
     began = time.perf_counter()
     _exercise(vehicle)
+    if steps:
+        step_kernels(vehicle)
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 

@@ -27,7 +27,8 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
 ESTIMATED: Final = "#a3178f"
-COMMANDS: Final = ("throttle", "steering, rad")
+UNITS: Final = {"steering": "rad"}
+"""Units of controls that are no shares of their largest values."""
 OBSERVATION: Final = "#7d8896"
 OBSERVATION_SIZE: Final = 2.4  # pt
 COLLISION: Final = "#c1121f"
@@ -53,7 +54,7 @@ class DrivenTrajectory:
 
 
 def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Panel]:
-    """Panels of speed (true, estimated, planned), true clearance, and the two commands."""
+    """Panels of speed (true, estimated, planned), true clearance, and the commands."""
     steps, times = drive.result.steps, drive.motion.times
     true: Style = {"color": INK, "linewidth": 1.3, "zorder": 3}
     speeds = [Curve(times, drive.speeds, true)]
@@ -76,7 +77,8 @@ def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list
         Panel(quantity("clearance, m"), (Curve(times, clearance, true),), (0.0, max(0.1, float(clearance.max())))),
     ]
     commands = np.array([step.command for step in steps])
-    for title, values, (low, high) in zip(COMMANDS, commands.T, vehicle.control_bounds, strict=True):
+    for name, values, (low, high) in zip(vehicle.controls, commands.T, vehicle.control_bounds, strict=True):
+        title = name.replace("_", " ") + (f", {UNITS[name]}" if name in UNITS else "")
         limits = min(0.0, float(low), float(values.min())), max(0.0, float(high), float(values.max()))
         panels.append(Panel(quantity(title), (Curve(times, values, {**true, **HELD}),), limits))
     return panels

@@ -88,15 +88,18 @@ class Recorder:
             expected = "expected more free floor, as in the scenario training"
             raise InputError.of(name, problem, expected, Code.GEOMETRY)
         self._world.reset(place.start)
-        plant = Plant(self._world, self._scenario, int(generator.integers(2**62)), COMMAND_RATE)
-        return _Run(plant, self._free_space, commanded, place).drive(number)
+        seed = int(generator.integers(2**62))
+        plant = Plant(self._world, self._scenario, self._model.vehicle.controls, seed, COMMAND_RATE)
+        return _Run(plant, self._model, self._free_space, commanded, place).drive(number)
 
 
 class _Run:
     """Run in progress."""
 
-    def __init__(self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place) -> None:
-        self._plant, self._world, self._free_space = plant, plant.world, free_space
+    def __init__(
+        self, plant: Plant, model: CarModel, free_space: FreeSpace, commanded: Manoeuvre, place: Place
+    ) -> None:
+        self._plant, self._world, self._model, self._free_space = plant, plant.world, model, free_space
         self._manoeuvre, self._place = commanded, place
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
@@ -134,7 +137,7 @@ class _Run:
             return
         throttle, steering = self._manoeuvre.control_at(world.time)
         self._commands.append((world.time, throttle, steering))
-        self._plant.send(throttle, steering)
+        self._plant.send(self._model.command(throttle, steering))
 
     def _stop_reason(self) -> str:
         """Why the run has to end now; empty if it goes on."""

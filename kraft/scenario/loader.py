@@ -20,7 +20,9 @@ from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon
 from kraft.scenario.model import Goal, Scenario, Start
 from kraft.scenario.occupancy import read_map
 from kraft.scenario.schema import Bounds, GoalFile, MapFile, ObstacleFile, ScenarioFile, StartFile
+from kraft.scenario.truth import Truth
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.robot import with_files
 
 
 def load_scenario(name_or_path: str | Path, settings: Mapping[str, Any] | Sequence[Override] | None = None) -> Scenario:
@@ -58,6 +60,9 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
     vehicle, vehicle_problems = _vehicle(document, folder)
     maps, map_problems = _maps(document, folder)
     problems += vehicle_problems + map_problems
+    truth = part(Truth, _at(document.data, ("truth",))) or Truth()
+    files, file_problems = with_files(truth, folder, document.source)
+    problems += file_problems
     if content is None or problems:
         raise InputError(problems)
     return Scenario(
@@ -70,7 +75,7 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
         vehicle=vehicle,
         planning=content.planning,
         source=document.source,
-        truth=content.truth,
+        truth=content.truth.model_copy(update=files),
         sensing=content.sensing,
         trial=content.trial,
     )

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
+from pydantic_core import PydanticCustomError
 
 from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Length, Point, Size, Span, StrictModel, refuse
 from kraft.errors import Code
 from kraft.scenario.geometry import crossing_edges
 from kraft.scenario.planning import Planning
 from kraft.scenario.trial import Sensing, Trial
-from kraft.scenario.truth import Truth
+from kraft.scenario.truth import Truth, misordered
 
 VERTICES_MAX = 1000
 
@@ -188,3 +190,12 @@ class ScenarioFile(StrictModel):
     """how poses are observed and commands delivered"""
     trial: Trial = Trial()
     """when a trial ends"""
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check the order of all changes of the truth."""
+        truth = content.get("truth")
+        changes = truth.get("changes") if isinstance(truth, Mapping) else None
+        if isinstance(changes, Sequence) and not isinstance(changes, str):
+            times = [change.get("time") if isinstance(change, Mapping) else None for change in changes]
+            yield from misordered(times, ("truth", "changes"))

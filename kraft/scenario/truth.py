@@ -6,16 +6,22 @@ type checker refuses a planner that reads it.
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import Annotated, Self
+from collections.abc import Iterator, Sequence
+from typing import Annotated, NamedTuple, Self
 
 from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from kraft.config.schema import LENGTH_MIN, Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
+from kraft.config.source import KeyPath
 from kraft.errors import Code
+from kraft.vehicles.robot import Robot
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]
+SteeringOffset = Annotated[float, Field(ge=-20, le=20)]
 
 
 class SpeedBump(StrictModel):
@@ -103,7 +109,7 @@ class VehicleGap(StrictModel):
     """factor on the driving force"""
     steering_scale: Factor = 1.0
     """factor on the steering angle"""
-    steering_offset_deg: Annotated[float, Field(ge=-20, le=20)] = 0.0
+    steering_offset_deg: SteeringOffset = 0.0
     """steering angle when it is commanded straight, degrees"""
     mass_scale: Factor = 1.0
     """factor on the chassis mass"""
@@ -114,7 +120,62 @@ class VehicleGap(StrictModel):
         return math.radians(self.steering_offset_deg)
 
 
-class Truth(StrictModel):
+class VehicleChange(StrictModel):
+    """Values of the true car from a change on; what is left out stays as it is."""
+
+    drive_scale: Factor | None = None
+    """factor on the driving force"""
+    steering_scale: Factor | None = None
+    """factor on the steering angle"""
+    steering_offset_deg: SteeringOffset | None = None
+    """steering angle when it is commanded straight, degrees"""
+    mass_scale: Factor | None = None
+    """factor on the chassis mass"""
+
+
+class Change(StrictModel):
+    """A change of the true world during the drive; what is left out stays as it is."""
+
+    time: Annotated[float, Field(gt=0, le=86_400)]
+    """time of the drive from which on it holds, s"""
+    floor_friction: Friction | None = None
+    """sliding friction coefficient of the floor, outside of friction patches"""
+    vehicle: VehicleChange | None = None
+    """values of the true car {drive_scale, steering_scale, steering_offset_deg, mass_scale}"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.floor_friction is None and not self._of_vehicle:
+            raise refuse("changes nothing", "expected floor_friction, or a value of the vehicle", code=Code.MISSING)
+        return self
+
+    @property
+    def _of_vehicle(self) -> dict[str, float]:
+        """Values of the true car that change."""
+        return {} if self.vehicle is None else self.vehicle.model_dump(exclude_none=True)
+
+    def applied_to(self, state: WorldState) -> WorldState:
+        """State of the world after this change."""
+        friction = state.floor_friction if self.floor_friction is None else self.floor_friction
+        return WorldState(self.time, friction, state.vehicle.model_copy(update=self._of_vehicle))
+
+    def in_words(self) -> str:
+        """Phrase for the change."""
+        found = [] if self.floor_friction is None else [f"a floor with friction {self.floor_friction:g}"]
+        if values := ", ".join(f"{name} {value:g}" for name, value in self._of_vehicle.items()):
+            found.append(f"a car with {values}")
+        return f"from {self.time:g} s on {' and '.join(found)}"
+
+
+class WorldState(NamedTuple):
+    """What can change during the drive, from `time` (s) on."""
+
+    time: float
+    floor_friction: float
+    vehicle: VehicleGap
+
+
+class Truth(Robot):
     """Everything the planner's model leaves out; the default is a flat floor with good grip."""
 
     floor_friction: Friction = 1.0
@@ -129,6 +190,20 @@ class Truth(StrictModel):
     """free boxes"""
     vehicle: VehicleGap = VehicleGap()
     """how the true car differs from its model"""
+    changes: tuple[Change, ...] = ()
+    """changes during the drive, in the order of their times"""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for error in misordered([change.time for change in self.changes], ("changes",)):
+            raise error
+        return self
+
+    @property
+    def states(self) -> tuple[WorldState, ...]:
+        """State at the begin of the drive, and after each change."""
+        first = WorldState(0.0, self.floor_friction, self.vehicle)
+        return tuple(itertools.accumulate(self.changes, lambda state, change: change.applied_to(state), initial=first))
 
     def in_words(self) -> tuple[str, ...]:
         """Phrase for each kind of feature unknown to the planner; none for a flat floor with good grip."""
@@ -147,7 +222,24 @@ class Truth(StrictModel):
             found.append(_count(len(self.movable_boxes), "box that can be pushed", "boxes that can be pushed"))
         if self.vehicle != VehicleGap():
             found.append("a car that differs from its model")
-        return tuple(found)
+        if self.process_noise:
+            found.append("noise of the motion")
+        if self.parameters:
+            found.append(f"{_count(len(self.parameters), 'other parameter', 'other parameters')}")
+        return (*found, *(change.in_words() for change in self.changes))
+
+
+def misordered(times: Sequence[object], at: KeyPath) -> Iterator[PydanticCustomError]:
+    """Problems of the order of changes with these times, as they were written; `at` is the place of the list."""
+    last: float | None = None
+    for k, time in enumerate(times):
+        if isinstance(time, bool) or not isinstance(time, int | float):
+            continue
+        if last is not None and time <= last:
+            problem = f"is {time:g}, not later than the change before it"
+            yield refuse(problem, f"expected a time after {last:g}", (*at, k, "time"))
+        else:
+            last = time
 
 
 def _count(count: int, one: str, many: str) -> str:

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 
 from kraft.simulation import contacts
-from kraft.simulation.car import MARKER_HEIGHT, WHEEL_RADIUS, WHEEL_WIDTH, WHEELBASE, WHEELS
+from kraft.simulation.car import MARKER_HEIGHT, MUSHR, WHEELS, CarDesign
 from ompl_ext.arrays import Matrix
 
-AXLE: Final = WHEELBASE / 2
+AXLE: Final = MUSHR.wheelbase / 2
 ARCH: Final = 0.056
 WAIST: Final = 0.1
 LENGTHWISE: Final = (-0.222, -0.214, -0.15, -0.05, 0.05, 0.12, 0.17, 0.2, 0.213)
@@ -32,8 +32,8 @@ Part: TypeAlias = tuple[Matrix, list[tuple[int, int, int]]]
 """Vertices (n, 3) and triangles that run counter-clockwise seen from outside."""
 
 
-def add_car_visuals(spec: Any, body: Any) -> None:
-    """Add the visual geoms of the car's body and its wheels."""
+def add_car_visuals(spec: Any, body: Any, design: CarDesign) -> None:
+    """Add the visual geoms of a car's body, those of the MuSHR in the size of the design, and of its wheels."""
     meshes = {
         "paint": [_deck(), *_both(_flank()), *_roof()],
         "stripe": [*_both(_stripe()), *_door_plates()],
@@ -44,13 +44,17 @@ def add_car_visuals(spec: Any, body: Any) -> None:
         "plate": [block((-0.125, -0.075, 0.197), (0.025, 0.075, MARKER_HEIGHT))],
         "ink": _cells(),
     }
+    stretch = [(design.front - design.rear) / (MUSHR.front - MUSHR.rear), design.side / MUSHR.side, 1.0]
     for material, parts in meshes.items():
-        _add_visual(body, add_mesh(spec, f"car {material}", parts), material)
-    add_mesh(spec, "rim", _rim())
+        scaled = parts if design == MUSHR else [(vertices * stretch, faces) for vertices, faces in parts]
+        _add_visual(body, add_mesh(spec, f"car {material}", scaled), material)
+    sides = [design.wheel_radius / MUSHR.wheel_radius, design.wheel_width / MUSHR.wheel_width]
+    rim = [sides[0], sides[1], sides[0]]
+    add_mesh(spec, "rim", _rim() if design == MUSHR else [(vertices * rim, faces) for vertices, faces in _rim()])
     for name in WHEELS:
         wheel = spec.body(name)
         across = [math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0]
-        size = [WHEEL_RADIUS, WHEEL_WIDTH / 2, 0.0]
+        size = [design.wheel_radius, design.wheel_width / 2, 0.0]
         wheel.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, quat=across, material="tyre", **contacts.VISUAL)
         _add_visual(wheel, "rim", "rim")
 
@@ -92,7 +96,7 @@ def _flank() -> Part:
         low = _at(x, SILL)
         for centre in (-AXLE, AXLE):
             if abs(x - centre) < ARCH:
-                low = max(low, WHEEL_RADIUS + math.sqrt(ARCH**2 - (x - centre) ** 2))
+                low = max(low, MUSHR.wheel_radius + math.sqrt(ARCH**2 - (x - centre) ** 2))
         w, top = _at(x, HALF_WIDTH), WAIST + 0.006
         low = min(low, top - 0.001)
         return [(x, 0.07, low), (x, 0.07, top), (x, w, top), (x, w - 0.2 * (top - low), low)]
@@ -180,7 +184,7 @@ def _cells() -> list[Part]:
 def _rim() -> list[Part]:
     """Ring and six spokes, on both faces of a wheel, about the wheel's axle (y)."""
     angles = [2 * math.pi * k / 32 for k in range(33)]
-    outer, inner, face = 0.035, 0.030, WHEEL_WIDTH / 2 + 0.0012
+    outer, inner, face = 0.035, 0.030, MUSHR.wheel_width / 2 + 0.0012
     ring = loft([
         [(r * math.sin(a), y, r * math.cos(a)) for r, y in ((inner, -face), (inner, face), (outer, face),
                                                           (outer, -face))]

@@ -9,10 +9,11 @@ import numpy as np
 
 from kraft.errors import Defect
 from kraft.scenario import Scenario
-from kraft.simulation.car import CAR
 from kraft.simulation.contacts import ROWS
 from kraft.simulation.floor_frame import FloorFrame
+from kraft.simulation.robots import SimulatedRobot
 
+FLOOR: Final = "floor"
 MAX_PENETRATION: Final = 0.001
 """Largest penetration of an ordinary contact, m."""
 
@@ -35,15 +36,16 @@ class Collision:
 class CollisionDetector:
     """Detects contacts between car and obstacles in a compiled world."""
 
-    def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame) -> None:
+    def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame, robot: SimulatedRobot) -> None:
         self._data, self._frame = data, frame
         self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
         names = [model.geom(geom).name for geom in range(model.ngeom)]
         self._obstacle = np.array([_index("obstacle", name) for name in names])
         self._movable = np.array([_index("movable", name) for name in names])
-        self._of_car = model.body_rootid[model.geom_bodyid] == model.body(CAR).id
-        self._solid = self._obstacle >= 0
-        if model.neq or (model.geom_condim > ROWS).any():
+        self._of_car = model.body_rootid[model.geom_bodyid] == model.body(robot.root).id
+        self._solid, self._floor = self._obstacle >= 0, np.array([name == FLOOR for name in names])
+        self._by_rows = robot.has_plain_contacts
+        if self._by_rows and (model.neq or (model.geom_condim > ROWS).any()):
             raise Defect("contacts are counted by rows: no equality constraint, and none of more than three dimensions")
 
     def boxes_in_car(self) -> list[int]:
@@ -54,9 +56,19 @@ class CollisionDetector:
         return sorted(set(boxes[boxes >= 0].tolist()))
 
     @property
+    def depth_in_floor(self) -> float:
+        """Largest depth to which the car is in the floor, m; 0 without a contact."""
+        contact = self._data.contact
+        on_floor = self._of_car[contact.geom].any(axis=1) & self._floor[contact.geom].any(axis=1)
+        depths: list[float] = (-contact.dist[on_floor]).tolist()
+        return max([0.0, *depths])
+
+    @property
     def may_have_collision(self) -> bool:
         """Whether there may be a contact between car and obstacle, by the number of solver rows; no false negatives."""
         data = self._data
+        if not self._by_rows:
+            return bool(data.ncon)
         return bool(data.nefc - data.nf - data.nl != ROWS * data.ncon)
 
     def first(self, time: float) -> Collision | None:

@@ -5,12 +5,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import mujoco
 import numpy as np
 
 from kraft.scenario import Scenario
 from kraft.scenario.truth import SpeedBump, Tilt
 from ompl_ext.arrays import Floats, Matrix
+
+
+def quaternion(rotation: Matrix) -> Any:
+    """Unit quaternion (w, x, y, z) of a rotation (3, 3)."""
+    result = np.empty(4)
+    mujoco.mju_mat2Quat(result, rotation.ravel())
+    return result
+
+
+def yaw_quaternion(yaw: float) -> list[float]:
+    """Unit quaternion (w, x, y, z) of a rotation about the vertical (rad)."""
+    return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 
 from kraft.gl import offscreen_context
 from kraft.simulation.camera import HALF_MARKER
-from kraft.simulation.car import FRONT, MARKER_HEIGHT, REAR, SIDE
+from kraft.simulation.car import MARKER_HEIGHT, MUSHR
 from kraft.simulation.optics import HEIGHT, PURPOSE, WIDTH, Lens, View, opencv, rotation_about, tag_cells
 from ompl_ext.arrays import Floats, Matrix
 
@@ -259,7 +259,7 @@ def _model(cells: Matrix, side: float, height: float) -> Any:
     count = len(cells)
     cell = side / count
     plate((0.0, 0.0), (200.0, 200.0), -height, FLOOR)
-    plate((0.5 * (FRONT + REAR), 0.0), (FRONT - REAR, 2.0 * SIDE), -2 * THICKNESS, ROOF)
+    plate((0.5 * (MUSHR.front + MUSHR.rear), 0.0), (MUSHR.front - MUSHR.rear, 2.0 * MUSHR.side), -2 * THICKNESS, ROOF)
     plate((0.0, 0.0), (side + 2 * cell, side + 2 * cell), -THICKNESS, PAPER)
     for row, line in enumerate(cells):
         edges = np.flatnonzero(np.diff(line == 0, prepend=False, append=False)).reshape(-1, 2)

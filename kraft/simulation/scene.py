@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from typing import Any, Final
 
 import mujoco
@@ -12,15 +13,14 @@ import numpy as np
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Polygon, Scenario
 from kraft.scenario.truth import FrictionPatch, MovableBox, SpeedBump
 from kraft.simulation import appearance, contacts
-from kraft.simulation.car import GRAVITY, add_car
-from kraft.simulation.car_visuals import add_car_visuals
-from kraft.simulation.floor_frame import FloorFrame
+from kraft.simulation.car import GRAVITY
+from kraft.simulation.collision import FLOOR
+from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion
 from ompl_ext.arrays import Matrix
 from ompl_ext.triangulate import triangles
 
 BOX, CYLINDER, MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH
 
-FLOOR: Final = "floor"
 PATCH_RISE: Final = 0.001
 """Height of a friction patch above the floor (m), so that a wheel on it does not touch the floor as well."""
 PATCH_DEPTH: Final = 0.05
@@ -33,11 +33,14 @@ WALL_RATIO: Final = 10.0
 """A box this many times longer than wide is painted as a wall."""
 
 
-def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> Any:
-    """Add the floor and all that stands on it; returns the floor's body.  Obstacle i has geoms "obstacle i part j"."""
+def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame, grip: float = 1.0) -> Any:
+    """Add the floor and all that stands on it; returns the floor's body.  Obstacle i has geoms "obstacle i part j".
+
+    `grip` is a factor on the friction of floor, bumps and patches, that of the robot's tyres.
+    """
     ground = _add_body(spec, FLOOR, frame)
     truth = scenario.truth
-    friction = contacts.friction(truth.floor_friction)
+    friction = contacts.friction(truth.floor_friction * grip)
     ground.add_geom(
         name=FLOOR,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -47,7 +50,7 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> Any:
         **contacts.settings(**contacts.FLOOR),
     )
     for i, patch in enumerate(truth.friction_patches):
-        _add_patch(ground, i, patch)
+        _add_patch(ground, i, patch, grip)
     for i, bump in enumerate(truth.speed_bumps):
         _add_bump(ground, i, bump, friction)
     separate = len(scenario.obstacles) <= MAX_SEPARATE_BODIES
@@ -58,26 +61,14 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame) -> Any:
     return ground
 
 
-def quaternion(rotation: Matrix) -> Any:
-    """Unit quaternion (w, x, y, z) of a rotation (3, 3)."""
-    result = np.empty(4)
-    mujoco.mju_mat2Quat(result, rotation.ravel())
-    return result
-
-
-def yaw_quaternion(yaw: float) -> list[float]:
-    """Unit quaternion (w, x, y, z) of a rotation about the vertical (rad)."""
-    return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
-
-
-def _add_patch(ground: Any, i: int, patch: FrictionPatch) -> None:
+def _add_patch(ground: Any, i: int, patch: FrictionPatch, grip: float) -> None:
     (x0, x1), (y0, y1) = patch.x, patch.y
     ground.add_geom(
         name=f"patch {i}",
         type=BOX,
         pos=[(x0 + x1) / 2, (y0 + y1) / 2, PATCH_RISE - PATCH_DEPTH],
         size=[(x1 - x0) / 2, (y1 - y0) / 2, PATCH_DEPTH],
-        friction=contacts.friction(patch.friction),
+        friction=contacts.friction(patch.friction * grip),
         material="ice",
         **contacts.settings(**contacts.PATCH),
     )
@@ -166,8 +157,22 @@ def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: Floo
     body.add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
 
 
-def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
-    """Compile the world of a scenario; returns a `mujoco.MjModel`."""
+def set_friction(model: Any, scenario: Scenario, floor_friction: float, grip: float) -> None:
+    """Set the friction of the floor, with that of the bumps on it and of the boxes that slide on it."""
+    truth = scenario.truth
+    for name in (FLOOR, *(f"bump {i}" for i in range(len(truth.speed_bumps)))):
+        model.geom(name).friction[:] = contacts.friction(floor_friction * grip)
+    for i, box in enumerate(truth.movable_boxes):
+        model.geom(f"movable {i}").friction[:] = contacts.friction(min(box.friction, floor_friction))
+
+
+def build(
+    scenario: Scenario, frame: FloorFrame, timestep: float, add_robot: Callable[[Any], None], grip: float = 1.0
+) -> Any:
+    """Compile the world of a scenario with the robot that `add_robot` adds; returns a `mujoco.MjModel`.
+
+    `grip` is a factor on the friction of the floor, that of the robot's tyres.
+    """
     spec = mujoco.MjSpec()
     spec.modelname = scenario.name
     spec.compiler.degree = False
@@ -187,9 +192,9 @@ def build(scenario: Scenario, frame: FloorFrame, timestep: float) -> Any:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # a single body needs no search for islands
     appearance.add_materials(spec)
     appearance.add_light(spec, scenario)
-    ground = add_scene(spec, scenario, frame)
+    ground = add_scene(spec, scenario, frame, grip)
     appearance.add_surroundings(spec, ground, scenario, frame)
-    add_car_visuals(spec, add_car(spec, scenario.truth.vehicle))
+    add_robot(spec)
     with warnings.catch_warnings():  # a box that touches the car is awake from the start, as it should be
         warnings.filterwarnings("ignore", message=".*could be slept")
         return spec.compile()

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import copy
 import math
-from functools import lru_cache
+from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
 from kraft.errors import Code, Defect, InputError
-from kraft.scenario import Scenario, Start
-from kraft.simulation import car as drivetrain
-from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, sag
+from kraft.scenario import Goal, Scenario, Start
+from kraft.scenario.truth import VehicleGap
+from kraft.simulation.car import MARKER, design_of
 from kraft.simulation.collision import Collision, CollisionDetector
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.simulation.scene import build, quaternion, yaw_quaternion
+from kraft.simulation.robots import SimulatedCar, SimulatedRobot
+from kraft.simulation.scene import build, set_friction
+from kraft.vehicles.robot import CarDimensions
 from ompl_ext.arrays import Floats, Matrix
 
 TIMESTEP: Final = 0.002
@@ -38,48 +41,45 @@ class World:
 
     dt: Final = TIMESTEP
 
-    def __init__(self, scenario: Scenario) -> None:
-        """Build the world with the car at the start.
+    def __init__(self, scenario: Scenario, robot: SimulatedRobot | None = None) -> None:
+        """Build the world with a robot at the start, by default the scenario's car.
 
         Raises:
-            InputError: if a movable box overlaps the car at the start.
+            InputError: if a movable box overlaps the robot at the start.
         """
-        truth = scenario.truth
+        robot = robot or SimulatedCar(design_of(scenario.truth.car or CarDimensions()))
+        self.controls: Final = robot.controls
+        truth, self._scenario = scenario.truth, scenario
+        self._states = truth.states
         self.frame: Final = FloorFrame.of(truth.tilt)
-        self.model: Final[Any] = copy.copy(_compiled(scenario))
+        self.model: Final[Any] = copy.copy(_compiled(scenario, robot))
         self.data: Final[Any] = mujoco.MjData(self.model)
-        self._start, self._goal, self._truth_vehicle = scenario.start, scenario.goal, truth.vehicle
-        self._contacts = CollisionDetector(self.model, self.data, scenario, self.frame)
-        self._body, self._marker = self.data.body(CAR), self.data.site(MARKER)
-        self._joint = self.data.joint(CAR)
-        self._velocity = self._joint.qvel[:3]  # a view, as all that MuJoCo's objects hand out
+        self._start, self._goal = scenario.start, scenario.goal
+        self._state, self._following = self._states[0], 1
+        self._contacts = CollisionDetector(self.model, self.data, scenario, self.frame, robot)
+        self._body, self._marker = self.data.body(robot.body), self.data.site(MARKER)
+        self._robot, self._grip = robot.bind(self.model, self.data), robot.grip
         self._movable = [self.data.body(f"movable {i}") for i in range(len(truth.movable_boxes))]
-        inputs = self.model.actuator_ctrladr
-        self._motor = inputs[self.model.actuator(DRIVE).id]
-        self._servos = [inputs[self.model.actuator(f"{name} servo").id] for name in STEERED]
         self._collision: Collision | None = None
         self._steps = 0
         self.reset()
         self._check_start(scenario)
 
     def reset(self, start: Start | None = None) -> None:
-        """Return to time 0 and to `start` (the scenario's if None), with zero throttle and straight wheels."""
+        """Return to time 0 and to `start` (the scenario's if None), with zero controls."""
+        if self._following > 1:
+            self._set_state(0)
         mujoco.mj_resetData(self.model, self.data)
-        self._place(self._start if start is None else start)
-        self.apply(0.0, 0.0)
+        self._robot.place(self._start if start is None else start, self.frame, self._state.vehicle)
+        self.apply([0.0] * len(self.controls))
         mujoco.mj_step1(self.model, self.data)
         self._steps = 0
         self._collision = self._contacts.first(0.0)
 
-    def apply(self, throttle: float, steering: float) -> None:
-        """Hold a command from now on; it is clamped to throttle in [-1, 1] and steering angle in [-0.38, 0.38] rad."""
-        stop = drivetrain.STEERING_MAX
-        commanded = min(max(steering, -stop), stop)
-        true = commanded * self._truth_vehicle.steering_scale + self._truth_vehicle.steering_offset
-        left, right = drivetrain.wheel_angles(drivetrain.LINKAGE * min(max(true, -stop), stop))
-        control = self.data.ctrl
-        control[self._motor] = self._truth_vehicle.drive_scale * drivetrain.wheel_torque(throttle)
-        control[self._servos[0]], control[self._servos[1]] = left, right
+    def apply(self, control: Floats | Sequence[float]) -> None:
+        """Hold a control from now on, in the order of `controls`, clamped to what the robot can do."""
+        self._command = [float(value) for value in control]
+        self._robot.apply(self._command, self._state.vehicle)
 
     def step(self, steps: int) -> None:
         """Advance by `steps` of `dt`, or to the first collision; after that nothing moves.
@@ -87,8 +87,15 @@ class World:
         Raises:
             Defect: the physics diverged.
         """
-        if self._collision is not None:
-            return
+        end = self._steps + steps
+        while self._steps < end and self._collision is None:
+            if self._steps == self._next_change:
+                self._change()
+            after = self._next_change
+            self._advance((end if after is None else min(end, after)) - self._steps)
+
+    def _advance(self, steps: int) -> None:
+        """Advance by `steps` or to the first collision, without changes of the world."""
         model, data, contacts = self.model, self.data, self._contacts
         for _ in range(steps):
             # in this order positions and contacts are those of the new time
@@ -103,9 +110,34 @@ class World:
             raise Defect(f"the simulated world diverged before t = {self.time:.3f} s")
 
     @property
+    def _next_change(self) -> int | None:
+        """Physics step of the next change of the world; None without one."""
+        if self._following >= len(self._states):
+            return None
+        return steps_of(self._states[self._following].time, TIMESTEP)
+
+    def _change(self) -> None:
+        """Apply the next change of the world; the held command acts on the changed car."""
+        self._set_state(self._following)
+        self.apply(self._command)
+        mujoco.mj_step1(self.model, self.data)  # contacts and inertia of the present time are those after the change
+
+    def _set_state(self, number: int) -> None:
+        """Set what can change during the drive to state `number` of the scenario's truth."""
+        self._state, self._following = self._states[number], number + 1
+        set_friction(self.model, self._scenario, self._state.floor_friction, self._grip)
+        self._robot.change(self._state.vehicle)
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+
+    @property
     def time(self) -> float:
         """Time since the start, s."""
         return self._steps * TIMESTEP
+
+    @property
+    def gap(self) -> VehicleGap:
+        """How the true car differs from its model now."""
+        return self._state.vehicle
 
     @property
     def steps(self) -> int:
@@ -114,15 +146,20 @@ class World:
 
     @property
     def pose(self) -> Floats:
-        """Position (m) midway between the axles and heading (rad) in the floor's frame, (3,)."""
+        """Position (m) of the robot's body and heading (rad) in the floor's frame, (3,)."""
         return np.array(self._planar(self._body))
 
     @property
     def speed(self) -> float:
-        """Speed of the point midway between the axles along the car's heading in the floor's frame, m/s."""
+        """Speed of the robot's body along its heading in the floor's frame, m/s."""
         forward = self.frame.along_floor(self._body.xmat[0::3])
-        velocity = self.frame.along_floor(self._velocity)
+        velocity = self.frame.along_floor(self._robot.velocity)
         return (forward[0] * velocity[0] + forward[1] * velocity[1]) / math.hypot(*forward)
+
+    @property
+    def components(self) -> dict[str, float]:
+        """True components of a vehicle's state beside pose and speed, by name: the turning rate, rad/s."""
+        return {"omega": float(self.frame.normal @ self._body.cvel[:3])}
 
     @property
     def marker(self) -> tuple[Floats, Matrix]:
@@ -142,12 +179,12 @@ class World:
     @property
     def in_goal(self) -> bool:
         """Whether the true pose is within the goal region, including the heading if the goal has one."""
-        (x, y, theta), goal = self._planar(self._body), self._goal
-        if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
-            return False
-        if goal.heading is None or goal.heading_tolerance is None:
-            return True
-        return abs(math.remainder(theta - goal.heading, 2 * math.pi)) <= goal.heading_tolerance
+        return is_in_goal(self._goal, *self._planar(self._body))
+
+    @property
+    def depth_in_floor(self) -> float:
+        """Largest depth to which the robot is in the floor, m."""
+        return self._contacts.depth_in_floor
 
     @property
     def configuration(self) -> Floats:
@@ -169,19 +206,6 @@ class World:
             diagnostic = scenario.source.diagnostic
             raise InputError(diagnostic(key, problem, expected, code=Code.GEOMETRY) for key in keys)
 
-    def _place(self, start: Start) -> None:
-        """Place the car on the floor, with its speed and the spin of its wheels."""
-        rotation, sunk = self.frame.rotation, sag(self._truth_vehicle)
-        upright = np.empty(4)
-        mujoco.mju_mulQuat(upright, quaternion(rotation), np.array(yaw_quaternion(start.heading)))
-        self._joint.qpos[:3] = self.frame.to_world(np.array([start.x, start.y, -sunk]))
-        self._joint.qpos[3:] = upright
-        direction = np.array([math.cos(start.heading), math.sin(start.heading), 0.0])
-        self._joint.qvel[:3] = start.speed * rotation @ direction
-        for name in WHEELS:
-            self.data.joint(f"{name} suspension").qpos[:] = sunk
-            self.data.joint(f"{name} spin").qvel[:] = start.speed / drivetrain.WHEEL_RADIUS
-
     def _planar(self, body: Any) -> tuple[float, float, float]:
         x, y = self.frame.along_floor(body.xpos - self.frame.origin)
         ahead, left = self.frame.along_floor(body.xmat[0::3])
@@ -189,9 +213,19 @@ class World:
 
 
 @lru_cache(4)
-def _compiled(scenario: Scenario) -> Any:
+def _compiled(scenario: Scenario, robot: SimulatedRobot) -> Any:
     """Compiled model of a scenario, kept because compiling takes as long as a second of a drive; copy it before use."""
-    return build(scenario, FloorFrame.of(scenario.truth.tilt), TIMESTEP)
+    truth = scenario.truth
+    return build(scenario, FloorFrame.of(truth.tilt), TIMESTEP, partial(robot.add, gap=truth.vehicle), grip=robot.grip)
+
+
+def is_in_goal(goal: Goal, x: float, y: float, theta: float) -> bool:
+    """Whether a pose (m, rad) is within a goal region, including the heading if the goal has one."""
+    if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
+        return False
+    if goal.heading is None or goal.heading_tolerance is None:
+        return True
+    return abs(math.remainder(theta - goal.heading, 2 * math.pi)) <= goal.heading_tolerance
 
 
 def steps_of(duration: float, dt: float) -> int:

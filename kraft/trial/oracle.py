@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.dead_reckoning import DeadReckoning
 from kraft.driving.messages import Estimate, Observation
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.scenario.truth import VehicleGap
-from kraft.simulation.car import CHASSIS_MASS, EFFECTIVE_MASS
-from kraft.simulation.world import World
+from kraft.simulation.car import MUSHR
+from kraft.simulation.model_world import ModelWorld
+from kraft.simulation.true_world import TrueWorld
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
@@ -27,9 +28,16 @@ class OracleEstimator:
 
     belief: Final = None
 
-    def __init__(self, world: World, command_delay: float, model: CarModel, start_state: Floats) -> None:
-        """Estimate the state of `world`, whose commands act `command_delay` s after they are sent."""
+    def __init__(
+        self, world: TrueWorld, command_delay: float, vehicle: Vehicle, model: VehicleModel, start_state: Floats
+    ) -> None:
+        """Estimate the state of `world`, whose commands act `command_delay` s after they are sent.
+
+        `model` is that of the true car at the begin of the drive, `vehicle` that of the car which the model was
+        identified on: if the car changes, the parameters of `model` follow.
+        """
         self._world, self._model, self.horizon = world, model, command_delay
+        self._vehicle, self._gap = vehicle, world.gap
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
 
     def observe(self, observation: Observation) -> None:
@@ -42,14 +50,33 @@ class OracleEstimator:
     def estimate(self, time: float) -> Estimate:
         """State at `time` (s) plus the delay."""
         state, model = self._reckoning.at(time), self._model
-        state[[model.x, model.y, model.theta]] = self._world.pose
+        for name, value in self._world.components.items():
+            if (k := model.vehicle.index(name)) >= 0:
+                state[k] = value
+        state[model.pose] = self._world.pose
         state[model.v] = self._world.speed
         self._reckoning.reset(time, state)
         return Estimate(time + self.horizon, self._reckoning.at(time + self.horizon), 0.0)
 
     def replanning_estimate(self, time: float) -> Estimate:
-        """State at `time` (s) plus the delay."""
-        return self.estimate(time)
+        """State at `time` (s) plus the delay, with the parameters of the car if they have changed."""
+        parameters = None
+        if self._world.gap != self._gap:
+            self._gap = self._world.gap
+            parameters = true_vehicle(self._vehicle, self._gap).parameter_array
+            self._model.set_parameters(parameters)
+        return replace(self.estimate(time), parameters=parameters)
+
+
+def true_model(vehicle: Vehicle, world: TrueWorld, gap: VehicleGap) -> Vehicle:
+    """Model with the parameters of the true robot, as far as they are known.
+
+    Raises:
+        InputError: as `true_vehicle`.
+    """
+    if isinstance(world, ModelWorld) and world.truth.hash == vehicle.hash:
+        return vehicle.with_parameters(world.truth.parameters)
+    return true_vehicle(vehicle, gap)
 
 
 def true_vehicle(vehicle: Vehicle, gap: VehicleGap) -> Vehicle:
@@ -73,5 +100,5 @@ def true_vehicle(vehicle: Vehicle, gap: VehicleGap) -> Vehicle:
     values["u_0"] = friction / drive
     values["L"] /= gap.steering_scale
     values["phi_diff"] += gap.steering_offset / gap.steering_scale
-    values["tau"] *= 1.0 + CHASSIS_MASS * (gap.mass_scale - 1.0) / EFFECTIVE_MASS
+    values["tau"] *= 1.0 + MUSHR.chassis_mass * (gap.mass_scale - 1.0) / MUSHR.effective_mass
     return replace(vehicle, parameters=values, top_speed=values["v_delta"])

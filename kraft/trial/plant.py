@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from kraft.driving.messages import Observation
 from kraft.scenario import Scenario
 from kraft.simulation.camera import Camera, MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.world import Ticks, World, steps_of
+from kraft.simulation.true_world import TrueWorld
+from kraft.simulation.world import Ticks, steps_of
+from ompl_ext.arrays import Floats
 
 
 class Radio:
@@ -47,12 +50,15 @@ class Plant:
     A drive repeats: `expose` if `frame_due`, `send` if `command_due`, then `advance`.
     """
 
-    def __init__(self, world: World, scenario: Scenario, seed: int, command_rate: float) -> None:
+    def __init__(
+        self, world: TrueWorld, scenario: Scenario, controls: Iterable[str], seed: int, command_rate: float
+    ) -> None:
         """Connect camera and command delay to a world.
 
         Args:
             world: the world, at time 0.
             scenario: the world's; its `sensing` has rate and errors of the camera and the delay of the commands.
+            controls: names of the vehicle's controls in their order, the same as those of the world.
             seed: of the camera's errors.
             command_rate: commands per second.
 
@@ -65,7 +71,9 @@ class Plant:
         self._camera = _camera(world, scenario, seed)
         self._frames, self._ticks = Ticks(sensing.rate_hz, world.dt), Ticks(command_rate, world.dt)
         self._delay = steps_of(sensing.command_delay, world.dt)
-        self._commands: deque[tuple[int, float, float]] = deque()
+        names = tuple(controls)
+        self._order = [names.index(name) for name in world.controls]
+        self._commands: deque[tuple[int, Floats]] = deque()
 
     @property
     def frame_due(self) -> bool:
@@ -82,23 +90,22 @@ class Plant:
         self._frames.number += 1
         return self._camera.expose(self.world.time, *self.world.marker)
 
-    def send(self, throttle: float, steering: float) -> None:
-        """Send the due command; it takes effect after the scenario's command delay."""
+    def send(self, control: Floats) -> None:
+        """Send the due control (nu,) of the vehicle; it takes effect after the scenario's command delay."""
         self._ticks.number += 1
-        self._commands.append((self.world.steps + self._delay, throttle, steering))
+        self._commands.append((self.world.steps + self._delay, control[self._order]))
 
     def advance(self, until: int) -> None:
         """Apply the commands whose delay is over and step to the next event, at most to physics step `until`."""
         world, commands = self.world, self._commands
         while commands and commands[0][0] <= world.steps:
-            _, throttle, steering = commands.popleft()
-            world.apply(throttle, steering)
+            world.apply(commands.popleft()[1])
         arrival = commands[0][0] if commands else until
         due = min(until, arrival, self._ticks.due, self._frames.due)
         world.step(max(due - world.steps, 1))
 
 
-def _camera(world: World, scenario: Scenario, seed: int) -> Camera:
+def _camera(world: TrueWorld, scenario: Scenario, seed: int) -> Camera:
     """Camera of the scenario's preset."""
     if scenario.sensing.preset != "rendered":
         return MarkerCamera(scenario.sensing, MARKER_HEIGHT, seed)

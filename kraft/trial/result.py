@@ -14,7 +14,8 @@ from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
 from kraft.trial.measures import Measures, Step
-from kraft.vehicles.load import load_vehicle
+from kraft.vehicles import is_car
+from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
 
@@ -67,14 +68,16 @@ class TrialSpec:
         loaded, loaded_method = load_scenario(scenario, settings), load_method(method)
         reference = vehicle_reference(loaded, loaded_method, vehicle)
         model = load_planning_vehicle(loaded, reference)
-        check_vehicle(loaded_method, model, own=vehicle is None and loaded_method.planner.vehicle is not None)
+        check_vehicle(loaded_method, model, own=reference not in (vehicle, loaded.vehicle))
+        check_robot(loaded, model)
         return cls(loaded, loaded_method, model, seed)
 
 
 def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = None) -> str:
     """Reference of the model that the robot plans with: `vehicle`, else the method's own, else the scenario's.
 
-    A path in a method file is relative to that file.
+    The method's own is used if it is a model of the robot that the scenario's vehicle is a model of.  A path in a
+    method file is relative to that file.
 
     Raises:
         InputError: if the method's reference is wrong, reported at its line.
@@ -82,10 +85,21 @@ def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = 
     if vehicle is not None or method.planner.vehicle is None:
         return vehicle or scenario.vehicle
     try:
-        return resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
+        own = resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
     except VehicleProblem as error:
         problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
         raise InputError([problem]) from None
+    return (
+        own
+        if own == scenario.vehicle or _are_of_one_robot(load_vehicle(own), vehicle_of_task(scenario))
+        else (scenario.vehicle)
+    )
+
+
+def _are_of_one_robot(one: Vehicle, other: Vehicle) -> bool:
+    """Whether two vehicles are models of the same robot: the same is true of both where a scenario states nothing."""
+    (robot, _), (other_robot, _) = natural_robot(one), natural_robot(other)
+    return robot == other_robot and sorted(one.controls) == sorted(other.controls)
 
 
 def load_planning_vehicle(scenario: Scenario, reference: str) -> Vehicle:
@@ -95,6 +109,19 @@ def load_planning_vehicle(scenario: Scenario, reference: str) -> Vehicle:
         InputError: if it cannot be loaded.
     """
     return vehicle_of_task(scenario) if reference == scenario.vehicle else load_vehicle(reference)
+
+
+def check_robot(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Check that the true robot of a scenario can be simulated there and takes the controls of the planning model.
+
+    Raises:
+        InputError: at the line that states the robot, if not.
+    """
+    kind = scenario.truth.kind or natural_robot(vehicle)[0].kind
+    if kind != "car" or not is_car(vehicle):
+        from kraft.simulation.true_world import check_world  # loads the simulator
+
+        check_world(scenario, vehicle)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
+from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.messages import Commitment, Cycle, Observation
@@ -21,19 +21,23 @@ from kraft.driving.on_board import OnBoard
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
-from kraft.simulation.world import World
+from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.measures import ClosestApproach, Measures, Step, measure
-from kraft.trial.oracle import OracleEstimator, true_vehicle
+from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio, level_camera
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
-OnStep = Callable[[World, Step], None]
+OnStep = Callable[[TrueWorld, Step], None]
 
 
 def run_trial(
-    spec: TrialSpec, on_cycle: OnCycle | None = None, on_step: OnStep | None = None, keep_trees: bool = False
+    spec: TrialSpec,
+    on_cycle: OnCycle | None = None,
+    on_step: OnStep | None = None,
+    keep_trees: bool = False,
+    world: TrueWorld | None = None,
 ) -> TrialResult:
     """Drive until the goal, a collision or the time limit.
 
@@ -42,13 +46,14 @@ def run_trial(
         on_cycle: called with each cycle when it is committed.
         on_step: called with the world after each tick of the controller.
         keep_trees: keep a copy of the planner's tree in each cycle.
+        world: world at time 0 to drive in; that of the scenario is made if None.
 
     Raises:
-        InputError: if the model is not of a car with throttle and steering, or the camera does not see the car.
+        InputError: if the true robot cannot be simulated there or takes other controls, or the camera does not see it.
         MissingDependency: if frames of the camera are rendered and OpenCV or OpenGL is missing.
         Defect: if a plan fails its verification.
     """
-    trial = _Trial(spec, keep_trees)
+    trial = _Trial(spec, keep_trees, world or world_of(spec.scenario, spec.vehicle, spec.seed))
     log = _Log(on_cycle, on_step)
     while (outcome := trial.outcome) is None:
         trial.observe(log)
@@ -86,16 +91,16 @@ class _Log:
 class _Trial:
     """Simulated world and robot of a trial, and the messages on their way between them."""
 
-    def __init__(self, spec: TrialSpec, keep_trees: bool) -> None:
+    def __init__(self, spec: TrialSpec, keep_trees: bool, world: TrueWorld) -> None:
         scenario, method = spec.scenario, spec.method
-        self.world = World(scenario)
-        self._plant = Plant(self.world, scenario, spec.seed, method.controller.rate_hz)
+        self.world = world
         settings, vehicle = method.estimator, spec.vehicle
+        self._plant = Plant(self.world, scenario, vehicle.controls, spec.seed, method.controller.rate_hz)
         if isinstance(settings, Oracle):
-            vehicle = true_vehicle(vehicle, scenario.truth.vehicle)
-        model, start = CarModel(vehicle), start_state(scenario.task(), vehicle)
+            vehicle, *_ = (true_model(vehicle, world, state.vehicle) for state in scenario.truth.states)
+        model, start = model_of(vehicle), start_state(scenario.task(), vehicle)
         self._estimator: Estimator = (
-            OracleEstimator(self.world, scenario.sensing.command_delay, model, start)
+            OracleEstimator(self.world, scenario.sensing.command_delay, spec.vehicle, model, start)
             if isinstance(settings, Oracle)
             else make_estimator(settings, model, start, level_camera(scenario))
         )
@@ -172,7 +177,7 @@ class _Trial:
             return
         estimate = self._estimator.estimate(now)
         command = self._controller.command(estimate, self._on_board.reference(estimate))
-        self._plant.send(float(command[0]), float(command[1]))
+        self._plant.send(command)
         self._estimator.commanded(now, command)
         pose = self._true_pose
         self.approach.add(*pose)
@@ -186,7 +191,7 @@ class _Trial:
         """Measures of what the method promised."""
         model = self._model
         return measure(
-            log.cycles, log.steps, model.vehicle.footprint, (model.x, model.y, model.theta),
+            log.cycles, log.steps, model.vehicle.footprint, model.pose,
             self._radio.lost, self._errors_squared, self._on_board.stops,
         )  # fmt: skip
 

@@ -23,6 +23,7 @@ from kraft.config.validation import build, describe, read_model
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles.reference import is_attribute, split_file
+from kraft.vehicles.robot import Robot, with_files
 from ompl_ext.vehicle import ParameterRange
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
@@ -67,6 +68,8 @@ class VehicleConfig(StrictModel):
     """speed that the vehicle never exceeds, m/s, or the parameter that is that speed"""
     gravity_share: Annotated[float, Field(gt=0, le=1)] | None = None
     """share of gravity along a slope that accelerates the vehicle; the rest the inertia of the drive takes"""
+    truth: Robot | None = None
+    """the true robot in trials whose scenario states none {car} or {mjcf, body, actuators, geoms} or {model}"""
     identification: IdentificationRecord | None = None
     """where the parameters come from, as `kraft sysid` writes it"""
 
@@ -143,6 +146,8 @@ def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
     path = bundled.find("vehicle", name_or_path)
     config, document = read_model(path, VehicleConfig)
     config._source = document.source  # a private attribute, which a frozen model allows to set
+    if config.truth is not None and (problems := with_files(config.truth, path.parent, document.source)[1]):
+        raise InputError(problems)
     return config
 
 

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from kraft.config.source import Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
+from kraft.vehicles import is_car
 from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from kraft.vehicles.robot import CarDimensions, Robot, with_files
 from ompl_ext.vehicle import Footprint, Vehicle
 
 
@@ -68,7 +71,28 @@ def configured(config: VehicleConfig) -> Vehicle:
         top_speed=config.speed_limit,
         ranges=config.ranges,
         gravity_share=config.gravity_share,
+        file=config.source.file,
     )
+
+
+def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:
+    """True robot where a scenario states none, with the source of the file that says so.
+
+    It is the one in the vehicle's file, else the MuSHR for a car, and else the vehicle's own model.
+    """
+    if vehicle.file:
+        config = load_vehicle_config(Path(vehicle.file))
+        if config.truth is not None:
+            files, _ = with_files(config.truth, Path(vehicle.file).parent, config.source)
+            return config.truth.model_copy(update=files), config.source
+    return Robot(car=CarDimensions()) if is_car(vehicle) else Robot(), Source(vehicle.file or vehicle.name)
+
+
+def problem_of(vehicle: Vehicle, key: str, problem: str, expected: str, code: Code) -> Diagnostic:
+    """Diagnostic at a key of a vehicle's file, or about the vehicle if it has none."""
+    if vehicle.file:
+        return load_vehicle_config(Path(vehicle.file)).source.diagnostic(key, problem, expected, code=code)
+    return Diagnostic(vehicle.name, problem, expected, code=code)
 
 
 def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicle:

@@ -15,7 +15,7 @@ from kraft.driving.messages import Cycle
 from kraft.files import write_whole
 from kraft.gl import check_video, offscreen_context
 from kraft.scenario import Bounds
-from kraft.simulation.world import World
+from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
@@ -53,7 +53,7 @@ class VideoRecorder:
         self._snapshots = SnapshotRecorder(spec)
         self._overlay = Overlay(spec, SIZE, self._map_width)
         self._renderer: SceneRenderer | None = None
-        self._world: World | None = None
+        self._world: TrueWorld | None = None
         self._file = Mp4Writer(path, SIZE, FPS)
 
     def __enter__(self) -> Self:
@@ -70,7 +70,7 @@ class VideoRecorder:
         """For `run_trial`."""
         self._snapshots.on_cycle(cycle)
 
-    def on_step(self, world: World, step: Step) -> None:
+    def on_step(self, world: TrueWorld, step: Step) -> None:
         """For `run_trial`; adds a picture of the world if a frame is due."""
         self._gl.make_current()  # a camera that renders has its own context
         if self._renderer is None:
@@ -119,7 +119,7 @@ def write_still(path: Path, spec: TrialSpec, time: float) -> None:
     side, snapshots = map_width(spec.scenario.bounds), SnapshotRecorder(spec)
     gl = offscreen_context(*SIZE)
 
-    def on_step(world: World, step: Step) -> None:
+    def on_step(world: TrueWorld, step: Step) -> None:
         snapshot = snapshots.on_step(world, step)
         if world.time >= time - 1e-6:
             gl.make_current()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kraft.driving.messages import Cycle
 from kraft.scenario import Bounds
 from kraft.simulation.floor_frame import Surface
-from kraft.simulation.world import World
+from kraft.simulation.true_world import TrueWorld
 from kraft.trial.result import TrialSpec
 from kraft.video.drawing import Pen, draw_collision, draw_cycle, draw_snapshot
 from kraft.video.mp4 import Image
@@ -52,7 +52,7 @@ SOLID: Final = np.array([1, 1, 0, 0, 0, 0], np.uint8)
 class View:
     """One scene with one camera in one part of the picture."""
 
-    def __init__(self, world: World, pen_of: Callable[[Any], Pen], part: tuple[int, int, int, int]) -> None:
+    def __init__(self, world: TrueWorld, pen_of: Callable[[Any], Pen], part: tuple[int, int, int, int]) -> None:
         """`part` is left, bottom, width and height, px."""
         self.scene: Any = mujoco.MjvScene(world.model, GEOMS_MAX)
         self.pen = pen_of(self.scene)
@@ -92,7 +92,7 @@ class View:
 class SceneRenderer:
     """Both views of a trial.  Needs a current graphics context; `close` frees its buffers."""
 
-    def __init__(self, world: World, spec: TrialSpec, size: tuple[int, int], map_width: int, foot: int) -> None:
+    def __init__(self, world: TrueWorld, spec: TrialSpec, size: tuple[int, int], map_width: int, foot: int) -> None:
         """`size` is the picture's width and height, px.
 
         The map takes `map_width` of it at the right; beside it `foot` stays free below the view from behind.
@@ -169,7 +169,7 @@ class ChaseCamera:
         self._heading = self._rate = 0.0
         self._elevation = MIN_ELEVATION
 
-    def aim(self, world: World) -> Aim:
+    def aim(self, world: TrueWorld) -> Aim:
         """Aim at the present time; calls have to be in the order of time."""
         x, y, theta = map(float, world.pose)
         self._turn(world.time, theta)
@@ -201,7 +201,7 @@ class ChaseCamera:
         share = 1.0 - math.exp(-self._dt / SETTLING)
         self._elevation = max(elevation, self._elevation + (elevation - self._elevation) * share)
 
-    def _clear_elevation(self, world: World, x: float, y: float) -> float:
+    def _clear_elevation(self, world: TrueWorld, x: float, y: float) -> float:
         """Lowest elevation from which nothing hides the roof."""
         roof = np.array([x, y, ROOF])
         start, hit = world.frame.to_world(roof), np.zeros(1, np.int32)
@@ -222,7 +222,7 @@ def _level_axes(sight: Floats) -> tuple[Floats, Floats]:
     return forward, np.cross(right, forward)
 
 
-def map_aim(world: World, bounds: Bounds, aspect: float) -> Aim:
+def map_aim(world: TrueWorld, bounds: Bounds, aspect: float) -> Aim:
     """From above, square to the floor, without perspective; `aspect` is the picture's width over its height.
 
     +y points up in the picture, or +x if the scene is wider than high.

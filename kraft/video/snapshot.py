@@ -8,7 +8,7 @@ import numpy as np
 
 from kraft.driving.messages import Cycle, as_driven
 from kraft.planning.workspace import workspace_of
-from kraft.simulation.world import World
+from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
 from ompl_ext.arrays import Floats, Matrix
@@ -53,12 +53,12 @@ class SnapshotRecorder:
         self._cycles.append(cycle)
         self._committed.append(as_driven(self._cycles)[-1])
 
-    def on_step(self, world: World, step: Step) -> Snapshot:
+    def on_step(self, world: TrueWorld, step: Step) -> Snapshot:
         """Record a tick of the controller and return the snapshot at it."""
         self._estimate = poses_of(step.estimate[None, :], self._vehicle)[0]
         return self.now(world)
 
-    def now(self, world: World) -> Snapshot:
+    def now(self, world: TrueWorld) -> Snapshot:
         """Snapshot of the world as it is; the estimate is that of the last tick."""
         while self._committed and self._committed[0].time <= world.time + 1e-9:
             self._cycle = self._committed.pop(0)

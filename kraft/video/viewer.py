@@ -15,7 +15,7 @@ import numpy as np
 from kraft.driving.messages import Cycle
 from kraft.gl import check_view
 from kraft.simulation.floor_frame import Surface
-from kraft.simulation.world import World
+from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.video.drawing import Pen, draw_cycle, draw_snapshot
@@ -64,7 +64,7 @@ class LiveView:
         """For `run_trial`."""
         self._snapshots.on_cycle(cycle)
 
-    def on_step(self, world: World, step: Step) -> None:
+    def on_step(self, world: TrueWorld, step: Step) -> None:
         """For `run_trial`; waits until the world's time and shows it."""
         snapshot = self._snapshots.on_step(world, step)
         if self._window is None:
@@ -84,7 +84,7 @@ class LiveView:
             self._window.sync()
             clock.sleep(HOLD)
 
-    def _open(self, world: World) -> None:
+    def _open(self, world: TrueWorld) -> None:
         """Open the window on a copy of the world's state: the viewer writes into what it shows."""
         self._data = mujoco.MjData(world.model)
         mujoco.mj_copyData(self._data, world.model, world.data)
@@ -100,7 +100,7 @@ class LiveView:
             camera.azimuth = math.degrees(float(world.pose[2]))
         self._began = clock.monotonic() - world.time
 
-    def _show(self, world: World, snapshot: Snapshot) -> None:
+    def _show(self, world: TrueWorld, snapshot: Snapshot) -> None:
         """Draw; the camera moves with the car, and the user chooses its direction."""
         assert self._pen is not None, "it is made with the window"
         x, y, theta = snapshot.pose

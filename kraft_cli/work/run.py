@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kraft.config.overrides import parse_overrides, value_text
+from kraft.driving.control import needs_steps, settings_for
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
@@ -72,7 +73,7 @@ def run_scenario(
     cell = experiment.cells[0]
     _log_details(detail, cell)
     timer.report("loaded and checked")
-    ensure_compiled(cell.vehicle, report)
+    ensure_compiled(cell.vehicle, report, steps=needs_steps(cell.method, cell.vehicle))
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
@@ -97,9 +98,11 @@ def run_scenario(
 
 def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
     detail(f"scenario {cell.scenario.name}: {cell.scenario.source.file}")
-    planner, controller = cell.method.planner, cell.method.controller
+    planner, controller = cell.method.planner, settings_for(cell.method.controller, cell.vehicle)
     detail(f"method {cell.method.name}: {cell.method.source.file}")
-    detail(f"{planner.mode}, {controller.kind} at {controller.rate_hz:g} Hz, estimator {cell.method.estimator.kind}")
+    detail(
+        f"{planner.mode}, {controller.kind} at {controller.rate_hz:g} Hz, estimator {cell.method.estimator.kind}"
+    )
     for line in vehicle_details(cell.vehicle):
         detail(line)
 
@@ -145,6 +148,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         ("scenario", result.scenario),
         ("method", run.spec.method.title),
         ("vehicle", run.spec.vehicle.name),
+        *_controller_row(run.spec),
         ("result", outcome_text(result.outcome, result.obstacle, result.time)),
         ("clearance", f"{metres(result.min_clearance, '-')} at least"),
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
@@ -156,6 +160,12 @@ def run_table(run: Run) -> list[tuple[str, str]]:
     outputs = run.request.outputs
     made = (("film", outputs.video), ("picture", outputs.plot), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]
+
+
+def _controller_row(spec: TrialSpec) -> list[tuple[str, str]]:
+    """Row about the controller, if it is not the method's own."""
+    own, used = spec.method.controller, settings_for(spec.method.controller, spec.vehicle)
+    return [] if used == own else [("controller", f"{used.kind}, because {own.kind} is a law for cars")]
 
 
 def run_command(

@@ -16,7 +16,7 @@ from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 
 if TYPE_CHECKING:
-    from kraft.simulation.world import World
+    from kraft.simulation.true_world import TrueWorld
     from kraft.video.recorder import VideoRecorder
     from kraft.video.viewer import LiveView
 
@@ -64,7 +64,7 @@ class TrialOutputs:
         self._options, self._spec, self._on_cycle = options, spec, on_cycle
         self._stack = ExitStack()
         self._recorders: list[VideoRecorder | LiveView] = []
-        self._world: World | None = None
+        self._world: TrueWorld | None = None
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:  # if the second cannot be opened, the first is closed
@@ -94,7 +94,7 @@ class TrialOutputs:
         for recorder in self._recorders:
             recorder.on_cycle(cycle)
 
-    def on_step(self, world: World, step: Step) -> None:
+    def on_step(self, world: TrueWorld, step: Step) -> None:
         """Callback of `run_trial`."""
         self._world = world
         for recorder in self._recorders:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from support.diagnostics import located, raised
+from support.paths import ROOT
 
 from kraft.config.overrides import Override, overrides_of, parse_overrides, parse_sweeps, value_text
 from kraft.errors import Code
@@ -27,6 +28,18 @@ def test_values_replace_those_of_the_file_and_missing_mappings_are_added() -> No
     assert [box.mass for box in scene.truth.movable_boxes] == [1.0, 2.0, 3.0, 1.0]
     assert (scene.goal.center, scene.goal.radius) == ((1.0, 4.0), 0.3)
     assert load_scenario("movable").sensing.noise_scale == 1.0
+
+
+def test_changes_of_the_truth_are_set_and_swept(tmp_path: Path) -> None:
+    set_to = "truth.changes=[{time: 4, floor_friction: 0.1}, {time: 5, vehicle: {mass_scale: 2}}]"
+    assert [change.time for change in with_settings(set_to).truth.changes] == [4, 5]
+    ((none, one),) = parse_sweeps(["truth.changes=[],[{time: 4, floor_friction: 0.1}]"], "vary")
+    assert [len(load_scenario("turns", [each]).truth.changes) for each in (none, one)] == [0, 1]
+    path = tmp_path / "ice.yaml"
+    text = (ROOT / "scenarios" / "turns.yaml").read_text(encoding="utf-8")
+    path.write_text(f"{text}\ntruth: {{changes: [{{time: 3, floor_friction: 0.1}}]}}\n", encoding="utf-8")
+    (times,) = parse_sweeps(["truth.changes[0].time=2,4.5"], "vary")
+    assert [load_scenario(path, [time]).truth.changes[0].time for time in times] == [2, 4.5]
 
 
 def test_python_values_do_the_same() -> None:

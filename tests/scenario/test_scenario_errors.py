@@ -92,6 +92,15 @@ def test_the_smallest_scenario_is_valid() -> None:
         ("obstacles: [{polygon: {vertices: [[0, 0], [1], [1, 1]]}}]", "5:43 obstacles[0].polygon.vertices[1] value"),
         ("obstacles: [{map: {file: none.yaml}}]", "5:26 obstacles[0].map.file not-found"),
         ("obstacles: [7]", "5:13 obstacles[0] type"),
+        ("truth: {changes: {time: 1}}", "5:18 truth.changes type"),
+        ("truth: {changes: [{floor_friction: 0.1}]}", "5:19 truth.changes[0].time missing"),
+        ("truth: {changes: [{time: 0, floor_friction: 0.1}]}", "5:26 truth.changes[0].time value"),
+        ("truth: {changes: [{time: 2}]}", "5:19 truth.changes[0] missing"),
+        ("truth: {changes: [{time: 2, vehicle: {}}]}", "5:19 truth.changes[0] missing"),
+        ("truth: {changes: [{time: 2, vehicle: {mass: 2}}]}", "5:39 truth.changes[0].vehicle.mass unknown"),
+        ("truth: {changes: [{time: 2, floor_friction: 0}]}", "5:45 truth.changes[0].floor_friction value"),
+        ("truth: {changes: [{time: 2, tilt: 0}]}", "5:29 truth.changes[0].tilt unknown"),
+        ("truth: {changes: [{time: 2, floor_friction: 1}, {time: 2, floor_friction: 2}]}", "5:56 truth.changes[1].time value"),
         ("planning: {planner: drt}", "5:21 planning.planner value"),
         ("planning: {planner: prm}", "5:21 planning.planner value"),
         ("planning: {cycle: 0}", "5:19 planning.cycle value"),
@@ -202,3 +211,12 @@ def test_no_content_of_a_section_raises_anything_but_an_input_error(section: str
 
     for problem in problems_of(with_line(f"{section}: {json.dumps(content)}")):
         str(problem).encode()
+
+
+def test_every_change_of_the_truth_that_is_out_of_order_is_reported_with_all_other_problems() -> None:
+    changes = ["time: 3, floor_friction: 1", "time: 1, floor_friction: 1", "time: x, floor_friction: 1"]
+    changes += ["time: 2, floor_friction: -1", "time: 4, floor_friction: 1", "time: 4, vehicle: {drive_scale: 1}"]
+    text = "truth: {changes: [" + ", ".join(f"{{{each}}}" for each in changes) + "]}"
+    found = {(each.path, str(each.code)) for each in problems_of(with_line(text))}
+    times = {(f"truth.changes[{k}].time", "value") for k in (1, 3, 5)}
+    assert found == {*times, ("truth.changes[2].time", "type"), ("truth.changes[3].floor_friction", "value")}

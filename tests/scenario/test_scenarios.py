@@ -274,3 +274,26 @@ def test_a_vehicle_file_is_found_beside_the_scenario(tmp_path: Path) -> None:
     (tmp_path / "car.yaml").write_text("name: car")
     (tmp_path / "scene.yaml").write_text(FULL.replace("my_robots.car:CAR", "car.yaml"))
     assert load_scenario(tmp_path / "scene.yaml").vehicle == str((tmp_path / "car.yaml").resolve())
+
+
+def test_a_change_sets_what_it_names_from_then_on() -> None:
+    second = {"time": 5, "floor_friction": 0.1, "vehicle": {"mass_scale": 1.5}}
+    changes = [{"time": 2.5, "vehicle": {"drive_scale": 0.7, "steering_offset_deg": -4}}, second]
+    truth = load_scenario("turns-real", {"truth.changes": changes}).truth
+    own, first, last = truth.states
+    assert (own.time, own.floor_friction, own.vehicle) == (0.0, truth.floor_friction, truth.vehicle)
+    assert first.vehicle == truth.vehicle.model_copy(update={"drive_scale": 0.7, "steering_offset_deg": -4})
+    assert (first.time, first.floor_friction) == (2.5, truth.floor_friction)
+    assert last.vehicle == first.vehicle.model_copy(update={"mass_scale": 1.5})
+    assert (last.time, last.floor_friction) == (5, 0.1)
+    assert truth.in_words()[-2:] == (
+        "from 2.5 s on a car with drive_scale 0.7, steering_offset_deg -4",
+        "from 5 s on a floor with friction 0.1 and a car with mass_scale 1.5",
+    )
+    assert load_scenario("turns").truth.states == (load_scenario("turns").truth.states[0],)
+
+
+def test_values_of_changes_are_set_by_their_keys() -> None:
+    given = {"truth.changes": [{"time": 4.0, "floor_friction": 0.2}]}
+    scene = load_scenario("turns", given)
+    assert scene.truth.changes[0].time == 4.0

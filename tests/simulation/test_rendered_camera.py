@@ -23,6 +23,7 @@ from kraft.simulation.rendered_camera import RenderedCamera, calibrated_side, vi
 from kraft.simulation.tag_vision import TagVision
 from kraft.simulation.world import World
 from kraft.trial.plant import Plant
+from kraft.vehicles import CAR_CONTROLS
 from ompl_ext.arrays import Matrix
 
 SCENE = load_scenario("turns")
@@ -168,7 +169,7 @@ def test_a_pose_arrives_later_by_the_latency() -> None:
 
 def test_a_plant_with_a_rendered_camera_observes_the_car() -> None:
     scenario = rendered()
-    plant = Plant(World(scenario), scenario, 1, 30.0)
+    plant = Plant(World(scenario), scenario, CAR_CONTROLS, 1, 30.0)
     observation = plant.expose()
     assert observation is not None
     assert (observation.x, observation.y) == pytest.approx((1.0, -0.5), abs=0.3)
@@ -186,7 +187,7 @@ sensing:
 """
     scenario = parse_scenario(text)
     with pytest.raises(InputError) as caught:
-        Plant(World(scenario), scenario, 0, 30.0)
+        Plant(World(scenario), scenario, CAR_CONTROLS, 0, 30.0)
     (diagnostic,) = caught.value.diagnostics
     assert (diagnostic.path, diagnostic.line, diagnostic.column) == ("sensing.camera", 7, 11)
     assert diagnostic.code is Code.GEOMETRY

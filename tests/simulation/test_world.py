@@ -112,7 +112,7 @@ def test_no_contact_with_an_obstacle_goes_unnoticed_while_boxes_are_pushed_about
         stood = world.movable_poses
         for step in range(3000):
             if step % 150 == 0:
-                world.apply(1.0, rng.uniform(-0.2, 0.2))
+                world.apply((1.0, rng.uniform(-0.2, 0.2)))
             world.step(1)
             assert touches(world) == (world.collision is not None)
         assert np.any(world.movable_poses != stood)
@@ -196,7 +196,7 @@ def wiggle(world: World) -> bytes:
     """All states of a drive with many commands, as bytes."""
     trace = []
     for k in range(40):
-        world.apply(0.9 if k % 5 else -0.4, 0.38 * math.sin(k))
+        world.apply((0.9 if k % 5 else -0.4, 0.38 * math.sin(k)))
         world.step(50)
         trace += [world.configuration.tobytes(), world.data.qvel.tobytes()]
     return b"".join(trace)
@@ -214,7 +214,7 @@ def test_the_same_commands_give_the_same_bytes_in_a_new_world_and_after_reset(na
 def test_many_small_steps_are_one_large_one() -> None:
     small, large = open_world(), open_world()
     for world in (small, large):
-        world.apply(0.7, 0.2)
+        world.apply((0.7, 0.2))
     for _ in range(500):
         small.step(1)
     large.step(500)

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from support.world import drive, open_world
 
-from kraft.simulation.car import STEERING_MAX, WHEELBASE, wheel_angles, wheel_torque
+from kraft.simulation.car import MUSHR
 
 WITHIN = 0.15
 Run = dict[str, NDArray[np.float64]]
@@ -49,7 +49,7 @@ def test_from_full_throttle_to_rest() -> None:
     assert abs(run["v"][-1]) < 0.001
 
 
-@pytest.mark.parametrize("steering", [STEERING_MAX, -STEERING_MAX])
+@pytest.mark.parametrize("steering", [MUSHR.steering_max, -MUSHR.steering_max])
 @pytest.mark.parametrize("throttle", [0.3, 0.5, 1.0])
 def test_turning_radius(throttle: float, steering: float) -> None:
     world = open_world()
@@ -67,32 +67,34 @@ def test_a_gentle_turn_is_the_bicycles_apart_from_the_linkage() -> None:
     travelled = np.hypot(np.diff(run["x"]), np.diff(run["y"])).sum()
     turned = run["theta"][-1] - run["theta"][0]
     beta = math.atan(0.5 * math.tan(0.89 * 0.1))
-    assert turned / travelled == pytest.approx(2 * math.sin(beta) / WHEELBASE, rel=0.05)
+    assert turned / travelled == pytest.approx(2 * math.sin(beta) / MUSHR.wheelbase, rel=0.05)
 
 
 def test_the_inner_wheel_turns_more() -> None:
-    left, right = wheel_angles(0.3)
+    left, right = MUSHR.wheel_angles(0.3)
     assert left > 0.3 > right > 0
-    assert 1 / math.tan(right) - 1 / math.tan(left) == pytest.approx(0.23 / WHEELBASE)
-    assert wheel_angles(-0.3) == pytest.approx((-right, -left))
+    assert 1 / math.tan(right) - 1 / math.tan(left) == pytest.approx(0.23 / MUSHR.wheelbase)
+    assert MUSHR.wheel_angles(-0.3) == pytest.approx((-right, -left))
 
 
 def test_the_servo_turns_at_its_rate() -> None:
     world = open_world()
-    world.apply(0.0, STEERING_MAX)
+    world.apply((0.0, MUSHR.steering_max))
     world.step(25)
     early = world.data.joint("front right steering").qpos[0]
     world.step(25)
     late = world.data.joint("front right steering").qpos[0]
     assert (late - early) / (25 * world.dt) == pytest.approx(3.2, rel=0.05)
     world.step(100)
-    assert world.data.joint("front right steering").qpos[0] == pytest.approx(wheel_angles(0.89 * 0.38)[1], abs=0.005)
+    assert world.data.joint("front right steering").qpos[0] == pytest.approx(
+        MUSHR.wheel_angles(0.89 * 0.38)[1], abs=0.005
+    )
 
 
 def test_throttle_and_steering_are_clamped_to_the_actuators() -> None:
     much, full = open_world(), open_world()
-    assert np.array_equal(drive(much, 7.0, 3.0, 1.0)["x"], drive(full, 1.0, STEERING_MAX, 1.0)["x"])
-    assert wheel_torque(-2.0) == wheel_torque(-1.0) == -wheel_torque(1.0)
+    assert np.array_equal(drive(much, 7.0, 3.0, 1.0)["x"], drive(full, 1.0, MUSHR.steering_max, 1.0)["x"])
+    assert MUSHR.wheel_torque(-2.0) == MUSHR.wheel_torque(-1.0) == -MUSHR.wheel_torque(1.0)
 
 
 def test_it_drives_backwards_as_well() -> None:

@@ -83,7 +83,7 @@ def test_the_marker_is_level_above_the_reference_point_on_a_flat_floor() -> None
 @pytest.mark.parametrize("height", [0.025, 0.05])
 def test_the_car_gets_over_a_bump_and_loses_speed(height: float) -> None:
     world = open_world(f"speed_bumps: [{{center: [1.5, 0], size: [0.3, 2], height: {height}}}]")
-    world.apply(1.0, 0.0)
+    world.apply((1.0, 0.0))
     highest, slowest, before = 0.0, math.inf, 0.0
     while world.pose[0] < 2.2:
         world.step(5)
@@ -162,3 +162,65 @@ def test_a_box_where_the_car_starts_is_refused_and_one_that_touches_it_is_not() 
     (diagnostic,) = caught.value.diagnostics
     assert (diagnostic.path, diagnostic.code) == ("truth.movable_boxes[0]", Code.GEOMETRY)
     assert open_world(boxes.format(x=0.2 + 0.2145)).collision is None
+
+
+CHANGED = "floor_friction: 0.2, vehicle: {drive_scale: 0.7, steering_offset_deg: 4, mass_scale: 1.5}"
+LATER = "changes: [{{time: 0.5, floor_friction: 0.5}}, {{time: {time}, {changed}}}]"
+RIDE = f"speed_bumps: [{{center: [9, 9], size: [1, 0.2], height: 0.02}}], {BOX.format(y=9, mass=1)}"
+
+
+def test_the_motion_is_that_of_the_unchanged_car_until_the_change_and_another_one_from_its_step_on() -> None:
+    for value in ("floor_friction: 0.02", *(f"vehicle: {{{each}}}" for each in (
+        "drive_scale: 0.7", "steering_scale: 0.5", "steering_offset_deg: 4", "mass_scale: 1.5"
+    ))):  # fmt: skip
+        same, changed = open_world(), open_world(f"changes: [{{time: 1.0, {value}}}]")
+        for world in (same, changed):
+            world.apply((1.0, 0.1))
+            world.step(500)
+        assert np.array_equal(same.configuration, changed.configuration), value
+        for world in (same, changed):
+            world.step(50)
+        assert np.abs(same.data.qvel - changed.data.qvel).max() > 1e-3, value
+
+
+def test_a_linkage_that_slips_turns_a_car_that_is_commanded_straight() -> None:
+    run = drive(open_world("changes: [{time: 3, vehicle: {steering_offset_deg: 4}}]"), 0.5, 0.0, 5.0)
+    assert abs(run["theta"][run["t"] <= 3.0]).max() < 1e-3
+    radius = 0.296 / math.tan(0.89 * math.radians(4))
+    driven = np.interp([3.5, 5.0], run["t"], np.hypot(run["x"], run["y"]))
+    assert np.diff(np.interp([3.5, 5.0], run["t"], run["theta"])) == pytest.approx(np.diff(driven) / radius, rel=0.06)
+
+
+def test_ice_that_begins_slows_a_slide_less() -> None:
+    world = open_world("changes: [{time: 0.2, floor_friction: 0.1}]")
+    world.step(100)
+    world.data.joint("car").qvel[1] = 0.6
+    world.step(25)
+    before = world.data.joint("car").qvel[1]
+    world.step(100)
+    slowed = float(before - world.data.joint("car").qvel[1]) / (100 * world.dt)
+    assert slowed == pytest.approx(0.1 * GRAVITY, rel=0.05)
+
+
+def test_after_a_change_the_model_is_that_of_a_world_which_was_so_from_the_begin() -> None:
+    other, plain = open_world(f"{CHANGED}, {RIDE}"), open_world(RIDE)
+    world = open_world(f"{LATER.format(time=1.0, changed=CHANGED)}, {RIDE}")
+    for reference, steps in ((plain, 0), (other, 501)):
+        world.reset()
+        world.step(steps)
+        for name in ("body_mass", "body_inertia", "body_invweight0", "dof_invweight0", "dof_M0", "geom_friction"):
+            assert np.array_equal(getattr(world.model, name), getattr(reference.model, name)), name
+        assert world.gap == reference.gap
+
+
+def test_a_change_does_not_depend_on_how_the_steps_are_counted_and_repeats() -> None:
+    at_once, singly = (open_world(LATER.format(time=0.7, changed=CHANGED)) for _ in range(2))
+    ends = []
+    for world, parts in ((at_once, [600]), (singly, [1] * 600), (at_once, [349, 1, 1, 249])):
+        world.reset()
+        world.apply((1.0, 0.2))
+        for part in parts:
+            world.step(part)
+        ends.append(world.configuration)
+    assert np.array_equal(ends[0], ends[1])
+    assert np.array_equal(ends[0], ends[2])

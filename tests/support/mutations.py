@@ -57,6 +57,7 @@ truth:
   movable_boxes: [{center: [1, 3], size: [0.3, 0.3, 0.2], mass: 1.0, yaw_deg: 3, friction: 0.4}]
   tilt: {angle: 0.05, uphill_deg: 90}
   vehicle: {drive_scale: 0.9, steering_scale: 1.1, steering_offset_deg: 1.0, mass_scale: 1.2}
+  changes: [{time: 2.5, floor_friction: 0.3, vehicle: {drive_scale: 0.8, mass_scale: 1.1}}, {time: 4, floor_friction: 0.9}]
 sensing: {preset: planar, camera: [1, 3, 5], rate_hz: 30, latency: 0.01, dropout: 0.02, noise_scale: 1.0}
 trial: {timeout: 60, oneshot_timeout: 30}
 """

@@ -27,7 +27,7 @@ def drive(
     world: World, throttle: float, steering: float, seconds: float, every: int = 5
 ) -> dict[str, NDArray[np.float64]]:
     """Hold a command; time, x, y, theta and speed every so many steps."""
-    world.apply(throttle, steering)
+    world.apply((throttle, steering))
     rows = []
     for _ in range(round(seconds / world.dt / every)):
         world.step(every)

@@ -12,6 +12,7 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.method import load_method
 from kraft.errors import Code
 from kraft.scenario import load_scenario
+from kraft.scenario.truth import VehicleGap
 from kraft.simulation.world import World
 from kraft.trial.oracle import true_vehicle
 from kraft.trial.plant import Radio
@@ -26,10 +27,12 @@ CARS: list[dict[str, float]] = [
 ]
 
 
-def run(settings: dict[str, Any], method: str = "oracle", scenario: str = "boxes", seed: int = 0) -> TrialResult:
+def run(
+    settings: dict[str, Any], method: str = "oracle", scenario: str = "boxes", seed: int = 0, vehicle: str | None = None
+) -> TrialResult:
     found = load_method(method)
-    vehicle = load_vehicle(found.planner.vehicle or "mushr")
-    return run_trial(TrialSpec(load_scenario(scenario, settings), found, vehicle, seed))
+    model = load_vehicle(vehicle or found.planner.vehicle or "mushr")
+    return run_trial(TrialSpec(load_scenario(scenario, settings), found, model, seed))
 
 
 def errors_told_and_not(gap: dict[str, float]) -> tuple[float, float]:
@@ -43,7 +46,7 @@ def errors_told_and_not(gap: dict[str, float]) -> tuple[float, float]:
         states = [np.append(world.pose, 0.0) for _ in models]
         for _ in range(4):
             command = np.array([random.uniform(0.3, 1.0), random.uniform(-0.38, 0.38)])
-            world.apply(*command)
+            world.apply(command)
             world.step(250)
             states = [model.advance(state, command, 0.5) for model, state in zip(models, states, strict=True)]
         errors.append([float(np.hypot(*(state[:2] - world.pose[:2]))) for state in states])
@@ -90,6 +93,18 @@ def test_a_model_that_cannot_be_told_the_car_is_refused() -> None:
     problems = raised(lambda: true_vehicle(load_vehicle("mushr"), scene.truth.vehicle))
     assert [d.code for d in problems] == [Code.MISMATCH]
     assert true_vehicle(load_vehicle("mushr"), load_scenario("boxes").truth.vehicle) == load_vehicle("mushr")
+
+
+def test_the_oracle_is_told_of_a_car_that_changes() -> None:
+    change = {"time": 2.0, "vehicle": {"drive_scale": 0.8, "steering_offset_deg": 4}}
+    cycles = run({"truth.changes": [change], "trial.timeout": 4.5}).cycles
+    own = load_vehicle(load_method("oracle").planner.vehicle or "mushr")
+    told = true_vehicle(own, VehicleGap(drive_scale=0.8, steering_offset_deg=4)).parameter_array
+    changed = [cycle.parameters for cycle in cycles if cycle.parameters is not None]
+    assert [cycle.time for cycle in cycles if cycle.parameters is not None] == [3.0]
+    assert np.array_equal(changed[0], told)
+    problems = raised(lambda: run({"truth.changes": [change]}, scenario="boxes", vehicle="mushr"))
+    assert [d.code for d in problems] == [Code.MISMATCH]
 
 
 def test_lost_messages_are_decided_by_the_seed() -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.estimation.dead_reckoning import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.estimation.sloping_floor import LevelCamera
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive, Filter, Latest
+from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 
 __all__ = ["AdaptiveEstimator", "Estimator", "LatestPose", "LevelCamera", "PoseFilter", "make_estimator"]
@@ -45,7 +45,7 @@ class Estimator(Protocol):
 
 
 def make_estimator(
-    settings: Latest | Filter | Adaptive, model: CarModel, start_state: Floats, camera: LevelCamera | None = None
+    settings: Latest | Filter | Adaptive, model: VehicleModel, start_state: Floats, camera: LevelCamera | None = None
 ) -> Estimator:
     """Make the estimator of a method; the state at time 0 is `start_state` (nx,).
 

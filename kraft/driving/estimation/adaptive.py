@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
 from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
 from kraft.driving.estimation.sloping_floor import FLOOR_SIZE, GRAVITY, LevelCamera
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.settings import Noise
@@ -31,7 +31,7 @@ DELAY: Final = "delay"
 GRAVITY_SHARE_ERROR: Final = 0.25
 """Standard deviation of the share of gravity that a vehicle feels, as a share of it."""
 MOVING: Final = 0.05
-"""Speed above which the vehicle moves, m/s."""
+"""Speed or turning rate above which the vehicle moves, m/s or rad/s."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
 PRIOR_POSES: Final = 40.0
@@ -55,7 +55,7 @@ class AdaptiveEstimator:
     """Estimates state, parameters, delay and noise; see the module."""
 
     def __init__(
-        self, settings: Adaptive, model: CarModel, start_state: Floats, camera: LevelCamera | None = None
+        self, settings: Adaptive, model: VehicleModel, start_state: Floats, camera: LevelCamera | None = None
     ) -> None:
         """Begin at rest at `start_state` (nx,); `camera` is one that takes the floor as level, None for others.
 
@@ -93,8 +93,8 @@ class AdaptiveEstimator:
     def commanded(self, time: float, control: Floats) -> None:
         """Record that `control` (nu,) is sent at `time` (s, ascending) and held until the next one."""
         self._filter.commanded(time, control)
-        speed = abs(float(self._filter.posterior.mean[self._model.v]))
-        self._history.command(time, control, speed > MOVING)
+        velocities = np.abs(self._filter.posterior.mean[self._model.velocities])
+        self._history.command(time, control, bool((velocities > MOVING).any()))
 
     def estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s) plus the horizon."""
@@ -230,7 +230,7 @@ class CorrelatedFilter(PoseFilter):
     """
 
     def __init__(
-        self, settings: Adaptive, model: CarModel, start_state: Floats, camera: LevelCamera | None = None
+        self, settings: Adaptive, model: VehicleModel, start_state: Floats, camera: LevelCamera | None = None
     ) -> None:
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
         self._errors = PoseErrorModel(model, settings.offset_time)
@@ -302,7 +302,7 @@ class CorrelatedFilter(PoseFilter):
         return pose, cross, jacobian @ cross
 
     def _gain(self, covariance: Matrix, cross_covariance: Matrix, innovation: Matrix) -> tuple[Matrix, Matrix]:
-        """Gain that leaves the floor as it is (Schmidt's filter), so that errors of the camera are not taken for slopes.
+        """Gain that leaves the floor as it is (Schmidt's filter): errors of the camera are not taken for slopes.
 
         Its uncertainty is part of all covariances; only the identified force tells about it.
         """
@@ -335,7 +335,7 @@ class CorrelatedFilter(PoseFilter):
 class PoseErrorModel:
     """Process model of the state (nx + 9,): as `ExcessSpeedModel`, two parts of the pose error that decay, a floor."""
 
-    def __init__(self, model: CarModel, offset_time: float) -> None:
+    def __init__(self, model: VehicleModel, offset_time: float) -> None:
         self._motion = ExcessSpeedModel(model)
         self.times = np.full(ERRORS, offset_time)
         self.times[FLOOR] = math.inf
@@ -360,7 +360,7 @@ class PoseErrorModel:
 class _History:
     """Recorded poses with the filter's states, commands and times of motion, the last `DRIVE_MAX` s of them."""
 
-    def __init__(self, start_state: Floats, model: CarModel) -> None:
+    def __init__(self, start_state: Floats, model: VehicleModel) -> None:
         self._theta = model.theta
         pose = start_state[[model.x, model.y, model.theta]]
         before = np.arange(-REST_BEFORE, -0.05, 0.1)

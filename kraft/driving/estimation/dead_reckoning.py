@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Latest
+from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 
 Advance = Callable[[Floats, Floats, float], Floats]
@@ -115,7 +115,7 @@ class LatestPose:
     horizon: Final = 0.0
     belief: Final = None
 
-    def __init__(self, settings: Latest, model: CarModel, start_state: Floats) -> None:
+    def __init__(self, settings: Latest, model: VehicleModel, start_state: Floats) -> None:
         self._model = model
         self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
         self._newest_time = -math.inf

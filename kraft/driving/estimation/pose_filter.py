@@ -13,10 +13,10 @@ from typing import Final, Protocol
 import numpy as np
 from scipy.special import gammaincinv
 
-from kraft.driving.car_model import MAX_STEP, CarModel
 from kraft.driving.estimation.dead_reckoning import DeadReckoning
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Filter
+from kraft.driving.vehicle_model import MAX_STEP, VehicleModel
 from ompl_ext.arrays import Floats, Matrix
 
 MAX_HISTORY: Final = 32
@@ -63,7 +63,7 @@ class PoseFilter:
     horizon: Final = 0.0
 
     def __init__(
-        self, settings: Filter, model: CarModel, start_state: Floats, process_model: ProcessModel | None = None
+        self, settings: Filter, model: VehicleModel, start_state: Floats, process_model: ProcessModel | None = None
     ) -> None:
         self._model = model
         self._process_model = process_model or ExcessSpeedModel(model)
@@ -72,6 +72,7 @@ class PoseFilter:
         self._pose_block = np.ix_(self._pose, self._pose)
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
         self._variance_rate = np.zeros(self._process_model.size)  # variance that the model adds per second
+        self._variance_rate[: len(start_state)] = model.velocity_drift(settings.speed_drift)
         self._variance_rate[self._pose] = settings.drift**2, settings.drift**2, drift**2
         self._variance_rate[len(start_state)] = settings.speed_drift**2
         self._limit = math.sqrt(2.0 * float(gammaincinv(1.5, settings.confidence)))  # of chi with three degrees
@@ -182,7 +183,7 @@ class ExcessSpeedModel:
     therefore a state component of its own: the vehicle moves as in the model and `excess` m/s faster along its curve.
     """
 
-    def __init__(self, model: CarModel) -> None:
+    def __init__(self, model: VehicleModel) -> None:
         self._model = model
         self.size = len(model.vehicle.state) + 1
 
@@ -210,9 +211,9 @@ class ExcessSpeedModel:
         after[:-1] = model.advance(state[:-1], control, duration)
         decay = math.exp(-duration / EXCESS_TIME_CONSTANT)
         distance = excess * EXCESS_TIME_CONSTANT * (1.0 - decay)
-        steering = float(control[model.steering])
-        turn = model.curvature(steering) * distance
-        direction = 0.5 * float(state[model.theta] + after[model.theta]) + 0.5 * turn + model.slip(steering)
+        curvature, slip = model.course(state[:-1], control)
+        turn = curvature * distance
+        direction = 0.5 * float(state[model.theta] + after[model.theta]) + 0.5 * turn + slip
         after[model.x] += distance * math.cos(direction)
         after[model.y] += distance * math.sin(direction)
         after[model.theta] += turn

@@ -1,0 +1,251 @@
+"""Theorem 1 where the deviation is not bounded by construction but estimated: random arenas, cars, delays and errors.
+
+Everything on the robot's side is that of a trial: estimator, identification, bound, planner, contingencies, controller.
+The true car is the vehicle's own compiled model with other parameters, which costs less than MuJoCo.  The theorem holds
+as often as its assumption does, that no point of the car deviates by more than delta from the prediction.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final, cast
+
+import numpy as np
+
+from benchmarks.effort import Effort
+from benchmarks.parallel import each, interval, planning_vehicle
+from benchmarks.random_arenas import random_arena
+from benchmarks.report import Report, Target, row
+from kraft.driving.car_model import CarModel
+from kraft.driving.method import Method, load_method
+from kraft.planning.workspace import start_state, workspace_of
+from kraft.scenario import Scenario
+from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.collision import Collision
+from kraft.simulation.world import TIMESTEP, World
+from kraft.trial.measures import farthest_point
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.trial.trial import run_trial
+from kraft.vehicles import CAR_CONTROLS
+from kraft.vehicles.load import load_vehicle
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.exact import ExactClearance
+from ompl_ext.vehicle import Vehicle
+
+ITERATIONS = (200, 400)  # of a cycle, instead of 1000 and 2000: more episodes for the same time
+TIMEOUT = 30.0  # s
+DELAYS = {"command_delay": 0.25, "latency": 0.15, "communication_delay": 0.2}
+"""Largest of each random delay, s; that of commands and that of poses together are within the estimator's range."""
+NOISE = (0.5, 1.5)  # factor on the errors of poses
+CORRELATION = (0.0, 1.5)  # time constant of the errors (s)
+SPREAD = 1.5  # standard deviations of the prior within which the parameters of a car are
+HOLD = 0.45  # throttle that holds the car against its force, at most
+SUBSTEP = 0.02  # time between two checks for a collision (s)
+
+
+class ModelWorld:
+    """World whose car is the vehicle's model with other parameters; it has what a trial needs of a `World`."""
+
+    dt: Final = TIMESTEP
+    controls: Final = CAR_CONTROLS
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
+        """Put the car, whose true parameters are those of `vehicle`, to the scenario's start."""
+        self._model, self._goal = CarModel(vehicle), scenario.goal
+        self._exact = ExactClearance(workspace_of(scenario.task(), vehicle), vehicle.footprint)
+        self._reach = vehicle.footprint.reach
+        self._state, self._control = start_state(scenario.task(), vehicle), self._model.rest
+        self._room = 0.0  # that any point may move before the distance to obstacles is measured again (m)
+        self.steps, self.collision = 0, cast("Collision | None", None)
+        self._check(self._state)
+
+    def apply(self, control: Sequence[float]) -> None:
+        """Hold throttle and steering from now on."""
+        self._control = self._model.command(*map(float, control))
+
+    def step(self, steps: int) -> None:
+        """Advance by `steps` of `dt`, or to the first collision."""
+        while steps > 0 and self.collision is None:
+            count = min(steps, round(SUBSTEP / TIMESTEP))
+            before, self._state = self._state, self._model.advance(self._state, self._control, count * TIMESTEP)
+            steps, self.steps = steps - count, self.steps + count
+            self._check(before)
+
+    def _check(self, before: Floats) -> None:
+        moved = self._state - before
+        model = self._model
+        self._room -= math.hypot(moved[model.x], moved[model.y]) + self._reach * abs(float(moved[model.theta]))
+        if self._room <= 0.0:
+            self._room = self._exact.distance(*self.pose)
+            if self._room <= 0.0:
+                self.collision = Collision(self.time, "obstacle", (*self.pose.tolist()[:2], 0.0))
+
+    @property
+    def time(self) -> float:
+        """Time since the start, s."""
+        return self.steps * TIMESTEP
+
+    @property
+    def pose(self) -> Floats:
+        """Position (m) and heading (rad), (3,)."""
+        return self._state[[self._model.x, self._model.y, self._model.theta]]
+
+    @property
+    def speed(self) -> float:
+        """Speed, m/s."""
+        return float(self._state[self._model.v])
+
+    @property
+    def marker(self) -> tuple[Floats, Matrix]:
+        """Position (3,), m, and rotation (3, 3) of the marker on the roof."""
+        x, y, theta = self.pose.tolist()
+        c, s = math.cos(theta), math.sin(theta)
+        return np.array([x, y, MARKER_HEIGHT]), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    @property
+    def in_goal(self) -> bool:
+        """Whether the true position is within the goal region."""
+        x, y, _ = self.pose.tolist()
+        return math.dist((x, y), self._goal.center) <= self._goal.radius
+
+
+@dataclass(frozen=True)
+class Episode:
+    """How a drive went, and how often its bound held.
+
+    `ticks` are those of the controller with a bound, `held` those at which no point of the car was farther from the
+    prediction than delta; `broken` is the number of the `cycles` with a tick at which one was.  `delta` (m) and
+    `deviation` (m) are the means over the ticks.  `during` is the number of the last cycle, in which a collision is.
+    """
+
+    number: int
+    outcome: str
+    time: float
+    ticks: int
+    held: int
+    cycles: int
+    broken: int
+    delta: float
+    deviation: float
+    collided_within_delta: bool
+    seconds: float
+
+
+def run(effort: Effort) -> Report:
+    """Drive all episodes."""
+    planning_vehicle(effort.method)
+    method = load_method(effort.method)
+    level = method.planner.bound.level if method.planner.bound else math.nan
+    began = clock.perf_counter()
+    episodes = each(partial(episode, name=effort.method), range(effort.estimated), effort.jobs, chunk=4)
+    took = clock.perf_counter() - began
+    return report(episodes, level, took, effort)
+
+
+def report(episodes: Sequence[Episode], level: float, took: float, effort: Effort) -> Report:
+    """Table of the episodes, against the stated level."""
+    total, ticks, held = (sum(getattr(e, name) for e in episodes) for name in ("seconds", "ticks", "held"))
+    cycles, broken = sum(e.cycles for e in episodes), sum(e.broken for e in episodes)
+    count = {outcome: [e for e in episodes if e.outcome == outcome] for outcome in map(str, Outcome)}
+    drives, allowed = len(episodes), 100.0 * (1.0 - level)
+    hits = count["collision"]
+    rows = [
+        row("episodes", "", [drives]),
+        row(f"collisions ({interval(len(hits), drives)})", "%", [100.0 * len(hits) / drives], Target(allowed)),
+        row("collisions at a tick at which delta held", "", [sum(e.collided_within_delta for e in hits)]),
+        row(f"timeouts ({interval(len(count['timeout']), drives)})", "%", [100.0 * len(count["timeout"]) / drives]),
+        row("time of the successful ones", "s", [e.time for e in count["success"]]),
+        row(f"ticks at which delta did not hold, of {ticks:,}", "%", [100.0 * (1.0 - held / ticks)], Target(allowed)),
+        row(f"cycles with such a tick, of {cycles:,} ({interval(broken, cycles)})", "%", [100.0 * broken / cycles]),
+        row(
+            f"episodes with such a tick ({interval(sum(e.broken > 0 for e in episodes), drives)})", "%",
+            [100.0 * sum(e.broken > 0 for e in episodes) / drives],
+        ),
+        row("mean delta", "mm", [1000.0 * e.delta for e in episodes if e.ticks]),
+        row("mean deviation", "mm", [1000.0 * e.deviation for e in episodes if e.ticks]),
+        row("processor time of an episode", "s", [e.seconds for e in episodes]),
+    ]  # fmt: skip
+    notes = [
+        f"{effort.method} with {ITERATIONS[0]} to {ITERATIONS[1]} iterations a cycle; level {level:g}.",
+        f"Processor time {total:,.0f} s in {effort.jobs} processes, {took:,.0f} s of wall clock. Intervals: 95 %, Wilson.",
+    ]
+    if hits:
+        notes.append(f"collisions in episodes {[e.number for e in hits][:40]}")
+    return Report("estimated", rows, notes=notes)
+
+
+def episode(number: int, name: str) -> Episode:
+    """Drive episode `number`."""
+    began = clock.process_time()
+    spec, true = episode_parts(number, name)
+    result = run_trial(spec, world=cast(World, ModelWorld(spec.scenario, true)))
+    return judged(number, result, spec.vehicle, clock.process_time() - began)
+
+
+def episode_parts(number: int, name: str) -> tuple[TrialSpec, Vehicle]:
+    """Trial of an episode, and its true car."""
+    rng = np.random.default_rng([31, number])
+    sensing = {key: float(rng.uniform(0.0, most)) for key, most in DELAYS.items()}
+    sensing |= {"noise_scale": float(rng.uniform(*NOISE)), "correlation_time": float(rng.uniform(*CORRELATION))}
+    scenario = random_arena(number, "open", (1.0, 1.0), sensing=sensing, trial={"timeout": TIMEOUT})
+    method = load_method(name)
+    vehicle = load_vehicle(method.planner.vehicle or scenario.vehicle)
+    return TrialSpec(scenario, cheaper(method), vehicle, number), random_car(rng, vehicle)
+
+
+def cheaper(method: Method) -> Method:
+    """The method with fewer iterations."""
+    least, most = ITERATIONS
+    planner = method.planner.model_copy(update={"iterations": least, "max_iterations": most})
+    return method.model_copy(update={"planner": planner})
+
+
+def random_car(rng: np.random.Generator, vehicle: Vehicle) -> Vehicle:
+    """A car with random parameters within their ranges, which the throttle can hold against its force."""
+    while True:
+        values = {}
+        for name, value in vehicle.parameters.items():
+            bounds = vehicle.ranges[name]
+            low, high = max(bounds.low, value - SPREAD * bounds.std), min(bounds.high, value + SPREAD * bounds.std)
+            values[name] = float(rng.uniform(low, high))
+        force = math.hypot(values.get("a_x", 0.0), values.get("a_y", 0.0))
+        if force * values["tau"] * (1.0 - values["u_0"]) <= HOLD * values["v_delta"]:
+            return replace(vehicle, parameters=values)
+
+
+def judged(number: int, result: TrialResult, vehicle: Vehicle, seconds: float) -> Episode:
+    """Compare the true motion of each cycle with its prediction and its delta."""
+    times, truth = np.array([s.time for s in result.steps]), np.array([s.pose for s in result.steps])
+    driven = np.array([not s.watchdog for s in result.steps])
+    pose = [vehicle.index(name) for name in ("x", "y", "theta")]
+    apart, deltas, cycle_of = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=int)]
+    ends = [cycle.time for cycle in result.cycles[1:]] + [math.inf]
+    for k, (cycle, end) in enumerate(zip(result.cycles, ends, strict=True)):
+        predicted = cycle.predicted
+        last = min(end, float(predicted.times[-1]))
+        within = driven & (times >= cycle.time - 1e-9) & (times < last - 1e-9)
+        if predicted.delta is None or not within.any():
+            continue
+        expected = np.column_stack([np.interp(times[within], predicted.times, predicted.states[:, j]) for j in pose])
+        apart.append(farthest_point(truth[within], expected, vehicle.footprint))
+        deltas.append(np.interp(times[within], predicted.times, predicted.delta))
+        cycle_of.append(np.full(int(within.sum()), k))
+    deviation, delta, cycles = np.concatenate(apart), np.concatenate(deltas), np.concatenate(cycle_of)
+    held = deviation <= delta
+    return Episode(
+        number=number,
+        outcome=str(result.outcome),
+        time=result.time,
+        ticks=len(held),
+        held=int(held.sum()),
+        cycles=len(np.unique(cycles)),
+        broken=len(np.unique(cycles[~held])),
+        delta=float(delta.mean()) if len(delta) else 0.0,
+        deviation=float(deviation.mean()) if len(deviation) else 0.0,
+        collided_within_delta=bool(result.outcome is Outcome.COLLISION and len(held) and held[-1]),
+        seconds=seconds,
+    )
