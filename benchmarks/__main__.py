@@ -27,11 +27,12 @@ TOPICS = (
     "theorem",
     "estimated",
     "changes",
+    "arenas",
     "sysid",
     "sensing",
 )
 NEEDS_OUT = ("peers",)
-CHOSEN = ("estimated", "changes")
+CHOSEN = ("estimated", "changes", "arenas")
 """Topics that drive with a method of one's choice."""
 
 

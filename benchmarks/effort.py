@@ -22,6 +22,7 @@ class Effort:
         jobs: processes that share the random scenes and trials; everything else runs alone.
         changes: trials with each change of the true car.
         estimated: drives in the test of Theorem 1 with an estimated deviation.
+        arenas: random arenas and rooms of posts that are driven in.
         method: method that drives where one is chosen.
     """
 
@@ -37,6 +38,7 @@ class Effort:
     jobs: int
     changes: int
     estimated: int
+    arenas: int
     method: str = "adaptive-kraft"
 
 
@@ -53,6 +55,7 @@ FULL = Effort(
     jobs=2,
     changes=100,
     estimated=10_000,
+    arenas=100,
 )
 QUICK = Effort(
     seeds=20,
@@ -67,6 +70,7 @@ QUICK = Effort(
     jobs=2,
     changes=4,
     estimated=40,
+    arenas=4,
 )
 SMOKE = Effort(
     seeds=1,
@@ -81,4 +85,5 @@ SMOKE = Effort(
     jobs=1,
     changes=1,
     estimated=2,
+    arenas=1,
 )

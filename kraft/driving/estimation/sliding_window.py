@@ -29,6 +29,18 @@ ROBUST: Final = 2.0
 """Residual, in standard deviations, above which the weight of a pose decreases."""
 MARGIN: Final = 0.5
 """Time before and after a motion that belongs to it, s: standstill determines the speed there."""
+RECENT: Final = 1.5
+"""Newest motion of the window in which a parameter may differ from what it was before, s."""
+EARLIER: Final = 1.0
+"""Least motion before that with which the newest one is compared, s."""
+SIGNIFICANT: Final = 1.0
+"""Change of a parameter, in standard deviations, up to which it is taken as noise."""
+CHANGE_STD: Final = 2.0
+"""Standard deviation of a change, as a multiple of that of the parameter's prior."""
+INFORMATIVE: Final = 0.3
+"""Information on a parameter, as a share of that of its prior, below which its change is not looked for."""
+RELAXATIONS: Final = 2
+"""Iterations that fit the states of the newest motion."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +78,12 @@ class Identified:
 
 
 class SlidingWindow:
-    """Identifies rho from the last `length` s in which the vehicle moved; the prior is that of `parameters`."""
+    """Identifies rho from the last `length` s in which the vehicle moved; the prior is that of `parameters`.
+
+    rho is taken as constant in the window, except for one parameter of the model that may have changed: the one whose
+    score in the last `RECENT` s of motion is the most significant.  Its change is estimated with what the whole window
+    tells of all others, and shrunk by its significance, as in the estimator of James and Stein.
+    """
 
     def __init__(
         self, parameters: Parameters, length: float, step: float, process: Floats, control: Floats, iterations: int
@@ -91,7 +108,7 @@ class SlidingWindow:
 
         `noise` is that of a pose.  Returns None if there is too little motion.
         """
-        segments = self._segments(drive, moving)
+        segments = self._segments(drive, moving, self._length)
         if not segments:
             return None
         model = NoiseModel(noise, self._process, self._control, threshold(ROBUST, 3))
@@ -103,11 +120,54 @@ class SlidingWindow:
         covariance = np.zeros((len(free), len(free)))
         covariance[np.ix_(free, free)] = np.linalg.inv(optimum.factors.total_information[np.ix_(free, free)])
         times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
-        return Identified(self.rho.copy(), covariance, times, -problem.pose_residuals(optimum.point))
+        rho = self.rho.copy()
+        if sum(end - begin for begin, end in moving) >= RECENT + EARLIER:
+            rho, covariance = self._changed(drive, self._segments(drive, moving, RECENT), model, covariance)
+        return Identified(rho, covariance, times, -problem.pose_residuals(optimum.point))
 
-    def _segments(self, drive: Drive, moving: Sequence[tuple[float, float]]) -> list[Segment]:
+    def _changed(
+        self, drive: Drive, segments: list[Segment], noise: NoiseModel, covariance: Matrix
+    ) -> tuple[Floats, Matrix]:
+        """Rho and its covariance after the change of one parameter that the newest motion tells, if it tells any.
+
+        The cost of the newest motion has the gradient g and the information A at the rho of the window, whose
+        covariance C includes A.  A change of a parameter along e then has the score -e g, with the variance
+        e (A - A C A) e if there was none, and moves what is known of the other parameters by -C A e.
+        """
+        rho, size = self.rho.copy(), self.parameters.model_size
+        if not segments:
+            return rho, covariance
+        gradient, information = self._at_rho(drive, segments, noise)
+        variance = np.diag(information - information @ covariance @ information)
+        told = self.parameters.free & (variance > INFORMATIVE / self.parameters.std**2)
+        told[size:] = False
+        significance = np.where(told, np.abs(gradient) / np.sqrt(np.where(told, variance, 1.0)), 0.0)
+        k = int(significance.argmax())
+        if significance[k] <= SIGNIFICANT:
+            return rho, covariance
+        total = variance[k] + (CHANGE_STD * self.parameters.std[k]) ** -2.0
+        share = 1.0 - (SIGNIFICANT / significance[k]) ** 2
+        direction = -covariance @ information[:, k]
+        direction[k] += 1.0
+        direction[~self.parameters.free] = 0.0
+        changed = rho - share * gradient[k] / total * direction
+        return self.parameters.within_bounds(changed), covariance + share / total * np.outer(direction, direction)
+
+    def _at_rho(self, drive: Drive, segments: list[Segment], noise: NoiseModel) -> tuple[Floats, Matrix]:
+        """Gradient (np,) and information (np, np) of the cost of segments at the window's rho, with optimal states."""
+        problem = assemble(segments, 1, self.parameters, noise)
+        graph, point = FastGraph(problem), self._start(problem, drive)
+        for _ in range(RELAXATIONS):
+            graph.linearise(point)
+            graph.reduce(0.0)
+            point = graph.moved(np.zeros_like(self.rho))
+        graph.linearise(point)
+        factors = graph.reduce(0.0)
+        return factors.gradient[0], factors.information[0]
+
+    def _segments(self, drive: Drive, moving: Sequence[tuple[float, float]], length: float) -> list[Segment]:
         """Segments of the last `length` s of motion, in the order of time."""
-        left, spans = self._length, list[tuple[float, float]]()
+        left, spans = length, list[tuple[float, float]]()
         for begin, end in reversed(moving):
             first = max(begin, end - left)
             spans.append((first - MARGIN, end + MARGIN))
