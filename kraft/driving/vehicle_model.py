@@ -80,6 +80,20 @@ class VehicleModel:
         )  # fmt: skip
         return after, jacobian[:, :, :nx], jacobian[:, :, nx:]
 
+    def turning_rates(self, state: Floats, control: Floats, parameters: Matrix) -> Floats:
+        """Turning rates (n,) in a state (nx,) under a control (nu,) with each of `parameters` (n, np), rad/s."""
+        held, after = np.ascontiguousarray(control, dtype=np.float64), np.empty(len(state))
+        rates = np.empty(len(parameters))
+        for k, values in enumerate(np.ascontiguousarray(parameters)):
+            self._step(state, held, values, INSTANT, after)
+            rates[k] = (after[self.theta] - state[self.theta]) / INSTANT
+        return rates
+
+    @property
+    def parameters(self) -> Floats:
+        """Present parameters (np,)."""
+        return self._parameters
+
     def clamped(self, control: Floats) -> Floats:
         """Control (nu,) clamped to its bounds."""
         inside: Floats = np.minimum(np.maximum(control, self.low), self.high)

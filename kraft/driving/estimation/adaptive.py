@@ -32,6 +32,10 @@ GRAVITY_SHARE_ERROR: Final = 0.25
 """Standard deviation of the share of gravity that a vehicle feels, as a share of it."""
 MOVING: Final = 0.05
 """Speed or turning rate above which the vehicle moves, m/s or rad/s."""
+SAME_TURN: Final = 1.0
+"""Time for which the error of a turning rate by wrong parameters counts as the same, s."""
+SPREAD_STEP: Final = 1e-3
+"""Step of the derivatives with respect to parameters, in standard deviations."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
 PRIOR_POSES: Final = 40.0
@@ -136,6 +140,7 @@ class AdaptiveEstimator:
         self._identified = identified
         self._noise = self._noise.updated(identified, drive.interval)
         self._filter.set_noise(self._noise)
+        self._filter.set_parameter_spread(self._covariance_of(identified))
         self._set_slope(identified)
         if self._settings.identify:
             self._model.set_parameters(self._window.parameters.model_values(identified.rho))
@@ -143,6 +148,11 @@ class AdaptiveEstimator:
             self.horizon = float(identified.rho[self._delay_index])
             self._filter.set_delay(self.horizon)
 
+
+    def _covariance_of(self, identified: Identified) -> Matrix:
+        """Covariance (np, np) of the vehicle's parameters."""
+        size = len(self._model.vehicle.parameters)
+        return identified.covariance[:size, :size]
 
     def _set_slope(self, identified: Identified) -> None:
         """Take the identified force as the floor's slope, for a vehicle that states what share of gravity it feels."""
@@ -154,6 +164,11 @@ class AdaptiveEstimator:
         covariance = identified.covariance[np.ix_(force, force)] / (share * GRAVITY) ** 2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
+
+
+def stated_spread(vehicle: Vehicle) -> Matrix:
+    """Standard deviations of the parameters before any is identified, as a diagonal matrix (np, np)."""
+    return np.diag([vehicle.ranges[name].std for name in vehicle.parameters])
 
 
 def slope_deviations(vehicle: Vehicle) -> Floats:
@@ -235,6 +250,7 @@ class CorrelatedFilter(PoseFilter):
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
         self._errors = PoseErrorModel(model, settings.offset_time)
         super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, self._errors)
+        self._spread = stated_spread(model.vehicle) if settings.identify else np.zeros((0, len(model.parameters)))
         offset = settings.position_offset, settings.position_offset, math.radians(settings.heading_offset_deg)
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
         self._camera = camera
@@ -287,6 +303,27 @@ class CorrelatedFilter(PoseFilter):
         joined[self._model.v, nx] = 1.0
         found: Matrix = joined @ covariance @ joined.T
         return found
+
+    def set_parameter_spread(self, covariance: Matrix) -> None:
+        """Set the covariance (np, np) of the model's parameters, by which the vehicle turns otherwise than predicted."""
+        values, axes = np.linalg.eigh(covariance)
+        self._spread = (axes * np.sqrt(np.maximum(values, 0.0))).T
+
+    def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
+        mean, covariance = posterior.mean, posterior.covariance
+        for control, duration in self._reckoning.commands.between(posterior.time, time):
+            added = self._variance_rate * duration
+            added[self._model.theta] += self._turning_variance(mean, control) * SAME_TURN * duration
+            mean, slope = self._process_model.linearised(mean, control, duration)
+            covariance = slope @ covariance @ slope.T + np.diag(added)
+        return mean, covariance
+
+    def _turning_variance(self, mean: Floats, control: Floats) -> float:
+        """Variance of the turning rate by the uncertainty of the parameters, rad^2/s^2."""
+        parameters = self._model.parameters
+        tried = np.vstack([parameters, parameters + SPREAD_STEP * self._spread])
+        rates = self._model.turning_rates(mean[: len(self._model.vehicle.state)], control, tried)
+        return float(np.square((rates[1:] - rates[0]) / SPREAD_STEP).sum())
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         jacobian = np.zeros((3, len(mean)))
