@@ -31,6 +31,8 @@ Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Quantity = Annotated[float, Field(ge=-1e9, le=1e9)]
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+FORCE = ("a_x", "a_y")
+"""Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""
 _SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
 
@@ -87,6 +89,10 @@ class VehicleConfig(StrictModel):
         speed, parameters = content.get("top_speed"), content.get("parameters", {})
         if isinstance(speed, str) and isinstance(parameters, Mapping) and speed not in parameters:
             yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",), Code.UNKNOWN)
+        if content.get("gravity_share") is not None and isinstance(parameters, Mapping):
+            for name in [name for name in FORCE if name not in parameters]:
+                expected = f"expected the parameters {' and '.join(FORCE)} with it"
+                yield refuse(f"is given, but there is no {name}", expected, ("gravity_share",), Code.MISSING)
 
     @property
     def source(self) -> Source:

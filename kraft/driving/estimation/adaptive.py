@@ -24,6 +24,7 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.settings import Noise
+from kraft.vehicles.config import FORCE
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -51,8 +52,6 @@ DRIVE_MAX: Final = 30.0
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
 """Parts of the pose error, and the floor that it depends on, within the last components of the filter's state."""
 ERRORS: Final = FLOOR.stop
-FORCE: Final = ("a_x", "a_y")
-"""Parameters that are the acceleration by a force along x and y, m/s^2."""
 
 
 class AdaptiveEstimator:
@@ -67,11 +66,11 @@ class AdaptiveEstimator:
             InputError: if the vehicle states no ranges of its parameters.
         """
         self._settings, self._model = settings, model
+        parameters = online_parameters(model.vehicle, settings)
         self._noise = NoiseEstimate.of(settings)
         self._filter = CorrelatedFilter(settings, model, start_state, camera)
         self._camera = camera
         self._filter.set_noise(self._noise)
-        parameters = online_parameters(model.vehicle, settings)
         process = np.full(len(model.vehicle.state), settings.speed_drift)
         process[[model.x, model.y]], process[model.theta] = settings.drift, math.radians(settings.heading_drift_deg)
         low, high = model.vehicle.control_bounds.T
@@ -88,6 +87,11 @@ class AdaptiveEstimator:
     def belief(self) -> PoseBelief | None:
         """Pose with its covariance after the newest observation; None before one."""
         return self._filter.belief
+
+    @property
+    def floor(self) -> Floats:
+        """Estimated slope (2,) of the floor, rise per metre along x and y; 0 if the camera measures heights itself."""
+        return self._filter.floor
 
     def observe(self, observation: Observation) -> None:
         """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing."""
@@ -147,7 +151,6 @@ class AdaptiveEstimator:
         if self._delay_index >= 0:
             self.horizon = float(identified.rho[self._delay_index])
             self._filter.set_delay(self.horizon)
-
 
     def _covariance_of(self, identified: Identified) -> Matrix:
         """Covariance (np, np) of the vehicle's parameters."""
@@ -305,7 +308,7 @@ class CorrelatedFilter(PoseFilter):
         return found
 
     def set_parameter_spread(self, covariance: Matrix) -> None:
-        """Set the covariance (np, np) of the model's parameters, by which the vehicle turns otherwise than predicted."""
+        """Set the covariance (np, np) of the parameters, by which the vehicle turns otherwise than predicted."""
         values, axes = np.linalg.eigh(covariance)
         self._spread = (axes * np.sqrt(np.maximum(values, 0.0))).T
 

@@ -1,0 +1,125 @@
+"""Cameras that take the floor as level: what they measure on a slope, and what the adaptive estimator makes of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehicle
+from support.driving import RATE
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.estimation import AdaptiveEstimator, LevelCamera
+from kraft.driving.estimation.sloping_floor import GRAVITY
+from kraft.driving.method import Adaptive
+from kraft.scenario import Sensing
+from kraft.scenario.truth import Tilt
+from kraft.simulation.camera import MarkerCamera
+from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.floor_frame import FloorFrame
+from ompl_ext.arrays import Floats
+
+CAMERA = LevelCamera((1.0, 3.0, 5.0), MARKER_HEIGHT, (0.0, 0.0))
+SLOPES = [np.array([0.0, 0.0]), np.array([0.0, 0.15]), np.array([-0.1, 0.05])]
+
+
+def poses(count: int = 20) -> Floats:
+    rng = np.random.default_rng(0)
+    drawn: Floats = np.column_stack([rng.uniform(-2.0, 6.0, (count, 2)), rng.uniform(-math.pi, math.pi, count)])
+    return drawn
+
+
+@pytest.mark.parametrize(("angle", "uphill"), [(9.0, 90.0), (7.0, -90.0), (5.0, 30.0)])
+def test_it_measures_what_the_simulated_camera_does(angle: float, uphill: float) -> None:
+    """The simulated floor leans about the origin, where this camera takes it to be level."""
+    frame = FloorFrame.of(Tilt(angle_deg=angle, uphill_deg=uphill))
+    camera = MarkerCamera(Sensing(noise_scale=0.0, dropout=0.0), MARKER_HEIGHT, 0)
+    for k, pose in enumerate(poses()):
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        rotation = frame.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        seen = camera.expose(k / 30, frame.to_world(np.array([pose[0], pose[1], MARKER_HEIGHT])), rotation)
+        assert seen is not None
+        expected = CAMERA.observed(pose, frame.rotation[2, :2])
+        assert (seen.x, seen.y) == pytest.approx(expected[:2], abs=1e-3)
+        assert math.remainder(seen.theta - expected[2], math.tau) == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+def test_the_place_on_the_floor_is_found_again(slope: Floats) -> None:
+    seen = np.array([CAMERA.observed(pose, slope) for pose in poses()])
+    assert CAMERA.on_floor(seen, slope) == pytest.approx(poses(), abs=1e-3)
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+def test_the_jacobian_is_that_of_what_is_measured(slope: Floats) -> None:
+    for pose in poses(5):
+        seen, jacobian = CAMERA.linearised(pose, slope)
+        assert seen == pytest.approx(CAMERA.observed(pose, slope))
+        for k, step in enumerate(1e-3 * np.eye(5)):
+            ahead = CAMERA.observed(pose + step[:3], slope + step[3:])
+            behind = CAMERA.observed(pose - step[:3], slope - step[3:])
+            assert (ahead - behind) / 2e-3 == pytest.approx(jacobian[:, k], abs=1e-4)
+
+
+def uphill(subject: AdaptiveEstimator, slope: Floats) -> tuple[Floats, Floats]:
+    """True and estimated state after 10 s on a floor with `slope` (2,), of which the camera knows nothing."""
+    share = vehicle().gravity_share
+    assert share is not None
+    force = -slope * share * GRAVITY
+    states, commands = driven(exciting, 10.0, {"a_x": float(force[0]), "a_y": float(force[1])}, 0.0)
+    errors = correlated(np.random.default_rng(1), len(states), np.array([0.005, 0.005, 0.01]), 0.0)
+    for k, command in enumerate(commands):
+        if k > 0:
+            seen = camera().observed(states[k, :3], slope)
+            subject.observe(pose_at(k, np.append(seen, states[k, 3]), errors[k]))
+        if k % 30 == 27:
+            estimate = subject.replanning_estimate(k / RATE)
+        subject.commanded(k / RATE, command)
+    now = round(estimate.time * RATE)
+    return states[now], estimate.state
+
+
+def camera() -> LevelCamera:
+    return replace(CAMERA, position=(-1.0, -2.0, 4.0), start=(float(BEGIN[0]), float(BEGIN[1])))
+
+
+def subject(known: LevelCamera | None) -> AdaptiveEstimator:
+    settings = Adaptive(kind="adaptive", compensate=False)
+    return AdaptiveEstimator(settings, CarModel(vehicle()), BEGIN, known)
+
+
+@pytest.mark.parametrize("slope", [np.array([0.0, 0.15]), np.array([0.12, 0.0])])
+def test_the_identified_force_corrects_what_the_camera_measures(slope: Floats) -> None:
+    true, estimated = uphill(subject(camera()), slope)
+    _, uncorrected = uphill(subject(None), slope)
+    error, without = (float(np.linalg.norm(state[:2] - true[:2])) for state in (estimated, uncorrected))
+    assert without > 0.15
+    assert error < 0.5 * without
+
+
+def test_on_a_level_floor_the_correction_is_small() -> None:
+    true, estimated = uphill(subject(camera()), np.zeros(2))
+    assert np.linalg.norm(estimated[:2] - true[:2]) < 0.05
+
+
+def test_poses_alone_tell_nothing_about_the_floor() -> None:
+    """A camera with an error that grows with the distance looks like a slope; the force tells them apart."""
+    estimator = subject(camera())
+    for k in range(1, 60):
+        estimator.observe(pose_at(k, BEGIN + np.array([0.0, -0.1, 0.0, 0.0]), np.zeros(3)))
+        estimator.commanded(k / RATE, np.zeros(2))
+    assert estimator.floor == pytest.approx(np.zeros(2))
+
+
+def test_uncertain_parameters_make_the_heading_of_a_turning_car_uncertain() -> None:
+    spreads = []
+    for command in (np.array([0.8, 0.3]), np.array([0.0, 0.0])):
+        estimator = subject(None)
+        for k in range(60):
+            estimator.commanded(k / RATE, command)
+        uncertainty = estimator.replanning_estimate(2.0).uncertainty
+        assert uncertainty is not None
+        spreads.append(math.sqrt(uncertainty.state[2, 2]))
+    assert spreads[0] > 2.0 * spreads[1]
