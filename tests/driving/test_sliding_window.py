@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.adaptive import HEADING, OTHER, POSITION, exciting, recorded, standing, straight, window
+from support.adaptive import HEADING, OTHER, POSITION, exciting, recorded, standing, straight, vehicle, window
 
 from kraft.driving.estimation.sliding_window import Identified
 from kraft.sysid.settings import Noise
@@ -87,6 +87,37 @@ def test_an_update_begins_where_the_last_one_ended() -> None:
     assert second is not None
     assert np.array_equal(subject.rho, second.rho)
     assert second.rho == pytest.approx(first.rho, abs=0.2 * np.sqrt(np.diag(first.covariance)).min())
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("name", "value"), [("phi_diff", 0.07), ("phi_diff", -0.07), ("v_delta", 0.4)])
+def test_a_parameter_that_changes_is_followed_while_most_of_the_window_is_older(
+    seed: int, name: str, value: float
+) -> None:
+    """Two of the six seconds are those of the changed car; the noise is that of a good camera."""
+    drive = recorded(exciting, 9.0, {}, 0.1, seed, change=(7.0, {name: value}))
+    subject, constant = window(), window()
+    found = subject.update(drive, [(0.1, 9.0)], NOISE)
+    before = constant.update(recorded(exciting, 7.0, {}, 0.1, seed), [(0.1, 7.0)], NOISE)
+    assert found is not None
+    assert before is not None
+    k = subject.parameters.names.index(name)
+    own, change = vehicle().parameters[name], value - vehicle().parameters[name]
+    assert before.rho[k] == pytest.approx(own, abs=0.15 * abs(change))
+    assert abs(subject.rho[k] - value) > 0.4 * abs(change)  # rho of the whole window
+    assert abs(found.rho[k] - value) < 0.25 * abs(change)
+    assert found.covariance[k, k] > before.covariance[k, k]
+
+
+def test_a_car_that_does_not_change_is_hardly_taken_for_one_that_did() -> None:
+    moved = []
+    for seed in range(12):
+        subject = window()
+        found = subject.update(recorded(exciting, 7.0, OTHER, 0.1, seed), [(0.1, 7.0)], NOISE)
+        assert found is not None
+        moved.append(np.abs(found.rho - subject.rho) / subject.parameters.std)
+        assert found.rho[-1] == pytest.approx(subject.rho[-1], abs=0.02)
+    assert np.sqrt(np.mean(np.square(moved))) < 0.15
 
 
 def test_residuals_are_as_large_as_the_noise() -> None:

@@ -12,7 +12,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import callbacks, peers, planner, safety, scaling, startup, sysid, world
+from benchmarks import (
+    arenas,
+    callbacks,
+    changes,
+    estimated,
+    peers,
+    planner,
+    random_arenas,
+    safety,
+    scaling,
+    startup,
+    sysid,
+    world,
+)
 from benchmarks.__main__ import main
 from benchmarks.effort import SMOKE
 from benchmarks.exact import Body, Disc, Rectangle, Star
@@ -22,6 +35,10 @@ from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
+from kraft.driving.car_model import CarModel
+from kraft.planning.workspace import workspace_of
+from kraft.vehicles.load import load_vehicle
+from ompl_ext.exact import ExactClearance
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
@@ -196,3 +213,79 @@ def test_identification_is_timed_and_tried_on_random_problems(monkeypatch: pytes
     assert found["20 logs of 20 s, 50 ms steps, 30 Hz"] > 0
     assert found["converged, of 2 problems from wild parameters"] == 1.0
     assert found["5 % outliers of 0.5 m: change of L"] < 0.02
+
+
+def test_a_change_is_followed_when_a_value_is_first_near() -> None:
+    values = [(-1.0, 0.0), (0.5, 3.0), (1.5, -2.0), (2.5, 0.4), (3.5, 2.0)]
+    assert changes.followed(values, 0.5) == 2.5
+    assert changes.followed(values, 0.1) == math.inf
+    assert changes.followed(values[:3], 0.1) is None  # the trial ended too soon to say
+    found = {each.quantity: each for each in changes.following("it", [0.5, 2.5, math.inf, 4.0])}
+    assert next(each.median for name, each in found.items() if "within 3 s" in name) == 50.0
+
+
+def test_trials_with_a_change_have_the_seeds_of_those_without_and_their_errors_since_then() -> None:
+    same = [changes.change_of(kind, 5)[0] for kind in changes.KINDS]
+    assert len(set(same)) == 1
+    drive = changes.drive(changes.KINDS.index("linkage"), SMOKE.method)
+    assert drive.kind == "linkage"
+    assert changes.TIMES[0] <= drive.change <= changes.TIMES[1]
+    assert all(0.0 < error < 1.0 for _, error in drive.errors)
+    offsets = [abs(value) for time, value in drive.estimates if time < 0.0]
+    assert np.median(offsets) == pytest.approx(math.radians(4.0), abs=math.radians(2.0))
+
+
+def test_random_arenas_can_be_driven_and_are_the_same_every_time() -> None:
+    for kind, gap in arenas.KINDS.values():
+        one, other = (random_arenas.random_arena(3, kind, gap) for _ in range(2))
+        assert one.obstacles == other.obstacles
+        assert random_arenas.can_be_driven(one)
+
+
+def test_a_drive_in_a_random_arena_is_counted() -> None:
+    drive = arenas.drive(1, "kraft")
+    counts = {each.quantity.split(",")[0]: each.median for each in arenas.rows_of([drive])[:3]}
+    assert counts == {name: float(name == drive.outcome) for name in ("success", "collision", "timeout")}
+    assert len(drive.planning) > drive.compared >= drive.regressions
+
+
+def test_the_cheap_world_moves_as_the_model_and_stops_at_obstacles() -> None:
+    scenario = random_arenas.random_arena(2, "open", (1.0, 1.0))
+    vehicle = load_vehicle("mushr-force").with_parameters({"v_delta": 0.5})
+    world, model = estimated.ModelWorld(scenario, vehicle), CarModel(vehicle)
+    world.apply(1.0, 0.05)
+    world.step(250)
+    assert (world.time, world.collision) == (0.5, None)
+    start = np.array([scenario.start.x, scenario.start.y, scenario.start.heading, 0.0])
+    assert world.pose == pytest.approx(model.advance(start, np.array([1.0, 0.05]), 0.5)[:3], abs=1e-5)
+    position, rotation = world.marker
+    assert position[:2] == pytest.approx(world.pose[:2])
+    assert rotation[:2, 0] == pytest.approx([math.cos(world.pose[2]), math.sin(world.pose[2])])
+    world.step(20_000)
+    assert world.collision is not None
+    assert world.collision.time < 40.0
+    exact = ExactClearance(workspace_of(scenario.task(), vehicle), vehicle.footprint)
+    assert exact.distance(*world.pose) == 0.0
+    assert world.collision.time == world.time
+
+
+def test_random_cars_are_within_their_ranges_and_can_be_held() -> None:
+    vehicle, rng = load_vehicle("mushr-force"), np.random.default_rng(0)
+    for _ in range(50):
+        values = estimated.random_car(rng, vehicle).parameters
+        assert all(vehicle.ranges[name].low <= value <= vehicle.ranges[name].high for name, value in values.items())
+        needed = math.hypot(values["a_x"], values["a_y"]) * values["tau"] * (1 - values["u_0"]) / values["v_delta"]
+        assert needed <= 0.5
+
+
+def test_episodes_compare_the_true_motion_with_the_bound() -> None:
+    episodes = [estimated.episode(number, SMOKE.method) for number in range(SMOKE.estimated)]
+    for each in episodes:
+        assert 0 < each.held <= each.ticks
+        assert each.broken <= each.cycles
+        assert 0.01 < each.delta < 1.0
+        assert 0.0 < each.deviation < 1.0
+    table = estimated.report(episodes, 0.99, 1.0, SMOKE)
+    assert quantities(table)["episodes"] == SMOKE.estimated
+    repeated = estimated.episode(0, SMOKE.method)
+    assert replace(repeated, seconds=0.0) == replace(episodes[0], seconds=0.0)

@@ -46,12 +46,21 @@ def standing(time: float) -> Floats:
 
 
 def driven(
-    command: Callable[[float], Floats], seconds: float, parameters: Mapping[str, float], delay: float
+    command: Callable[[float], Floats],
+    seconds: float,
+    parameters: Mapping[str, float],
+    delay: float,
+    change: tuple[float, Mapping[str, float]] | None = None,
 ) -> tuple[Matrix, Matrix]:
-    """True states (n + 1, nx) at each tick of RATE and commands (n, nu), which act `delay` s later."""
+    """True states (n + 1, nx) at each tick of RATE and commands (n, nu), which act `delay` s later.
+
+    From the time (s) of a `change` on the car has its parameters in addition.
+    """
     truth = Truth(CarModel(vehicle().with_parameters(parameters)), BEGIN, delay=round(delay * RATE))
     states, commands = [BEGIN], []
     for k in range(round(seconds * RATE)):
+        if change is not None and k == round(change[0] * RATE):
+            truth.model = CarModel(vehicle().with_parameters({**parameters, **change[1]}))
         commands.append(command(k / RATE))
         truth.step(commands[-1])
         states.append(truth.state.copy())
@@ -65,10 +74,11 @@ def recorded(
     delay: float,
     seed: int = 0,
     rest: float = 0.0,
+    change: tuple[float, Mapping[str, float]] | None = None,
 ) -> Drive:
     """Recorded drive of `seconds` s, then `rest` s without throttle; the vehicle stood before it, as all know."""
     states, commands = driven(
-        lambda time: command(time) if time < seconds else standing(time), seconds + rest, parameters, delay
+        lambda time: command(time) if time < seconds else standing(time), seconds + rest, parameters, delay, change
     )
     times, before = np.arange(len(states)) / RATE, np.arange(-0.5, -0.05, 0.1)
     noise = np.random.default_rng(seed).normal(size=(len(states), 3)) * [POSITION, POSITION, HEADING]
