@@ -1,6 +1,6 @@
 """Folder of a recorded run: commands, measured poses, true poses and a manifest.
 
-LOGS/run_01/commands.csv    t, throttle, steering: t is the time at which the command was sent
+LOGS/run_01/commands.csv    t, throttle, steering, or other controls: t is the time at which the command was sent
 LOGS/run_01/poses.csv       t, x, y, yaw: t is the time at which the frame was taken, by the camera's clock
 LOGS/run_01/truth.csv       t, x, y, yaw, speed: for comparison; identification never opens it
 LOGS/run_01/manifest.json   manoeuvre, start, scenario, seed, versions
@@ -21,12 +21,12 @@ from kraft.recording.recorder import Recording
 from kraft.scenario import Scenario
 
 SCHEMA: Final = "kraft.record/1"
-COMMANDS: Final = ("t", "throttle", "steering")
 POSES: Final = ("t", "x", "y", "yaw")
 TRUTH: Final = ("t", "x", "y", "yaw", "speed")
 UNITS: Final = {
     "t": "s", "throttle": "1", "steering": "rad", "x": "m", "y": "m", "yaw": "rad", "speed": "m/s",
 }  # fmt: skip
+"""Units of the columns; controls of other vehicles than cars have those of their model."""
 
 
 def check_log_folder(folder: Path) -> None:
@@ -48,7 +48,7 @@ def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, An
     """
     final = folder / f"run_{recording.number:02d}"
     with new_folder(final) as temporary:
-        write_csv(temporary / "commands.csv", COMMANDS, recording.commands.tolist())
+        write_csv(temporary / "commands.csv", ("t", *recording.controls), recording.commands.tolist())
         write_csv(temporary / "poses.csv", POSES, recording.poses.tolist())
         write_csv(temporary / "truth.csv", TRUTH, recording.truth.tolist())
         write_json(temporary / "manifest.json", _manifest(scenario, arguments, recording))

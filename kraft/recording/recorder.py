@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
+from kraft.driving.car_model import model_of
 from kraft.errors import Code, InputError
 from kraft.recording.free_space import FreeSpace, Place, predicted
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
 from kraft.scenario import Scenario
-from kraft.simulation.world import World
+from kraft.simulation.true_world import world_of
 from kraft.trial.plant import Plant
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
@@ -33,7 +33,8 @@ class Recording:
         number: number of the run, from 1.
         manoeuvre: commanded manoeuvre.
         place: start of the run.
-        commands: time of sending (s), throttle and steering (rad), (m, 3).
+        controls: names of the vehicle's controls.
+        commands: time of sending (s) and control, (m, 1 + nu).
         poses: time of the frame (s) and measured x, y (m) and yaw (rad), (n, 4).
         truth: time (s) and true x, y (m), yaw (rad) and speed (m/s) at every frame of the camera, (k, 5).
         end: time of its end, s.
@@ -43,6 +44,7 @@ class Recording:
     number: int
     manoeuvre: Manoeuvre
     place: Place
+    controls: tuple[str, ...]
     commands: Matrix
     poses: Matrix
     truth: Matrix
@@ -58,16 +60,16 @@ class Recorder:
 
         Args:
             scenario: where to drive; its start and goal are not used.
-            vehicle: model of the car: bounds of its commands, footprint and predicted paths.
+            vehicle: model: bounds of its controls, footprint and predicted paths.
             seed: seed of manoeuvres, starts and the camera's errors.
 
         Raises:
-            InputError: if the vehicle is not a car with throttle and steering.
+            InputError: if the true robot cannot be simulated there, or takes other controls.
         """
         self._scenario, self._seed = scenario, seed
-        self._model = CarModel(vehicle)
+        self._model = model_of(vehicle)
         self._free_space = FreeSpace(scenario, vehicle)
-        self._world = World(scenario)
+        self._world = world_of(scenario, vehicle, seed)
 
     def record(self, number: int) -> Recording:
         """Drive run `number`, from 1.
@@ -76,11 +78,7 @@ class Recorder:
             InputError: if the scenario has no free space for the manoeuvre.
         """
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
-        high = self._model.high
-        steering = min(high[self._model.steering], -self._model.low[self._model.steering])
-        commanded = manoeuvre(
-            NAMES[(number - 1) % len(NAMES)], float(high[self._model.throttle]), float(steering), generator
-        )
+        commanded = manoeuvre(NAMES[(number - 1) % len(NAMES)], self._model.drive_control, generator)
         place = self._free_space.place(predicted(self._model, commanded), generator)
         if place.time < SHORTEST:
             name = self._scenario.name
@@ -90,16 +88,14 @@ class Recorder:
         self._world.reset(place.start)
         seed = int(generator.integers(2**62))
         plant = Plant(self._world, self._scenario, self._model.vehicle.controls, seed, COMMAND_RATE)
-        return _Run(plant, self._model, self._free_space, commanded, place).drive(number)
+        return _Run(plant, self._free_space, commanded, place).drive(number)
 
 
 class _Run:
     """Run in progress."""
 
-    def __init__(
-        self, plant: Plant, model: CarModel, free_space: FreeSpace, commanded: Manoeuvre, place: Place
-    ) -> None:
-        self._plant, self._world, self._model, self._free_space = plant, plant.world, model, free_space
+    def __init__(self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place) -> None:
+        self._plant, self._world, self._free_space = plant, plant.world, free_space
         self._manoeuvre, self._place = commanded, place
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
@@ -117,7 +113,8 @@ class _Run:
             self._plant.advance(end)
             note = self._stop_reason()
         return Recording(
-            number, self._manoeuvre, self._place, np.array(self._commands), np.array(self._poses).reshape(-1, 4),
+            number, self._manoeuvre, self._place, self._plant.controls, np.array(self._commands),
+            np.array(self._poses).reshape(-1, 4),
             np.array(self._truth), world.time, note,
         )  # fmt: skip
 
@@ -135,9 +132,9 @@ class _Run:
         world = self._world
         if not self._plant.command_due:
             return
-        throttle, steering = self._manoeuvre.control_at(world.time)
-        self._commands.append((world.time, throttle, steering))
-        self._plant.send(self._model.command(throttle, steering))
+        control = self._manoeuvre.control_at(world.time)
+        self._commands.append((world.time, *control.tolist()))
+        self._plant.send(control)
 
     def _stop_reason(self) -> str:
         """Why the run has to end now; empty if it goes on."""
