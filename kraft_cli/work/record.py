@@ -58,8 +58,7 @@ def record_logs(
         raise InputError(problems)
     scenario = load_scenario(request.scenario)
     vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
-    from kraft.recording.log_folder import check_log_folder, write_recording  # these load the simulator
-    from kraft.recording.recorder import Recorder
+    from kraft.recording.recorder import Recorder, check_log_folder, write_recording  # these load the simulator
 
     check_log_folder(request.out)
     ensure_compiled(vehicle, report, steps=not is_car(vehicle))
