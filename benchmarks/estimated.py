@@ -25,7 +25,7 @@ from kraft.driving.method import Method, load_method
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.scenario import Scenario
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.collision import Collision
+from kraft.simulation.contacts import Collision
 from kraft.simulation.world import TIMESTEP, World
 from kraft.trial.measures import farthest_point
 from kraft.trial.result import Outcome, TrialResult, TrialSpec

@@ -28,7 +28,9 @@ def centre_line(seed: int) -> np.ndarray:
     generator = np.random.default_rng(seed)
     angle = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
     while True:
-        waves = sum(generator.uniform(-1, 1) / k * np.cos(k * angle + generator.uniform(0, 2 * math.pi)) for k in (2, 3, 4, 5))
+        waves = sum(
+            generator.uniform(-1, 1) / k * np.cos(k * angle + generator.uniform(0, 2 * math.pi)) for k in (2, 3, 4, 5)
+        )
         line = np.column_stack([4.6 * np.cos(angle), 2.6 * np.sin(angle)]) * (1.0 + 0.16 * waves)[:, None]
         along = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
         heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
@@ -73,6 +75,7 @@ def write_track(folder: Path, name: str, seed: int) -> Path:
     steps = length / len(line)
     start, goal = line[round(0.7 / steps)], line[-round(0.9 / steps)]
     begin = line[round(0.7 / steps) + 1] - line[round(0.7 / steps) - 1]
+    begin_deg = math.degrees(math.atan2(begin[1], begin[0]))
     scenario = f"""# yaml-language-server: $schema=scenario.schema.json
 # Written by examples/09_scenes.py track --seed {seed}: a lap of {length:.1f} m on a lane {2 * HALF_WIDTH:g} m wide.
 name: {name}
@@ -87,7 +90,7 @@ obstacles:
   - name: start line
     box: {{center: [{line[0][0]:.3f}, {line[0][1]:.3f}], size: [0.1, {2 * HALF_WIDTH:g}], yaw_deg: {heading:.1f}}}
 
-start: {{x: {start[0]:.3f}, y: {start[1]:.3f}, heading_deg: {math.degrees(math.atan2(begin[1], begin[0])):.1f}, speed: 0}}
+start: {{x: {start[0]:.3f}, y: {start[1]:.3f}, heading_deg: {begin_deg:.1f}, speed: 0}}
 goal: {{center: [{goal[0]:.3f}, {goal[1]:.3f}], radius: 0.4}}
 
 vehicle: f1tenth
@@ -115,7 +118,8 @@ def write_posts(folder: Path, name: str, seed: int) -> Path:
         if len(posts) == POSTS:
             break
     circles = "\n".join(
-        f"  - {{name: post {k}, circle: {{center: [{x:.3f}, {y:.3f}], radius: {r:.3f}}}}}" for k, (x, y, r) in enumerate(posts, 1)
+        f"  - {{name: post {k}, circle: {{center: [{x:.3f}, {y:.3f}], radius: {r:.3f}}}}}"
+        for k, (x, y, r) in enumerate(posts, 1)
     )
     scenario = f"""# yaml-language-server: $schema=scenario.schema.json
 # Written by examples/09_scenes.py posts --seed {seed}.

@@ -15,7 +15,7 @@ from support.paths import ROOT, TESTS
 COMPILE = """
 import sys
 from kraft.planning.compilation import ensure_compiled
-from kraft.sysid.compilation import ensure_compiled as ensure_identification
+from kraft.sysid.fast_graph import ensure_compiled as ensure_identification
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
 from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, step_kernels
@@ -28,10 +28,10 @@ for name in sys.argv[1:]:
         grow()
     if not is_cached(vehicle):
         kernels(vehicle)
-    if name.startswith("mushr") and not are_steps_cached(vehicle):
+    if name not in ("benchmark", "rover") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """
-VEHICLES = (("mushr", "unicycle2", "benchmark"), ("mushr-drive", "mushr-lag", "rover"))
+VEHICLES = (("mushr", "unicycle2", "benchmark", "f1tenth"), ("mushr-drive", "mushr-lag", "rover", "jackal"))
 """Vehicles that two processes compile, in about the same time each."""
 LONG = (
     "test_interrupts", "test_quality", "test_cli_sysid", "test_evaluation_workers", "test_examples", "test_theorem",

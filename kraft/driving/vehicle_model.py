@@ -6,6 +6,7 @@ Predictions use the planner's own compiled derivative and Runge-Kutta step, so t
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
@@ -21,6 +22,11 @@ CHANGE: Final = 1e-5
 """Change of a component in a numeric derivative, SI."""
 INSTANT: Final = 1e-3
 """Duration over which the direction of motion is measured, s."""
+
+COASTING: Final = 2.0
+"""Time within which a vehicle that slows down by itself has lost half of its speed, s."""
+EFFECT: Final = 0.3
+"""Share of the largest effect of a control from which on a control counts as driving or turning."""
 
 
 class VehicleModel:
@@ -119,6 +125,35 @@ class VehicleModel:
         rate[self.velocities] = (2.0 * speed_drift / self.vehicle.footprint.width) ** 2
         rate[self.v] = speed_drift**2
         return rate
+
+    def drive_control(self, drive: float, turn: float) -> Floats:
+        """Control (nu,) that drives forward with a share `drive` in [0, 1] and turns left with `turn` in [-1, 1].
+
+        Without `drive`, a vehicle that does not slow down by itself brakes.
+        """
+        forward, sideways, slowing = self._directions
+        ahead = drive * forward if drive > 0.0 else slowing
+        return self.clamped(ahead + turn * sideways)
+
+    @cached_property
+    def _directions(self) -> tuple[Floats, Floats, Floats]:
+        """Controls (nu,) that drive forward at full power, that turn left besides, and that let the vehicle slow down.
+
+        They are found by the model's derivatives: a control counts if its effect is at least `EFFECT` of the largest.
+        """
+        span, nx = self.high - self.low, len(self.vehicle.state)
+        _, _, by_control = self.linearised(np.zeros((1, nx)), self.rest[None, :], np.array([MAX_STEP]))
+        gain = by_control[0][self.v] * span
+        counts = np.abs(gain) >= EFFECT * np.abs(gain).max()
+        forward = np.where(counts, np.where(gain > 0.0, self.high, self.low), 0.0)
+        moving = self.advance(np.zeros(nx), self.clamped(0.5 * forward), 1.0)
+        _, _, by_control = self.linearised(moving[None, :], self.clamped(0.5 * forward)[None, :], np.array([MAX_STEP]))
+        turned = by_control[0][self.theta] * span
+        counts = np.abs(turned) >= EFFECT * np.abs(turned).max()
+        sideways = np.where(counts, 0.5 * np.sign(turned) * span, 0.0)
+        coasted = self.advance(moving, self.rest, COASTING)
+        slows = float(coasted[self.v]) < 0.5 * float(moving[self.v])
+        return forward, sideways, self.rest if slows else self.clamped(-forward)
 
     def control_to(self, state: Floats, control: Floats, after: Floats, duration: float) -> Floats:
         """Control (nu,) near `control` that leads from a state to the velocities of `after`, as nearly as one can."""

@@ -37,7 +37,7 @@ from kraft.plot.traces import (
     run_footprint_interval,
 )
 from kraft.scenario import Task
-from kraft.simulation.hidden import HiddenFeature
+from kraft.simulation.appearance import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult, outcome_text
 from ompl_ext.vehicle import Vehicle
 

@@ -20,7 +20,7 @@ from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
 from kraft.plot.panels import HELD, Curve, Panel, draw_panel, draw_title, quantity
 from kraft.plot.style import CYCLE, DASHED, INK, RULE, WARNING, WARNING_PALE, Style
 from kraft.scenario import Task
-from kraft.simulation.hidden import HiddenFeature
+from kraft.simulation.appearance import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.planning.workspace import workspace_of
 from kraft.recording.manoeuvres import Manoeuvre
 from kraft.scenario import Box, Scenario, Start
@@ -77,13 +77,12 @@ class FreeSpace:
         return STEP * (inside - 1)
 
 
-def predicted(model: CarModel, manoeuvre: Manoeuvre) -> Matrix:
+def predicted(model: VehicleModel, manoeuvre: Manoeuvre) -> Matrix:
     """Poses (m, 3) from the origin, `STEP` apart, predicted by the model."""
     state = np.zeros(len(model.vehicle.state))
     poses = [(0.0, 0.0, 0.0)]
     for k in range(round(manoeuvre.end / STEP)):
-        throttle, steering = manoeuvre.control_at((k + 0.5) * STEP)
-        state = model.advance(state, model.command(throttle, steering), STEP)
+        state = model.advance(state, manoeuvre.control_at((k + 0.5) * STEP), STEP)
         poses.append((float(state[model.x]), float(state[model.y]), float(state[model.theta])))
     return np.array(poses)
 

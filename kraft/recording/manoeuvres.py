@@ -1,4 +1,4 @@
-"""Open-loop manoeuvres that make the parameters of a car identifiable.
+"""Open-loop manoeuvres that make the parameters of a vehicle identifiable.
 
 Straight runs identify the drive and show a steering offset, arcs to both sides separate the wheelbase from the steering
 offset, steps identify the lags, and the mix covers other combinations of commands.
@@ -20,37 +20,40 @@ DURATION: Final = 20.0
 REST: Final = 0.5
 """Time at rest before it begins, s: the initial speed of a log that begins at rest is known."""
 COASTING: Final = 2.5
-"""Time without throttle at its end, s, so that every log shows how the car slows down."""
+"""Time without drive at its end, s, so that every log shows how the vehicle slows down."""
 
 Piece = tuple[float, float, float]
-"""Duration (s), and throttle and steering as shares of the largest values."""
+"""Duration (s), and drive and turn to the left as shares of the largest ones: for a car throttle and steering."""
 Draw = Callable[[np.random.Generator], list[Piece]]
+
+
+ToControl = Callable[[float, float], Floats]
+"""Control (nu,) of a vehicle from a drive and a turn, see `VehicleModel.drive_control`."""
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Throttle and steering (n, 2), held from each of `times` (n,) to the next and from the last to `end`, s."""
+    """Controls (n, nu), held from each of `times` (n,) to the next and from the last to `end`, s."""
 
     name: str
     times: Floats
     controls: Matrix
     end: float
 
-    def control_at(self, time: float) -> tuple[float, float]:
-        """Throttle and steering at a time, s."""
+    def control_at(self, time: float) -> Floats:
+        """Control (nu,) at a time, s."""
         k = int(np.searchsorted(self.times, time + 1e-9, side="right")) - 1
-        throttle, steering = self.controls[max(k, 0)]
-        return float(throttle), float(steering)
+        held: Floats = self.controls[max(k, 0)]
+        return held
 
 
-def manoeuvre(name: str, throttle: float, steering: float, generator: np.random.Generator) -> Manoeuvre:
+def manoeuvre(name: str, to_control: ToControl, generator: np.random.Generator) -> Manoeuvre:
     """Draw a manoeuvre.
 
     Args:
         name: one of `NAMES`.
-        throttle: largest throttle.
-        steering: largest steering angle to either side, rad.
-        generator: draws durations, throttles and steering angles.
+        to_control: makes the controls of the vehicle.
+        generator: draws durations, drives and turns.
     """
     available = DURATION - REST - COASTING
     pieces: list[Piece] = [(REST, 0.0, 0.0)]
@@ -62,7 +65,7 @@ def manoeuvre(name: str, throttle: float, steering: float, generator: np.random.
             break
     pieces.append((COASTING, 0.0, pieces[-1][2]))
     durations = np.array([piece[0] for piece in pieces])
-    controls = np.array([(u * throttle, phi * steering) for _, u, phi in pieces])
+    controls = np.array([to_control(u, phi) for _, u, phi in pieces])
     times = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
     return Manoeuvre(name, times, controls, DURATION)
 

@@ -1,18 +1,31 @@
-"""Record runs: drive manoeuvres in the simulated world and log commands, measured poses and true poses."""
+"""Record runs: drive manoeuvres in the simulated world and log commands, measured poses and true poses.
+
+The folder of a run has these files:
+
+LOGS/run_01/commands.csv    t, throttle, steering, or other controls: t is the time at which the command was sent
+LOGS/run_01/poses.csv       t, x, y, yaw: t is the time at which the frame was taken, by the camera's clock
+LOGS/run_01/truth.csv       t, x, y, yaw, speed: for comparison; identification never opens it
+LOGS/run_01/manifest.json   manoeuvre, start, scenario, seed, versions
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
-from kraft.driving.car_model import CarModel
+from kraft.driving.car_model import model_of
 from kraft.errors import Code, InputError
+from kraft.files import check_writable, new_folder, write_csv, write_json
+from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.recording.free_space import FreeSpace, Place, predicted
 from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
 from kraft.scenario import Scenario
-from kraft.simulation.world import World
+from kraft.simulation.true_world import world_of
 from kraft.trial.plant import Plant
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
@@ -33,7 +46,8 @@ class Recording:
         number: number of the run, from 1.
         manoeuvre: commanded manoeuvre.
         place: start of the run.
-        commands: time of sending (s), throttle and steering (rad), (m, 3).
+        controls: names of the vehicle's controls.
+        commands: time of sending (s) and control, (m, 1 + nu).
         poses: time of the frame (s) and measured x, y (m) and yaw (rad), (n, 4).
         truth: time (s) and true x, y (m), yaw (rad) and speed (m/s) at every frame of the camera, (k, 5).
         end: time of its end, s.
@@ -43,6 +57,7 @@ class Recording:
     number: int
     manoeuvre: Manoeuvre
     place: Place
+    controls: tuple[str, ...]
     commands: Matrix
     poses: Matrix
     truth: Matrix
@@ -58,16 +73,16 @@ class Recorder:
 
         Args:
             scenario: where to drive; its start and goal are not used.
-            vehicle: model of the car: bounds of its commands, footprint and predicted paths.
+            vehicle: model: bounds of its controls, footprint and predicted paths.
             seed: seed of manoeuvres, starts and the camera's errors.
 
         Raises:
-            InputError: if the vehicle is not a car with throttle and steering.
+            InputError: if the true robot cannot be simulated there, or takes other controls.
         """
         self._scenario, self._seed = scenario, seed
-        self._model = CarModel(vehicle)
+        self._model = model_of(vehicle)
         self._free_space = FreeSpace(scenario, vehicle)
-        self._world = World(scenario)
+        self._world = world_of(scenario, vehicle, seed)
 
     def record(self, number: int) -> Recording:
         """Drive run `number`, from 1.
@@ -76,11 +91,7 @@ class Recorder:
             InputError: if the scenario has no free space for the manoeuvre.
         """
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
-        high = self._model.high
-        steering = min(high[self._model.steering], -self._model.low[self._model.steering])
-        commanded = manoeuvre(
-            NAMES[(number - 1) % len(NAMES)], float(high[self._model.throttle]), float(steering), generator
-        )
+        commanded = manoeuvre(NAMES[(number - 1) % len(NAMES)], self._model.drive_control, generator)
         place = self._free_space.place(predicted(self._model, commanded), generator)
         if place.time < SHORTEST:
             name = self._scenario.name
@@ -90,16 +101,14 @@ class Recorder:
         self._world.reset(place.start)
         seed = int(generator.integers(2**62))
         plant = Plant(self._world, self._scenario, self._model.vehicle.controls, seed, COMMAND_RATE)
-        return _Run(plant, self._model, self._free_space, commanded, place).drive(number)
+        return _Run(plant, self._free_space, commanded, place).drive(number)
 
 
 class _Run:
     """Run in progress."""
 
-    def __init__(
-        self, plant: Plant, model: CarModel, free_space: FreeSpace, commanded: Manoeuvre, place: Place
-    ) -> None:
-        self._plant, self._world, self._model, self._free_space = plant, plant.world, model, free_space
+    def __init__(self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place) -> None:
+        self._plant, self._world, self._free_space = plant, plant.world, free_space
         self._manoeuvre, self._place = commanded, place
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
@@ -117,7 +126,8 @@ class _Run:
             self._plant.advance(end)
             note = self._stop_reason()
         return Recording(
-            number, self._manoeuvre, self._place, np.array(self._commands), np.array(self._poses).reshape(-1, 4),
+            number, self._manoeuvre, self._place, self._plant.controls, np.array(self._commands),
+            np.array(self._poses).reshape(-1, 4),
             np.array(self._truth), world.time, note,
         )  # fmt: skip
 
@@ -135,9 +145,9 @@ class _Run:
         world = self._world
         if not self._plant.command_due:
             return
-        throttle, steering = self._manoeuvre.control_at(world.time)
-        self._commands.append((world.time, throttle, steering))
-        self._plant.send(self._model.command(throttle, steering))
+        control = self._manoeuvre.control_at(world.time)
+        self._commands.append((world.time, *control.tolist()))
+        self._plant.send(control)
 
     def _stop_reason(self) -> str:
         """Why the run has to end now; empty if it goes on."""
@@ -148,3 +158,59 @@ class _Run:
         if clearance < STOP:
             return f"stopped after {world.time:.2f} s, {clearance:.2f} m from the nearest obstacle or bound"
         return ""
+
+
+SCHEMA: Final = "kraft.record/1"
+POSES: Final = ("t", "x", "y", "yaw")
+TRUTH: Final = ("t", "x", "y", "yaw", "speed")
+UNITS: Final = {
+    "t": "s", "throttle": "1", "steering": "rad", "x": "m", "y": "m", "yaw": "rad", "speed": "m/s",
+}  # fmt: skip
+"""Units of the columns; controls of other vehicles than cars have those of their model."""
+
+
+def check_log_folder(folder: Path) -> None:
+    """Check that a new folder of logs can be created.
+
+    Raises:
+        InputError: if the folder exists or cannot be written.
+    """
+    if os.path.lexists(folder):
+        raise InputError.of(str(folder), "is there already", "expected a new folder for the logs", Code.EXISTS)
+    check_writable(folder)
+
+
+def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> Path:
+    """Write a run into its own new folder in `folder`, in one step, and return that folder.
+
+    Raises:
+        InputError: if the run cannot be written.
+    """
+    final = folder / f"run_{recording.number:02d}"
+    with new_folder(final) as temporary:
+        write_csv(temporary / "commands.csv", ("t", *recording.controls), recording.commands.tolist())
+        write_csv(temporary / "poses.csv", POSES, recording.poses.tolist())
+        write_csv(temporary / "truth.csv", TRUTH, recording.truth.tolist())
+        write_json(temporary / "manifest.json", _manifest(scenario, arguments, recording))
+    return final
+
+
+def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
+    """Content of the manifest: everything that repeating the run needs, and no time of day."""
+    start = recording.place.start
+    described = {f.name: plain(getattr(scenario, f.name)) for f in fields(scenario) if f.compare}
+    return {
+        "schema": SCHEMA,
+        "arguments": dict(arguments),
+        "run": recording.number,
+        "manoeuvre": recording.manoeuvre.name,
+        "start": {"x": start.x, "y": start.y, "heading": start.heading},
+        "end": recording.end,
+        "note": recording.note,
+        "commands": len(recording.commands),
+        "poses": len(recording.poses),
+        "units": UNITS,
+        "clock": "both files count from the beginning of the run; a pose carries the time its frame was taken",
+        "scenario": {"sha256": plain_hash(described), "content": described},
+        "versions": versions(SIMULATION),
+    }

@@ -21,8 +21,8 @@ from kraft.scenario.model import Goal, Scenario, Start
 from kraft.scenario.occupancy import read_map
 from kraft.scenario.schema import Bounds, GoalFile, MapFile, ObstacleFile, ScenarioFile, StartFile
 from kraft.scenario.truth import Truth
+from kraft.vehicles.config import with_files
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
-from kraft.vehicles.robot import with_files
 
 
 def load_scenario(name_or_path: str | Path, settings: Mapping[str, Any] | Sequence[Override] | None = None) -> Scenario:

@@ -10,7 +10,7 @@ except (ImportError, OSError, RuntimeError, AttributeError) as error:
     advice = f"; unset MUJOCO_GL, which is {os.environ['MUJOCO_GL']}" if "MUJOCO_GL" in os.environ else ""
     raise MissingDependency(f"the simulator, MuJoCo, does not load: {error}{advice}") from None
 
-from kraft.simulation.collision import Collision
+from kraft.simulation.contacts import Collision
 from kraft.simulation.world import World
 
 __all__ = ["Collision", "World"]

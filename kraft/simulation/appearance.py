@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, Literal
 
 import mujoco
 import numpy as np
 
-from kraft.scenario import Scenario
+from kraft.scenario import Box, Scenario
 from kraft.simulation import contacts
 from kraft.simulation.floor_frame import FloorFrame
+from ompl_ext.arrays import Matrix
 
 BOX, CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
 
@@ -88,3 +90,29 @@ def add_surroundings(spec: Any, ground: Any, scenario: Scenario, frame: FloorFra
         ground.add_geom(
             type=CYLINDER, pos=[*goal.center, top / 2], size=[radius, top / 2, 0.0], material=name, **contacts.VISUAL
         )
+
+
+@dataclass(frozen=True)
+class HiddenFeature:
+    """Outline (n, 2) of a hidden feature in the map's frame, m."""
+
+    kind: Literal["patch", "bump", "box"]
+    corners: Matrix
+
+
+def hidden_features(scenario: Scenario, movable_poses: Matrix | None = None) -> list[HiddenFeature]:
+    """Patches, bumps and movable boxes; boxes are at `movable_poses` (n, 3), m and rad, or at their initial poses."""
+    truth = scenario.truth
+    found = [
+        HiddenFeature("patch", np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
+        for (x0, x1), (y0, y1) in ((patch.x, patch.y) for patch in truth.friction_patches)
+    ]
+    found += [HiddenFeature("bump", _corners(Box(bump.center, bump.size, bump.yaw))) for bump in truth.speed_bumps]
+    for i, box in enumerate(truth.movable_boxes):
+        x, y, yaw = (*box.center, box.yaw) if movable_poses is None else map(float, movable_poses[i])
+        found.append(HiddenFeature("box", _corners(Box((x, y), box.size[:2], yaw))))
+    return found
+
+
+def _corners(box: Box) -> Matrix:
+    return np.array(box.corners)

@@ -16,7 +16,7 @@ import mujoco
 from kraft.driving.car_model import interpolate
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
-from kraft.vehicles.robot import CarDimensions
+from kraft.vehicles.config import CarDimensions
 
 POSITION: Final = int(mujoco.mjtCtrlInput.mjINPUT_POS)
 """The servos take an angle; by default MuJoCo's would take an angular velocity as well."""

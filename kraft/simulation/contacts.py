@@ -1,4 +1,6 @@
-"""Contact rules: which geoms can touch (MuJoCo's contact bits), and which friction counts (its priorities).
+"""Contacts: rules, and collisions of the robot with obstacles.
+
+The rules say which geoms can touch (MuJoCo's contact bits), and which friction counts (its priorities).
 
 Two geoms can touch if the type of one shares a bit with the affinity of the other. The friction of a contact is that
 of the geom with the higher priority, and the larger of both at equal priority. So wheels, which have the lowest
@@ -12,7 +14,14 @@ The car's own friction never counts: floor, patches, bumps and boxes have higher
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
+
+import numpy as np
+
+from kraft.errors import Defect
+from kraft.scenario import Scenario
+from kraft.simulation.floor_frame import FloorFrame
 
 GROUND_BIT: Final = 1
 OBSTACLE_BIT: Final = 2
@@ -52,3 +61,81 @@ def friction(sliding: float) -> list[float]:
 def settings(**given: Any) -> dict[str, Any]:
     """Common contact settings of geoms that can touch, updated with `given`."""
     return {"condim": ROWS, "solref": [CONTACT_TIME, 1.0], **given}
+
+
+GROUND: Final = "floor"
+"""Name of the floor's body and geom."""
+MAX_PENETRATION: Final = 0.001
+"""Largest penetration of an ordinary contact, m."""
+
+
+@dataclass(frozen=True)
+class Collision:
+    """First contact of the car with a static obstacle.
+
+    Attributes:
+        time: s.
+        obstacle: its name in the scenario, or ``obstacles[i]``.
+        point: (x, y, z) in the floor's frame, m.
+    """
+
+    time: float
+    obstacle: str
+    point: tuple[float, float, float]
+
+
+class CollisionDetector:
+    """Detects contacts between car and obstacles in a compiled world."""
+
+    def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame, root: str, by_rows: bool) -> None:
+        self._data, self._frame = data, frame
+        self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
+        names = [model.geom(geom).name for geom in range(model.ngeom)]
+        self._obstacle = np.array([_index("obstacle", name) for name in names])
+        self._movable = np.array([_index("movable", name) for name in names])
+        self._of_car = model.body_rootid[model.geom_bodyid] == model.body(root).id
+        self._solid, self._floor = self._obstacle >= 0, np.array([name == GROUND for name in names])
+        self._by_rows = by_rows
+        if self._by_rows and (model.neq or (model.geom_condim > ROWS).any()):
+            raise Defect("contacts are counted by rows: no equality constraint, and none of more than three dimensions")
+
+    def boxes_in_car(self) -> list[int]:
+        """Indices of the movable boxes that overlap the car by more than a contact."""
+        contact = self._data.contact
+        deep = contact.geom[contact.dist < -MAX_PENETRATION]
+        boxes = self._movable[deep[self._of_car[deep].any(axis=1)]]
+        return sorted(set(boxes[boxes >= 0].tolist()))
+
+    @property
+    def depth_in_floor(self) -> float:
+        """Largest depth to which the car is in the floor, m; 0 without a contact."""
+        contact = self._data.contact
+        on_floor = self._of_car[contact.geom].any(axis=1) & self._floor[contact.geom].any(axis=1)
+        depths: list[float] = (-contact.dist[on_floor]).tolist()
+        return max([0.0, *depths])
+
+    @property
+    def may_have_collision(self) -> bool:
+        """Whether there may be a contact between car and obstacle, by the number of solver rows; no false negatives."""
+        data = self._data
+        if not self._by_rows:
+            return bool(data.ncon)
+        return bool(data.nefc - data.nf - data.nl != ROWS * data.ncon)
+
+    def first(self, time: float) -> Collision | None:
+        """First present contact between car and obstacle, None without one."""
+        pairs = self._data.contact.geom
+        car, solid = self._of_car[pairs], self._solid[pairs]
+        # both geoms are checked: a movable box that is pushed against a wall touches an obstacle, too
+        hits = np.flatnonzero((car[:, 0] & solid[:, 1]) | (car[:, 1] & solid[:, 0]))
+        if not hits.size:
+            return None
+        obstacle = int(self._obstacle[pairs[hits[0]]].max())
+        x, y, z = self._frame.to_floor(self._data.contact.pos[hits[0]]).tolist()
+        return Collision(time, self._labels[obstacle], (x, y, z))
+
+
+def _index(kind: str, geom: str) -> int:
+    """Index of the obstacle or movable box that a geom belongs to, by its name "kind i ..."; -1 for another kind."""
+    words = geom.split()
+    return int(words[1]) if words[:1] == [kind] else -1

@@ -16,7 +16,7 @@ from kraft.scenario import Scenario, Start
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.simulation.car import CAR, MARKER_HEIGHT
-from kraft.simulation.collision import Collision
+from kraft.simulation.contacts import Collision
 from kraft.simulation.floor_frame import FloorFrame, yaw_quaternion
 from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, is_in_goal

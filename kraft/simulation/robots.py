@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Final, Protocol, TypeAlias
 
 import mujoco
 import numpy as np
 
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario import Start
 from kraft.scenario.truth import VehicleGap
-from kraft.simulation.car import CAR, DRIVE, STEERED, WHEELS, CarDesign, add_car
+from kraft.simulation import contacts
+from kraft.simulation.car import CAR, DRIVE, MARKER, MARKER_HEIGHT, STEERED, WHEELS, CarDesign, add_car
 from kraft.simulation.car_visuals import add_car_visuals
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion
+from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
 from ompl_ext.arrays import Floats
 
@@ -133,3 +139,194 @@ class CarInWorld:
         """Change the mass of the chassis."""
         chassis = self._model.body(CAR)
         chassis.mass[:], chassis.inertia[:] = self._design.inertia(gap)
+
+
+PREFIX: Final = "robot/"
+"""Beginning of all names of the robot in the world."""
+FREE: Final = mujoco.mjtJoint.mjJNT_FREE
+ProblemAt: TypeAlias = Callable[[str, str, str, Code], Diagnostic]
+"""Diagnostic from a key, a problem, what is expected and a code."""
+
+
+@dataclass(frozen=True)
+class MjcfRobot:
+    """Robot of an MJCF file.
+
+    Attributes:
+        file: path of the file; `digest` is the hash of its content.
+        controls: names of the controls, in their order.
+        actuators: name of the actuator that receives each of them.
+        tracked, base: tracked body, and the body with the free joint, which may be the same.
+        geoms: names of the geoms whose contact with an obstacle is a collision.
+    """
+
+    file: str
+    digest: str
+    controls: tuple[str, ...]
+    actuators: tuple[str, ...]
+    tracked: str
+    base: str
+    geoms: tuple[str, ...]
+
+    grip: ClassVar[float] = 1.0
+    has_plain_contacts: ClassVar[bool] = False
+
+    @property
+    def body(self) -> str:
+        """Name of the tracked body in the world."""
+        return PREFIX + self.tracked
+
+    @property
+    def root(self) -> str:
+        """Name of the body with the free joint in the world."""
+        return PREFIX + self.base
+
+    @cached_property
+    def _height(self) -> float:
+        """Height of the tracked body above the floor of the file, m."""
+        alone = mujoco.MjSpec.from_file(self.file).compile()
+        data = mujoco.MjData(alone)
+        mujoco.mj_kinematics(alone, data)
+        return float(data.body(self.tracked).xpos[2])
+
+    def add(self, spec: Any, gap: VehicleGap) -> None:
+        """Add the robot, without the rest of its file: its floor, its lights, its options."""
+        child = mujoco.MjSpec.from_file(self.file)
+        body = spec.worldbody.add_frame().attach_body(child.body(self.base), PREFIX, "")
+        for geom in body.find_all("geom"):
+            if geom.contype or geom.conaffinity:
+                counts = geom.name.removeprefix(PREFIX) in self.geoms
+                geom.contype = contacts.ALL_BITS if counts else contacts.ALL_BITS & ~contacts.OBSTACLE_BIT
+                geom.conaffinity = 0
+        tracked = spec.body(self.body)
+        tracked.add_site(name=MARKER, pos=[0.0, 0.0, MARKER_HEIGHT - self._height])
+
+    def bind(self, model: Any, data: Any) -> MjcfInWorld:
+        """Robot in a compiled world."""
+        return MjcfInWorld(self, model, data)
+
+
+class MjcfInWorld:
+    """Robot of an MJCF file in a compiled world."""
+
+    def __init__(self, robot: MjcfRobot, model: Any, data: Any) -> None:
+        self._model, self._data, self._velocity = model, data, np.empty(6)
+        self._body = model.body(robot.body).id
+        joint = model.joint(model.body(robot.root).jntadr[0])
+        self._position, self._speed = int(joint.qposadr[0]), int(joint.dofadr[0])
+        numbers = [model.actuator(PREFIX + name).id for name in robot.actuators]
+        self._inputs = [int(model.actuator_ctrladr[k]) for k in numbers]
+        limited = [bool(model.actuator_ctrllimited[k]) for k in numbers]
+        unlimited = (-math.inf, math.inf)
+        ranges = [model.actuator_ctrlrange[k] if has else unlimited for k, has in zip(numbers, limited, strict=True)]
+        self._low, self._high = np.array(ranges, dtype=float).T
+
+    def apply(self, control: Sequence[float], gap: VehicleGap) -> None:
+        """Hold the inputs of the actuators from now on, clamped to their ranges."""
+        self._data.ctrl[self._inputs] = np.clip(control, self._low, self._high)
+
+    def place(self, start: Start, frame: FloorFrame, gap: VehicleGap) -> None:
+        """Move the robot as it stands in its file so that the tracked body is at the start, with its speed."""
+        model, data, at = self._model, self._data, self._position
+        mujoco.mj_kinematics(model, data)
+        place, axes = data.xpos[self._body].copy(), data.xmat[self._body].reshape(3, 3)
+        turn = start.heading - math.atan2(axes[1, 0], axes[0, 0])
+        c, s = math.cos(turn), math.sin(turn)
+        about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        offset = data.qpos[at : at + 3] - np.array([place[0], place[1], 0.0])
+        data.qpos[at : at + 3] = frame.to_world(about_z @ offset + np.array([start.x, start.y, 0.0]))
+        turned, upright = np.empty(4), data.qpos[at + 3 : at + 7].copy()
+        mujoco.mju_mat2Quat(turned, (frame.rotation @ about_z).ravel())
+        mujoco.mju_mulQuat(data.qpos[at + 3 : at + 7], turned, upright)
+        ahead = np.array([math.cos(start.heading), math.sin(start.heading), 0.0])
+        data.qvel[self._speed : self._speed + 3] = start.speed * frame.rotation @ ahead
+
+    def change(self, gap: VehicleGap) -> None:
+        """Nothing: only a car has a gap."""
+
+    @property
+    def velocity(self) -> Floats:
+        """Velocity of the tracked body in the world's frame, (3,), m/s."""
+        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, self._body, self._velocity, 0)
+        return self._velocity[3:]
+
+
+def mjcf_robot(
+    file: str,
+    controls: Iterable[str],
+    body: str | None,
+    actuators: Mapping[str, str] | None,
+    geoms: Sequence[str] | None,
+    problem_at: ProblemAt,
+) -> MjcfRobot:
+    """Robot of an MJCF file, after a check that it loads and has what a trial needs.
+
+    Args:
+        file: path of the MJCF file.
+        controls: names of the vehicle's controls.
+        body: body whose pose is the robot's; by default the first one.
+        actuators: actuator for each control; by default those with the names of the controls.
+        geoms: geoms whose contact with an obstacle is a collision; by default all that can touch something.
+        problem_at: makes the diagnostic of a problem of a key.
+
+    Raises:
+        InputError: with every problem of the file and of these names.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(file)
+        spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        problem = f"{file} does not load: {reason}"
+        raise InputError([problem_at("mjcf", problem, "expected a MuJoCo model", Code.CODE)]) from None
+    names = tuple(controls)
+    chosen = {name: name for name in names} if actuators is None else dict(actuators)
+    problems = [*_bad_actuators(spec, chosen, names, actuators is None, problem_at)]
+    bodies = [each.name for each in spec.bodies[1:]]
+    tracked = body if body is not None else next(iter(bodies), "")
+    if tracked not in bodies:
+        key, expected = "mjcf" if body is None else "body", suggestion(tracked, bodies, none="expected a body")
+        problems.append(problem_at(key, f"{file} has no body {tracked!r}", expected, Code.UNKNOWN))
+        raise InputError(problems)
+    base = _root_of(spec, tracked)
+    touching = [geom.name for geom in base.find_all("geom") if geom.contype or geom.conaffinity]
+    if base.first_joint() is None or base.first_joint().type != FREE:
+        problem = f"body {base.name!r}, at the root of {tracked!r}, has no free joint"
+        expected = "expected a robot that moves freely: <freejoint/> in it"
+        problems.append(problem_at("mjcf" if body is None else "body", problem, expected, Code.MISSING))
+    for k, name in enumerate(geoms or ()):
+        if name not in touching:
+            problem, none = f"the robot has no geom {name!r} that can touch something", "it has none"
+            problems.append(problem_at(f"geoms[{k}]", problem, suggestion(name, touching, none=none), Code.UNKNOWN))
+    if problems:
+        raise InputError(problems)
+    return MjcfRobot(
+        file, hashlib.sha256(Path(file).read_bytes()).hexdigest(), names, tuple(chosen[name] for name in names),
+        tracked, base.name, tuple(touching if geoms is None else geoms),
+    )  # fmt: skip
+
+
+def _bad_actuators(
+    spec: Any, chosen: Mapping[str, str], controls: Sequence[str], by_default: bool, problem_at: ProblemAt
+) -> Iterator[Diagnostic]:
+    known = [actuator.name for actuator in spec.actuators]
+    for control in controls:
+        if control not in chosen:
+            problem = f"names no actuator for the control {control}"
+            yield problem_at("actuators", problem, "expected one for each control", Code.MISSING)
+    for control, actuator in chosen.items():
+        if control not in controls:
+            problem = f"the vehicle has no control {control!r}"
+            yield problem_at(f"actuators.{control}", problem, suggestion(control, controls), Code.UNKNOWN)
+        elif actuator not in known:
+            key = "mjcf" if by_default else f"actuators.{control}"
+            expected = suggestion(actuator, known, none="expected an actuator, and it has none")
+            yield problem_at(key, f"the robot has no actuator {actuator!r}", expected, Code.UNKNOWN)
+
+
+def _root_of(spec: Any, name: str) -> Any:
+    """Body of the tree of a body that is next to the world."""
+    body = spec.body(name)
+    while body.parent.name != "world":
+        body = body.parent
+    return body

@@ -14,7 +14,7 @@ from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Polygon, Scenari
 from kraft.scenario.truth import FrictionPatch, MovableBox, SpeedBump
 from kraft.simulation import appearance, contacts
 from kraft.simulation.car import GRAVITY
-from kraft.simulation.collision import FLOOR
+from kraft.simulation.contacts import GROUND
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion
 from ompl_ext.arrays import Matrix
 from ompl_ext.triangulate import triangles
@@ -38,11 +38,11 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame, grip: float = 1.
 
     `grip` is a factor on the friction of floor, bumps and patches, that of the robot's tyres.
     """
-    ground = _add_body(spec, FLOOR, frame)
+    ground = _add_body(spec, GROUND, frame)
     truth = scenario.truth
     friction = contacts.friction(truth.floor_friction * grip)
     ground.add_geom(
-        name=FLOOR,
+        name=GROUND,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 0.05],
         friction=friction,
@@ -160,7 +160,7 @@ def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: Floo
 def set_friction(model: Any, scenario: Scenario, floor_friction: float, grip: float) -> None:
     """Set the friction of the floor, with that of the bumps on it and of the boxes that slide on it."""
     truth = scenario.truth
-    for name in (FLOOR, *(f"bump {i}" for i in range(len(truth.speed_bumps)))):
+    for name in (GROUND, *(f"bump {i}" for i in range(len(truth.speed_bumps)))):
         model.geom(name).friction[:] = contacts.friction(floor_friction * grip)
     for i, box in enumerate(truth.movable_boxes):
         model.geom(f"movable {i}").friction[:] = contacts.friction(min(box.friction, floor_friction))

@@ -10,16 +10,15 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario import Scenario, Start
 from kraft.scenario.truth import Truth, VehicleGap
 from kraft.simulation.car import design_of
-from kraft.simulation.collision import Collision
+from kraft.simulation.contacts import Collision
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.simulation.mjcf import mjcf_robot
 from kraft.simulation.model_world import ModelWorld
-from kraft.simulation.robots import SimulatedCar
+from kraft.simulation.robots import SimulatedCar, mjcf_robot
 from kraft.simulation.world import World
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
+from kraft.vehicles.config import CarDimensions, Robot
 from kraft.vehicles.load import load_vehicle, natural_robot
-from kraft.vehicles.robot import CarDimensions, Robot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 

@@ -19,11 +19,11 @@ from kraft.errors import Code, Defect, InputError
 from kraft.scenario import Goal, Scenario, Start
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation.car import MARKER, design_of
-from kraft.simulation.collision import Collision, CollisionDetector
+from kraft.simulation.contacts import Collision, CollisionDetector
 from kraft.simulation.floor_frame import FloorFrame
 from kraft.simulation.robots import SimulatedCar, SimulatedRobot
 from kraft.simulation.scene import build, set_friction
-from kraft.vehicles.robot import CarDimensions
+from kraft.vehicles.config import CarDimensions
 from ompl_ext.arrays import Floats, Matrix
 
 TIMESTEP: Final = 0.002
@@ -56,7 +56,9 @@ class World:
         self.data: Final[Any] = mujoco.MjData(self.model)
         self._start, self._goal = scenario.start, scenario.goal
         self._state, self._following = self._states[0], 1
-        self._contacts = CollisionDetector(self.model, self.data, scenario, self.frame, robot)
+        self._contacts = CollisionDetector(
+            self.model, self.data, scenario, self.frame, robot.root, robot.has_plain_contacts
+        )
         self._body, self._marker = self.data.body(robot.body), self.data.site(MARKER)
         self._robot, self._grip = robot.bind(self.model, self.data), robot.grip
         self._movable = [self.data.body(f"movable {i}") for i in range(len(truth.movable_boxes))]

@@ -5,6 +5,7 @@ The optimisers of GTSAM pass a copy of all values to every custom factor: quadra
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -21,6 +22,12 @@ COST_TOLERANCE = 1e-9
 """Relative change of the cost below which the optimiser has converged ..."""
 DECREASE_TOLERANCE = 1e-6
 """... if the expected decrease is below this: a change of rho by a thousandth of its standard deviation."""
+SETTLED = 6
+"""Number of iterations in a row with as small an expected decrease after which rho has converged ..."""
+SETTLED_TOLERANCE = 1e-4
+"""... if the relative changes of the cost are below this: only states still change."""
+SHARES = (0.5, 0.25, 0.125, 0.0625)
+"""Shares of a step that are tried before it is refused: its direction descends, but models with limited rates curve."""
 RELAXATIONS = 2
 """Relaxations of states and controls before a step is refused."""
 DAMPING_INITIAL = 1e-4
@@ -71,15 +78,20 @@ def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIt
     problem = graph.problem
     low, high, free = problem.parameters.low, problem.parameters.high, problem.parameters.free
     point, cost = start, graph.cost(start)
-    damping, converged, iterations = DAMPING_INITIAL, False, 0
+    damping, converged, iterations, settled = DAMPING_INITIAL, False, 0, 0
     graph.linearise(point)
     while iterations < most and not converged and damping < DAMPING_MAX:
         factors = graph.reduce(damping)
         change = bounded_step(factors, damping, low - point.rho, high - point.rho, free)
         candidate = graph.moved(change)
+        full = candidate
         candidate, lower = _relaxed(graph, candidate, cost)
+        if lower > cost:
+            candidate, lower = _shortened(graph, point, full, cost)
         iterations += 1
-        converged = abs(cost - lower) < COST_TOLERANCE * cost and factors.decrease(change) < DECREASE_TOLERANCE
+        still, changed = factors.decrease(change) < DECREASE_TOLERANCE, abs(cost - lower)
+        settled = settled + 1 if still and changed < SETTLED_TOLERANCE * cost else 0
+        converged = (still and changed < COST_TOLERANCE * cost) or settled >= SETTLED
         if lower <= cost:
             point, cost, damping = candidate, lower, max(0.1 * damping, DAMPING_MIN)
         else:
@@ -100,6 +112,17 @@ def _relaxed(graph: LinearisedGraph, candidate: Point, cost: float) -> tuple[Poi
         candidate = graph.moved(np.zeros_like(candidate.rho))
         lower = graph.cost(candidate)
     return candidate, lower if np.isfinite(lower) else np.inf
+
+
+def _shortened(graph: LinearisedGraph, point: Point, full: Point, cost: float) -> tuple[Point, float]:
+    """Candidate on the way from `point` to `full` with a lower cost, and that cost; infinite if none is found."""
+    for share in SHARES:
+        parts = zip((point.states, point.controls, point.rho), (full.states, full.controls, full.rho), strict=True)
+        candidate = Point(*((1.0 - share) * before + share * after for before, after in parts))
+        lower = graph.cost(candidate)
+        if lower < cost:
+            return candidate, lower
+    return point, math.inf
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,8 +71,8 @@ class Plant:
         self._camera = _camera(world, scenario, seed)
         self._frames, self._ticks = Ticks(sensing.rate_hz, world.dt), Ticks(command_rate, world.dt)
         self._delay = steps_of(sensing.command_delay, world.dt)
-        names = tuple(controls)
-        self._order = [names.index(name) for name in world.controls]
+        self.controls = tuple(controls)
+        self._order = [self.controls.index(name) for name in world.controls]
         self._commands: deque[tuple[int, Floats]] = deque()
 
     @property

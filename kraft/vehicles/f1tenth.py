@@ -3,7 +3,7 @@
 State [x, y, theta, v, delta] of the point midway between the axles (m, rad, m/s) with the wheels' angle delta (rad);
 controls [throttle, steering] with the steering angle in rad.  Parameters: wheelbase L (m), steering angle when
 commanded straight phi_diff (rad), speed at full throttle v_delta (m/s), its time constant tau (s), and the largest
-lateral acceleration a_grip (m/s^2), which the car approaches smoothly as it understeers.
+lateral acceleration a_grip (m/s^2), near which the car understeers.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ STEERING_MAX = 0.4189
 """Limit of the steering angle, rad."""
 STEERING_RATE = 3.2
 """Speed of the steering servo, rad/s."""
-SERVO_LAG = 0.03
-"""Time constant with which the servo approaches the commanded angle, s."""
+SERVO_LAG = 0.06
+"""Time constant with which the servo approaches the commanded angle, s: integration steps may be 0.1 s."""
 REVERSE = -0.4
 """Throttle of strongest braking, and of fastest reverse."""
 BRAKING = 0.8
@@ -41,9 +41,10 @@ def motion(x: Values, u: Values, p: Values) -> Values:
     beta = atan(0.5 * tan(delta + p[1]))
     wanted = 2.0 * sin(beta) / p[0]  # curvature at walking pace
     demand = v * v * wanted / p[4]
-    curvature = wanted / sqrt(1.0 + demand * demand)
+    curvature = wanted / sqrt(sqrt(1.0 + demand * demand * demand * demand))
     rate = (steering - delta) / SERVO_LAG
-    rate = STEERING_RATE if rate > STEERING_RATE else (-STEERING_RATE if rate < -STEERING_RATE else rate)
+    share = rate / STEERING_RATE
+    rate = rate / sqrt(1.0 + share * share)  # smooth, so that its derivatives exist
     return v * cos(theta + beta), v * sin(theta + beta), v * curvature, (target - v) / p[3], rate
 
 
@@ -64,7 +65,7 @@ F1TENTH = Vehicle(
     manoeuvres=("straight", "left", "right", "hard-left", "hard-right"),
     state=("x", "y", "theta", "v", "delta"),
     controls={"throttle": (REVERSE, 1.0), "steering": (-STEERING_MAX, STEERING_MAX)},
-    parameters={"L": 0.33, "phi_diff": 0.0, "v_delta": 3.0, "tau": 0.5, "a_grip": 9.0},
+    parameters={"L": 0.33, "phi_diff": 0.0, "v_delta": 3.0, "tau": 0.5, "a_grip": 12.0},
     footprint=Footprint(0.58, 0.31),
     top_speed=3.0,
 )

@@ -11,9 +11,8 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car
 from kraft.vehicles.code import check_functions, vehicle_of
-from kraft.vehicles.config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.config import CarDimensions, Robot, VehicleConfig, load_vehicle_config, with_files
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
-from kraft.vehicles.robot import CarDimensions, Robot, with_files
 from ompl_ext.vehicle import Footprint, Vehicle
 
 

@@ -1,9 +1,15 @@
-"""Second-order unicycle: a robot with two driven wheels, commanded by its two accelerations.
+"""Robots with two driven sides: a second-order unicycle, commanded by its two accelerations, and the Jackal.
+
+The unicycle:
 
 State [x, y, theta, v, omega] of the point between the wheels (m, rad, m/s, rad/s); controls [acceleration,
 angular_acceleration] as fractions of the largest ones.  As in a motor controller, the speed saturates: it stays in
 [0, v_max], the turning rate in [-omega_max, omega_max], both approached with a short time constant.  The accelerations
 fade smoothly, because ten Runge-Kutta steps an edge would not follow a kink.
+
+The Jackal is commanded by the speeds of its sides: state as above, controls [left, right] (m/s).  Parameters: effective
+distance between the sides (m), time constants of the speed tau and of the turning rate tau_turn (s), and the share of
+the commanded speed that the wheels reach, gain.
 """
 
 from __future__ import annotations
@@ -15,6 +21,12 @@ Values = tuple[float, ...]
 
 APPROACH = 6.0
 """Rate at which a saturating speed approaches its limit, 1/s."""
+SPEED_MAX = 2.0
+"""Largest commanded speed of a side, m/s."""
+REVERSE = -0.5
+"""Lowest commanded speed of a side, m/s: with less, the wheels would slip in turns and when it brakes."""
+SIDES_BRAKING = 0.25
+"""Commanded speed against the motion over the speed."""
 TINY = 1e-300  # avoids 0 / 0 where the acceleration is 0
 
 
@@ -73,4 +85,35 @@ UNICYCLE2 = Vehicle(
     parameters={"a_max": 1.0, "alpha_max": 4.0, "v_max": 0.6, "omega_max": 2.0},
     footprint=Footprint(0.36, 0.30),
     top_speed=0.6,
+)
+
+
+@derivative
+def sides(x: Values, u: Values, p: Values) -> Values:
+    """Speed and turning rate follow those of the sides."""
+    _, _, theta, v, omega = x
+    left, right = u
+    dv = (0.5 * p[3] * (left + right) - v) / p[1]
+    domega = (p[3] * (right - left) / p[0] - omega) / p[2]
+    return v * cos(theta), v * sin(theta), omega, dv, domega
+
+
+@derivative
+def stop_sides(x: Values, p: Values, k: int) -> Values:
+    """Brake; turn no more, or left or right at a rate that fades with the speed."""
+    turning = (0.0, 0.3, -0.3)[k] * x[3]
+    return -SIDES_BRAKING * x[3] - turning, -SIDES_BRAKING * x[3] + turning
+
+
+JACKAL = Vehicle(
+    name="jackal",
+    derivative=sides,
+    stop=stop_sides,
+    manoeuvres=("straight", "left", "right"),
+    state=("x", "y", "theta", "v", "omega"),
+    controls={"left": (REVERSE, SPEED_MAX), "right": (REVERSE, SPEED_MAX)},
+    rest=("v", "omega"),
+    parameters={"track": 0.376, "tau": 0.4, "tau_turn": 0.4, "gain": 1.0},
+    footprint=Footprint(0.51, 0.43),
+    top_speed=SPEED_MAX,
 )

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 Scenario = Annotated[str, typer.Argument(metavar="[SCENARIO]", help="A bundled name or the path of a file.")]
 Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
+VehicleName = Annotated[
+    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to drive, instead of the scenario's.")
+]
 Runs = Annotated[int, typer.Option(metavar="N", help="Number of runs, 20 s each.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same logs.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -23,6 +26,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 def record(
     context: typer.Context,
     scenario: Scenario = "training",
+    vehicle: VehicleName = None,
     out: Out = Path("logs"),
     runs: Runs = 10,
     seed: Seed = 0,
@@ -42,7 +46,7 @@ def record(
         terminal.info(f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
     try:
-        record_logs(RecordRequest(scenario, out, runs, seed), terminal.info, ended)
+        record_logs(RecordRequest(scenario, out, runs, seed, vehicle), terminal.info, ended)
     except KeyboardInterrupt:
         kept = f"; {len(done)} of {counted(runs, 'run')} kept in {out}" if done else " before the first run ended"
         terminal.problem(f"stopped{kept}")
@@ -50,7 +54,7 @@ def record(
     if json:
         terminal.json("kraft.record/1", _content(scenario, seed, out, done))
     else:
-        terminal.data(f"{counted(len(done), 'log')} in {out}; kraft sysid {out} identifies the car from them")
+        terminal.data(f"{counted(len(done), 'log')} in {out}; kraft sysid {out} identifies the vehicle from them")
     return ExitStatus.DONE
 
 

@@ -11,6 +11,8 @@ from kraft.errors import Diagnostic, InputError
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario
+from kraft.vehicles import is_car
+from kraft.vehicles.load import load_vehicle
 
 RUNS: Final = 10
 
@@ -23,6 +25,7 @@ class RecordRequest:
     out: Path = Path("logs")
     runs: int = RUNS
     seed: int = 0
+    vehicle: str | None = None
 
 
 @dataclass(frozen=True)
@@ -54,14 +57,15 @@ def record_logs(
     if problems:
         raise InputError(problems)
     scenario = load_scenario(request.scenario)
-    vehicle = vehicle_of_task(scenario)
-    from kraft.recording.log_folder import check_log_folder, write_recording  # these load the simulator
-    from kraft.recording.recorder import Recorder
+    vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
+    from kraft.recording.recorder import Recorder, check_log_folder, write_recording  # these load the simulator
 
     check_log_folder(request.out)
-    ensure_compiled(vehicle, report)
+    ensure_compiled(vehicle, report, steps=not is_car(vehicle))
     recorder = Recorder(scenario, vehicle, request.seed)
     arguments = {"scenario": request.scenario, "runs": request.runs, "seed": request.seed}
+    if request.vehicle is not None:
+        arguments["vehicle"] = request.vehicle
     done = []
     for number in range(1, request.runs + 1):
         recording = recorder.record(number)

@@ -100,9 +100,7 @@ def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
     detail(f"scenario {cell.scenario.name}: {cell.scenario.source.file}")
     planner, controller = cell.method.planner, settings_for(cell.method.controller, cell.vehicle)
     detail(f"method {cell.method.name}: {cell.method.source.file}")
-    detail(
-        f"{planner.mode}, {controller.kind} at {controller.rate_hz:g} Hz, estimator {cell.method.estimator.kind}"
-    )
+    detail(f"{planner.mode}, {controller.kind} at {controller.rate_hz:g} Hz, estimator {cell.method.estimator.kind}")
     for line in vehicle_details(cell.vehicle):
         detail(line)
 

@@ -15,8 +15,8 @@ from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
 from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions, objections
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
-from kraft.sysid.compilation import ensure_compiled
 from kraft.sysid.data import LogSplit, split_logs
+from kraft.sysid.fast_graph import ensure_compiled
 from kraft.sysid.identify import identify
 from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification

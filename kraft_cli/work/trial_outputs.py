@@ -110,7 +110,7 @@ class TrialOutputs:
             recorder.finish(result)
         if self._options.plot is not None:
             from kraft.plot.run import plot_run
-            from kraft.simulation.hidden import hidden_features
+            from kraft.simulation.appearance import hidden_features
 
             scenario = self._spec.scenario
             moved = None if self._world is None else self._world.movable_poses

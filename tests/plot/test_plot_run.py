@@ -17,7 +17,7 @@ from kraft.plot.run import _compose, _legend_entries, key_numbers, plot_run
 from kraft.plot.style import plot_style
 from kraft.plot.traces import OBSERVATION, DrivenTrajectory, driven_line, panels_of_run, run_footprint_interval
 from kraft.scenario import load_scenario
-from kraft.simulation.hidden import hidden_features
+from kraft.simulation.appearance import hidden_features
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle

@@ -21,6 +21,7 @@ from kraft.driving.method import (  # fmt: skip
     Filter,
     Geometric,
     Kinodynamic,
+    Lqr,
     Method,
     PlannerSettings,
     load_method,
@@ -40,6 +41,7 @@ TABLES = {
     Adaptive: "### adaptive\n",
     Geometric: "### geometric\n",
     Kinodynamic: "### kinodynamic\n",
+    Lqr: "### lqr\n",
 }
 """Text before the table of each model's settings."""
 

@@ -19,8 +19,7 @@ from kraft.simulation import optics
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.imager import Imager, Imaging
 from kraft.simulation.optics import Calibration, Lens, View, rotation_about
-from kraft.simulation.rendered_camera import RenderedCamera, calibrated_side, view_of
-from kraft.simulation.tag_vision import TagVision
+from kraft.simulation.rendered_camera import RenderedCamera, TagVision, calibrated_side, view_of
 from kraft.simulation.world import World
 from kraft.trial.plant import Plant
 from kraft.vehicles import CAR_CONTROLS

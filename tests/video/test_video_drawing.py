@@ -13,8 +13,8 @@ import pytest
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.scenario import Box, Scenario, Start, load_scenario
+from kraft.simulation.appearance import hidden_features
 from kraft.simulation.floor_frame import Surface
-from kraft.simulation.hidden import hidden_features
 from kraft.simulation.world import World
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec

@@ -37,7 +37,7 @@ def settings_for(settings: Settings, vehicle: Vehicle) -> Settings:
 
 
 def needs_steps(method: Method, vehicle: Vehicle) -> bool:
-    """Whether a method identifies the vehicle or regulates it by its model: then the model's steps are compiled."""
+    """Whether a method identifies or regulates a vehicle by its model, which takes the compiled steps of the model."""
     return isinstance(method.estimator, Adaptive) or isinstance(settings_for(method.controller, vehicle), Lqr)
 
 

@@ -22,6 +22,8 @@ from ompl_ext.arrays import Floats, Matrix
 
 KEPT: Final = 32
 """Number of references whose gains are kept: a decision predicts that many motions at most."""
+BELOW: Final = 0.95
+"""Share of the planned velocities at which a model is linearised: where it saturates, no control would seem to help."""
 SHARES: Final = (0.0, 0.5, -0.5)
 """Controls, as shares of their bounds, at which controllability is tested after a motion has begun."""
 BEGINNING: Final = 20
@@ -88,8 +90,9 @@ class LqrController:
 
     def _computed(self, reference: Reference) -> Floats:
         """Solve the Riccati difference equation backwards along the reference."""
-        durations = np.diff(reference.times)
-        _, by_state, by_control = self._model.linearised(reference.states[:-1], reference.controls, durations)
+        durations, states = np.diff(reference.times), reference.states[:-1].copy()
+        states[:, self._model.velocities] *= BELOW
+        _, by_state, by_control = self._model.linearised(states, reference.controls, durations)
         gains = np.empty((len(durations), *by_control.shape[:0:-1]))
         to_go = self._state_cost * self._settling
         for k in range(len(durations) - 1, -1, -1):

@@ -1,0 +1,263 @@
+"""What is true in a trial: a car by its dimensions, a robot of an MJCF file, or a vehicle's own equations."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kraft.vehicles.robot import CarDimensions, Drive, Servo, Wheels
+from support.diagnostics import located, raised
+from support.paths import ROOT
+
+from kraft.driving.car_model import model_of
+from kraft.planning.workspace import workspace_of
+from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
+from kraft.simulation.car import F1TENTH, MUSHR, design_of
+from kraft.simulation.model_world import ModelWorld
+from kraft.simulation.true_world import TrueWorld, check_world, world_of
+from kraft.simulation.world import World
+from kraft.vehicles.load import load_vehicle
+from ompl_ext.exact import ExactClearance
+from ompl_ext.obstacles import Workspace
+from ompl_ext.vehicle import Vehicle
+
+JACKAL = ROOT / "configs" / "vehicles" / "jackal.xml"
+HALL = """name: hall
+bounds: {{x: [-20, 20], y: [-20, 20]}}
+start: {{x: 1, y: 2, heading_deg: 30, speed: {speed}}}
+goal: {{center: [15, 0], radius: 1}}
+obstacles: [{obstacles}]
+truth: {{{truth}}}
+"""
+BOX = "{name: crate, box: {center: [4, 2.5], size: [0.5, 3], yaw_deg: 20}}"
+MJCF = f"mjcf: {JACKAL}, body: base"
+
+
+@cache
+def vehicle(name: str) -> Vehicle:
+    return load_vehicle(name)
+
+
+def hall(truth: str = "", obstacles: str = "", speed: float = 0.0) -> Scenario:
+    return parse_scenario(HALL.format(truth=truth, obstacles=obstacles, speed=speed))
+
+
+def drive(world: TrueWorld, control: tuple[float, ...], seconds: float) -> TrueWorld:
+    world.apply(np.array(control))
+    world.step(round(seconds / world.dt))
+    return world
+
+
+def kind(scenario: Scenario, name: str) -> str:
+    world = world_of(scenario, vehicle(name), 0)
+    return type(world).__name__ + " " + " ".join(world.controls)
+
+
+def test_the_scenario_says_what_is_true_and_else_the_vehicle() -> None:
+    car, sides, accelerations = "World throttle steering", "World left right", "acceleration angular_acceleration"
+    assert [kind(hall(), name) for name in ("mushr", "jackal")] == [car, sides]
+    assert kind(hall(), "unicycle2") == f"ModelWorld {accelerations}"
+    assert kind(hall("model: jackal"), "jackal") == "ModelWorld left right"
+    assert kind(hall("parameters: {tau: 1.0}"), "mushr-drive") == "ModelWorld throttle steering"
+    assert kind(hall("car: {preset: f1tenth}"), "mushr-drive") == car
+
+
+# a vehicle's own model
+
+
+def test_without_noise_the_truth_is_the_model_with_the_true_parameters() -> None:
+    world = drive(world_of(hall("parameters: {a_max: 0.4}"), vehicle("unicycle2"), 3), (0.8, 0.1), 2.0)
+    assert isinstance(world, ModelWorld)
+    model = model_of(vehicle("unicycle2").with_parameters({"a_max": 0.4}))
+    state = np.array([1.0, 2.0, math.radians(30.0), 0.0, 0.0])
+    for _ in range(1000):
+        state = model.advance(state, np.array([0.8, 0.1]), world.dt)
+    assert np.allclose([*world.pose, world.speed], state[:4], atol=1e-12)
+    assert world.components == pytest.approx(dict(zip(vehicle("unicycle2").state, state, strict=True)))
+
+
+def test_noise_has_its_size_depends_on_the_seed_and_does_not_move_a_vehicle_that_stands() -> None:
+    scene = hall("process_noise: {y: 0.1}", speed=0.3)
+    ends = [drive(world_of(scene, vehicle("unicycle2"), seed), (0.0, 0.0), 1.0).pose for seed in range(200)]
+    still = drive(world_of(hall(speed=0.3), vehicle("unicycle2"), 0), (0.0, 0.0), 1.0).pose
+    assert np.std([end[1] for end in ends]) == pytest.approx(0.1, rel=0.15)
+    assert {end[0] for end in ends} == {still[0]}
+    again = drive(world_of(scene, vehicle("unicycle2"), 7), (0.0, 0.0), 1.0)
+    assert np.array_equal(again.pose, ends[7])
+    again.reset()
+    assert np.array_equal(drive(again, (0.0, 0.0), 1.0).pose, ends[7])
+    standing = drive(world_of(hall("process_noise: {y: 0.1}"), vehicle("unicycle2"), 0), (0.0, 0.0), 1.0)
+    assert standing.pose[1] == 2.0
+
+
+def test_a_model_collides_where_its_footprint_touches_an_obstacle_for_the_first_time() -> None:
+    scene = hall(obstacles=BOX)
+    world = world_of(scene, vehicle("unicycle2"), 0)
+    exact = ExactClearance(workspace_of(scene, vehicle("unicycle2")), vehicle("unicycle2").footprint)
+    world.apply(np.array([1.0, 0.02]))
+    while world.collision is None:
+        assert not exact.collides(*world.pose)
+        world.step(1)
+    assert exact.collides(*world.pose)
+    assert world.collision.obstacle == "crate"
+    assert world.collision.time == world.time
+    at = world.pose
+    world.step(100)
+    assert np.array_equal(world.pose, at)
+
+
+def test_a_turn_in_place_collides_too() -> None:
+    scene = hall(obstacles="{box: {center: [1.0, 2.27], size: [2, 0.1], yaw_deg: 30}}")
+    world = drive(world_of(scene, vehicle("unicycle2"), 0), (0.0, 1.0), 3.0)
+    assert world.collision is not None
+    assert world.collision.obstacle == "obstacles[0]"
+    assert world.pose[:2].tolist() == [1.0, 2.0]
+
+
+def test_a_model_can_be_drawn() -> None:
+    world = drive(world_of(hall(), vehicle("unicycle2"), 0), (1.0, 0.0), 1.0)
+    place = world.data.body("car").xpos
+    assert place[:2] == pytest.approx(world.pose[:2])
+
+
+def test_obstacles_that_bound_the_room_are_the_scenarios_alone() -> None:
+    """As in the physics: leaving the bounds is no contact."""
+    world = drive(
+        world_of(parse_scenario(HALL.format(truth="", obstacles="", speed=0.5)), vehicle("unicycle2"), 0), (1, 0), 60.0
+    )
+    assert world.collision is None
+    assert world.pose[0] > 20.0
+    assert Workspace(((0.0, 1.0), (0.0, 1.0)), ()) is not None
+
+
+# a car by its dimensions
+
+
+def test_a_car_has_the_dimensions_that_are_given_and_those_of_its_preset() -> None:
+    assert design_of(CarDimensions()) == MUSHR
+    assert design_of(CarDimensions(preset="f1tenth")) == F1TENTH
+    given = CarDimensions(
+        preset="f1tenth", wheelbase=0.4, mass=5.0, wheels=Wheels(radius=0.06), servo=Servo(rate_deg=90)
+    )
+    design = design_of(given)
+    assert (design.wheelbase, design.chassis_mass, design.wheel_radius) == (0.4, 5.0, 0.06)
+    assert design.steering_rate == pytest.approx(math.pi / 2)
+    assert design.stiffness / F1TENTH.stiffness == pytest.approx(5.0 / F1TENTH.chassis_mass)
+    assert (design.track, design.front) == (F1TENTH.track, F1TENTH.front)
+
+
+def test_a_drive_reaches_its_speed_with_its_time_constant() -> None:
+    dimensions = CarDimensions(preset="f1tenth", drive=Drive(top_speed=2.0, time_constant=0.8))
+    scene = hall("car: {preset: f1tenth, drive: {top_speed: 2.0, time_constant: 0.8}}")
+    assert scene.truth.car == dimensions
+    world = drive(world_of(scene, vehicle("mushr-drive"), 0), (1.0, 0.0), 0.8)
+    assert world.speed == pytest.approx(2.0 * (1.0 - math.exp(-1.0)), rel=0.05)
+    assert drive(world, (1.0, 0.0), 5.0).speed == pytest.approx(2.0, rel=0.03)
+
+
+def test_tyres_with_less_grip_slide_in_a_turn() -> None:
+    radii = []
+    for friction in (1.0, 0.2):
+        truth = f"car: {{preset: f1tenth, tyres: {{friction: {friction}}}}}"
+        world = drive(world_of(hall(truth), vehicle("mushr-drive"), 0), (0.8, 0.3), 3.0)
+        radii.append(world.speed / world.components["omega"])
+    assert radii[0] < 1.3
+    assert radii[1] > 2.0 * radii[0]
+
+
+# a robot of an MJCF file
+
+
+def test_an_mjcf_robot_stands_at_the_start_and_moves_from_there() -> None:
+    world = world_of(hall(MJCF), vehicle("jackal"), 0)
+    assert isinstance(world, World)
+    assert world.pose == pytest.approx([1.0, 2.0, math.radians(30.0)], abs=1e-9)
+    drive(world, (1.0, 1.0), 3.0)
+    assert world.speed == pytest.approx(0.98, abs=0.03)
+    x, y, theta = world.pose
+    assert theta == pytest.approx(math.radians(30.0), abs=0.01)
+    assert math.atan2(y - 2.0, x - 1.0) == pytest.approx(math.radians(30.0), abs=0.01)
+    world.reset(Start(-3.0, 1.0, math.pi / 2))
+    assert world.pose == pytest.approx([-3.0, 1.0, math.pi / 2], abs=1e-9)
+    assert drive(world, (-0.5, 0.5), 3.0).components["omega"] == pytest.approx(1.0 / 0.376, rel=0.06)
+
+
+def test_the_inputs_of_an_mjcf_robot_are_clamped_and_in_the_order_of_the_controls() -> None:
+    reordered = "actuators: {right: right, left: left}"
+    world = drive(world_of(hall(f"{MJCF}, {reordered}"), vehicle("jackal"), 0), (0.2, 0.4), 1.0)
+    assert world.components["omega"] > 0.0
+    assert drive(world_of(hall(MJCF), vehicle("jackal"), 0), (50.0, 50.0), 4.0).speed < 2.1
+
+
+def test_an_mjcf_robot_on_a_slope_lies_on_it() -> None:
+    world = world_of(hall(f"{MJCF}, tilt: {{angle: 0.1, uphill_deg: 0}}"), vehicle("jackal"), 0)
+    assert world.pose == pytest.approx([1.0, 2.0, math.radians(30.0)], abs=1e-3)
+    drive(world, (0.0, 0.0), 0.2)
+    assert world.frame.to_floor(world.marker[0])[2] == pytest.approx(0.2, abs=0.01)
+
+
+def test_only_geoms_that_count_collide() -> None:
+    found = []
+    for geoms in ("", ", geoms: [rear caster]"):
+        world = world_of(hall(MJCF + geoms, obstacles=BOX), vehicle("jackal"), 0)
+        world.apply(np.array([1.0, 1.0]))
+        while world.collision is None:
+            world.step(10)
+        found.append(world.time)
+        assert world.collision.obstacle == "crate"
+    assert found[1] > found[0] + 0.3
+
+
+def without(tmp_path: Path, text: str, instead: str) -> str:
+    """Truth with the file of the jackal in which a text is replaced."""
+    content = JACKAL.read_text(encoding="utf-8")
+    assert text in content
+    (tmp_path / "robot.xml").write_text(content.replace(text, instead))
+    return f"mjcf: {tmp_path / 'robot.xml'}"
+
+
+def problems(truth: str, name: str = "jackal", obstacles: str = "") -> list[str]:
+    scene = hall(truth, obstacles)
+    return located(raised(lambda: check_world(scene, vehicle(name))))
+
+
+def test_an_mjcf_file_that_cannot_be_used_is_refused_at_its_line(tmp_path: Path) -> None:
+    assert problems(without(tmp_path, "</worldbody>", "</world>")) == ["6:15 truth.mjcf code"]
+    assert problems(without(tmp_path, "<freejoint/>", "")) == ["6:15 truth.mjcf missing"]
+    assert problems(without(tmp_path, 'pos="0 0 0.098"', 'pos="0 0 0.05"')) == ["6:15 truth.mjcf geometry"]
+    assert problems(without(tmp_path, 'name="left" joint', 'name="port" joint')) == ["6:15 truth.mjcf unknown"]
+    assert problems(MJCF, obstacles="{box: {center: [1, 2], size: [1, 1]}}") == ["3:8 start geometry"]
+
+
+def test_names_that_a_robot_does_not_have_are_refused_together() -> None:
+    found = problems(f"mjcf: {JACKAL}, body: base, actuators: {{left: lft, rigt: right}}, geoms: [hul, hull]")
+    assert [entry.split(" ", 1)[1] for entry in found] == [
+        "truth.actuators missing", "truth.actuators.left unknown", "truth.actuators.rigt unknown",
+        "truth.geoms[0] unknown",
+    ]  # fmt: skip
+    assert [entry.split(" ", 1)[1] for entry in problems(f"mjcf: {JACKAL}, body: bse")] == ["truth.body unknown"]
+
+
+def test_a_robot_that_takes_other_controls_is_refused_at_the_line_of_the_truth() -> None:
+    assert problems("car: {preset: mushr}", "unicycle2") == ["6:8 truth mismatch"]
+    assert problems("model: jackal", "unicycle2") == ["6:8 truth mismatch"]
+
+
+def test_what_a_model_does_not_feel_or_have_is_refused() -> None:
+    found = problems(
+        "parameters: {v_mx: 1}, process_noise: {w: 1}, tilt: {angle: 0.1}, vehicle: {mass_scale: 2}", "unicycle2"
+    )
+    assert [entry.split(" ", 1)[1] for entry in found] == [
+        "truth.parameters.v_mx unknown", "truth.process_noise.w unknown", "truth.tilt conflict",
+        "truth.vehicle conflict",
+    ]  # fmt: skip
+    assert problems("vehicle: {mass_scale: 2}") == ["6:18 truth.vehicle conflict"]
+
+
+def test_a_bundled_scene_with_features_of_the_floor_drives_an_mjcf_robot_but_no_model() -> None:
+    assert raised(lambda: check_world(load_scenario("slope"), vehicle("jackal"))) == ()
+    (problem,) = raised(lambda: check_world(load_scenario("slope"), vehicle("unicycle2")))
+    assert problem.path == "truth.tilt"

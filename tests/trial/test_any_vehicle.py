@@ -1,0 +1,72 @@
+"""Trials of vehicles that are no MuSHR, on the same code path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from kraft.driving.method import load_method
+from kraft.scenario import load_scenario
+from kraft.trial.result import Outcome, TrialSpec, vehicle_reference
+from kraft.trial.trial import run_trial
+from kraft_cli.main import main
+
+SCENE = """name: short
+bounds: {x: [0, 7], y: [0, 5]}
+obstacles:
+  - {name: pillar, box: {center: [3, 2.6], size: [0.5, 0.5]}}
+start: {x: 1, y: 1.2, heading_deg: 0}
+goal: {center: [5.5, 1.2], radius: 0.5}
+sensing: {preset: planar, camera: [3, 2, 6]}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    (tmp_path / "short.yaml").write_text(SCENE)
+    return tmp_path / "short.yaml"
+
+
+@pytest.mark.parametrize("method", ["adaptive-kraft", "filtered-kraft", "kraft", "oracle", "oneshot-geometric"])
+def test_a_robot_with_accelerations_as_controls_reaches_the_goal_with_any_estimator(scene: Path, method: str) -> None:
+    result = run_trial(TrialSpec.load(scene, method, "unicycle2", 1))
+    assert result.outcome is Outcome.SUCCESS
+    assert result.min_clearance > 0.05
+    assert result.measures.deviation_quantiles((0.9,))[-1][1] < 0.12
+
+
+@pytest.mark.parametrize("vehicle", ["jackal", "f1tenth"])
+def test_the_bundled_fast_robots_reach_the_goal(scene: Path, vehicle: str) -> None:
+    result = run_trial(TrialSpec.load(scene, "filtered-kraft", vehicle, 0))
+    assert result.outcome is Outcome.SUCCESS
+    assert max(step.speed for step in result.steps) > 1.0
+
+
+def test_a_trial_of_a_noisy_model_repeats_and_depends_on_the_seed(scene: Path) -> None:
+    settings = {"truth.process_noise": {"theta": 0.05, "v": 0.05}, "truth.parameters": {"a_max": 0.8}}
+    first, again, other = (
+        run_trial(TrialSpec.load(scene, "filtered-kraft", "unicycle2", seed, settings)) for seed in (2, 2, 3)
+    )
+    assert [step.pose for step in first.steps] == [step.pose for step in again.steps]
+    assert [step.pose for step in first.steps] != [step.pose for step in other.steps]
+
+
+def test_a_method_plans_with_its_own_model_if_that_is_one_of_the_scenes_robot() -> None:
+    kraft = load_method("kraft")
+    found = {name: vehicle_reference(load_scenario(name), kraft) for name in ("turns", "track", "posts")}
+    assert found == {"turns": "mushr-drive", "track": "f1tenth", "posts": "jackal"}
+    assert vehicle_reference(load_scenario("track"), kraft, "mushr") == "mushr"
+
+
+def test_the_result_says_which_controller_drove(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(scene), "--vehicle", "unicycle2", "--method", "kraft"]) == 0
+    assert "lqr, because kinodynamic is a law for cars" in " ".join(capsys.readouterr().out.split())
+    assert main(["run", str(scene), "--method", "kraft"]) == 0
+    assert "lqr" not in capsys.readouterr().out
+
+
+def test_a_drawing_of_a_run_has_the_vehicles_own_controls(scene: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "run.svg"
+    assert main(["run", str(scene), "--vehicle", "unicycle2", "--plot", str(picture)]) == 0
+    assert picture.stat().st_size > 10_000
