@@ -61,6 +61,16 @@ class OccupancyGrid:
                 growing.setdefault(run, row)
         return done
 
+    def boxes(self) -> list[Polygon]:
+        """Disjoint rectangles in the world that cover exactly the occupied cells."""
+        x, y, yaw = self.origin
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        corners = [
+            np.array([[column, row], [column + columns, row], [column + columns, row + rows], [column, row + rows]])
+            for row, column, rows, columns in self.rectangles()
+        ]
+        return [Polygon(cells * self.resolution @ turn.T + np.array([x, y])) for cells in corners]
+
 
 def _runs(cells: Bools) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate(([False], cells, [False])).astype(np.int8)))

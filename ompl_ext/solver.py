@@ -15,6 +15,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
+from ompl_ext.kernels.fine_field import raise_to_fine
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Problem
 from ompl_ext.kernels.rng import generator
 from ompl_ext.kernels.specialise import kernels
@@ -84,7 +85,8 @@ class DirtSolver:
         self.safety, self.settings = safety or Safety(), settings or Settings()
         self._kernels = kernels(vehicle)
         self._problem = make_problem(vehicle, workspace, goal, self.safety, self.settings)
-        self._maps = self._problem.field, self._problem.discs, self._problem.scalar
+        problem = self._problem
+        self._maps = problem.field, problem.tile, problem.squares, problem.discs, problem.scalar
         nx, nu, inputs = (
             len(vehicle.state),
             len(vehicle.controls),
@@ -339,14 +341,17 @@ class DirtSolver:
 
     def clearances(self, poses: Matrix) -> Floats:
         """Lower bound (n,) of the footprint's clearance at poses (n, 3), m; as `pose_slack`, but tight everywhere."""
-        field, discs, scalar = self._maps
+        field, _, _, discs, scalar = self._maps
         distance = np.full(len(poses), math.inf)
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         for offset in discs:
             row = (poses[:, 1] + offset * s - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
             column = (poses[:, 0] + offset * c - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
             inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)
-            distance = np.minimum(distance, field[inside] - scalar[at.DISC_RADIUS])
+            value = field[inside].astype(float)
+            if scalar[at.FINE_INVERSE] > 0.0:
+                raise_to_fine(self._problem, poses[:, 0] + offset * c, poses[:, 1] + offset * s, value)
+            distance = np.minimum(distance, value - scalar[at.DISC_RADIUS])
         return distance
 
     def least_distance(self, poses: Matrix) -> float:
@@ -381,7 +386,10 @@ class DirtSolver:
         """Whether each of the points (n, 2) is in an obstacle or less than a cell of the clearance field from one."""
         scalar, field = self._problem.scalar, self._problem.field
         columns, rows = ((points - scalar[[at.GRID_X, at.GRID_Y]]) * scalar[at.GRID_INVERSE]).astype(int).T
-        inside: Bools = field[rows.clip(0, field.shape[0] - 1), columns.clip(0, field.shape[1] - 1)] <= 0.0
+        value = field[rows.clip(0, field.shape[0] - 1), columns.clip(0, field.shape[1] - 1)].astype(float)
+        if scalar[at.FINE_INVERSE] > 0.0:
+            raise_to_fine(self._problem, points[:, 0].copy(), points[:, 1].copy(), value)
+        inside: Bools = value <= 0.0
         return inside
 
     @cached_property

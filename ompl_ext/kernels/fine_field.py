@@ -1,0 +1,271 @@
+"""Fine distance field: squared distances at the vertices of a lattice, stored only where a footprint can touch.
+
+The lattice lies in the frame of the map, so that the corners of the map's cells are vertices and distances there are
+exact.  Between vertices `distance.interpolated` is a lower bound, which is at most spacing / sqrt(2) below the distance.
+The lattice is stored in tiles of 16 x 16 cells, and only tiles near obstacles are: the coarse `ClearanceField` decides
+everywhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Floats32, IntMatrix32, Matrix32, Words16, Words16Matrix, int64
+from ompl_ext.jit import compiled, inlined
+from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, shape_distance, shapes
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    FINE_COS,
+    FINE_INVERSE,
+    FINE_SIN,
+    FINE_X,
+    FINE_Y,
+    Maps,
+    Problem,
+)
+from ompl_ext.obstacles import Circle, Polygon
+
+TILE = 16  # cells along the side of a tile
+VERTICES = (TILE + 1) * (TILE + 1)  # of a tile; neighbours have those on their common side twice
+LARGEST_SPACINGS = 255  # distance in spacings that a vertex can store
+ROUNDING = 1e-7  # m, subtracted from distances, far above the rounding errors of their computation
+
+
+class Lattice(NamedTuple):
+    """Frame of a lattice: position (m) and heading (cosine, sine) of vertex (0, 0), and the spacing (m)."""
+
+    x: float
+    y: float
+    cos: float
+    sin: float
+    spacing: float
+
+    def vertices(self, rows: Floats, columns: Floats) -> tuple[Floats, Floats]:
+        """World coordinates x, y of vertices, m."""
+        u, v = columns * self.spacing, rows * self.spacing
+        return self.x + u * self.cos - v * self.sin, self.y + u * self.sin + v * self.cos
+
+    def coordinates(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Row and column, in spacings, of points in the world."""
+        u, v = x - self.x, y - self.y
+        return (v * self.cos - u * self.sin) / self.spacing, (u * self.cos + v * self.sin) / self.spacing
+
+
+class FineField(NamedTuple):
+    """Tiles of a fine field: `tile[row, column]` is the number of a tile, -1 where none is stored.
+
+    `squares[tile]` are the squared distances, in squared spacings, at its 17 x 17 vertices.
+    """
+
+    lattice: Lattice
+    tile: IntMatrix32
+    squares: Words16Matrix
+
+
+@inlined
+def fine_distance(problem: Problem | Maps, x: float, y: float) -> float:
+    """Lower bound of the distance from (x, y) to the nearest obstacle (m); -1 where no tile is stored."""
+    scalar = problem.scalar
+    dx, dy, inverse = x - scalar[FINE_X], y - scalar[FINE_Y], scalar[FINE_INVERSE]
+    u = (dx * scalar[FINE_COS] + dy * scalar[FINE_SIN]) * inverse
+    v = (dy * scalar[FINE_COS] - dx * scalar[FINE_SIN]) * inverse
+    column, row = int(u), int(v)
+    tile = problem.tile[row // TILE, column // TILE]
+    if tile < 0:
+        return -1.0
+    at = (row % TILE) * (TILE + 1) + column % TILE
+    squares = problem.squares
+    square = interpolated(
+        u - column,
+        v - row,
+        float(squares[tile, at]),
+        float(squares[tile, at + 1]),
+        float(squares[tile, at + TILE + 1]),
+        float(squares[tile, at + TILE + 2]),
+    )
+    return math.sqrt(max(square, 0.0)) / inverse - ROUNDING
+
+
+def fine_field(
+    lattice: Lattice,
+    shape: tuple[int, int],
+    wanted: Floats,
+    free: tuple[Words16Matrix, Words16Matrix] | None,
+    offset: tuple[int, int],
+    divisions: int,
+    obstacles: Sequence[Polygon | Circle],
+    reach: float,
+) -> FineField:
+    """Fine field with distances up to `reach` m.
+
+    Args:
+        lattice: frame of the tiles.
+        shape: rows and columns of tiles.
+        wanted: which tiles are stored, bool (rows, columns).
+        free: free cells above and below each cell of the map, see `distance.count_free_cells`; None without a map.
+        offset: row and column of vertex (0, 0) of the lattice in that of the map.
+        divisions: spacings along the side of a cell.
+        obstacles: all other obstacles.
+        reach: largest distance of interest (m).
+    """
+    tile = np.full(shape, -1, np.int32)
+    tile[wanted] = np.arange(np.count_nonzero(wanted))
+    squares = np.empty((max(1, np.count_nonzero(wanted)), VERTICES), np.uint16)
+    most = max(1, min(LARGEST_SPACINGS, math.floor(reach / lattice.spacing)))
+    if free is None:
+        squares[:] = most * most
+    else:
+        window = math.ceil(most / divisions)  # columns of cells
+        length = shape[1] * TILE // divisions + 2 * window + 8
+        lines, values = np.empty((2, length), np.float32), np.empty(length * divisions, np.uint16)
+        _fill_tiles(*free, divisions, window, most, tile, offset[0], offset[1], squares, lines, values)
+    if len(obstacles):
+        _lower_tiles(shapes(obstacles), tile, squares, np.array(lattice), most)
+    return FineField(lattice, tile, squares)
+
+
+@compiled
+def _fill_tiles(
+    above: Words16Matrix,
+    below: Words16Matrix,
+    divisions: int,
+    window: int,
+    most: int,
+    tile: IntMatrix32,
+    row_offset: int,
+    column_offset: int,
+    squares: Words16Matrix,
+    lines: Matrix32,
+    values: Words16,
+) -> None:
+    """Squared distances from the vertices of all stored tiles to the cells of a map, at most `most` squared.
+
+    Cells farther than `window` columns away are farther than `most` spacings.
+    """
+    for row in range(tile.shape[0]):
+        first = int64(0)
+        while first < tile.shape[1]:
+            if tile[row, first] < 0:
+                first += 1
+                continue
+            end = first + 1
+            while end < tile.shape[1] and tile[row, end] >= 0:
+                end += 1
+            for line in range(TILE + 1):
+                y = row * TILE + line + row_offset
+                _fill_line(above, below, divisions, window, most, y, first * TILE + column_offset,
+                           end * TILE + column_offset, lines, values)  # fmt: skip
+                origin = (first * TILE + column_offset) // divisions * divisions
+                for column in range(first, end):
+                    x = column * TILE + column_offset - origin
+                    stored, computed = squares[tile[row, column], line * (TILE + 1) :], values[x:]
+                    for k in range(TILE + 1):
+                        stored[k] = computed[k]
+            first = end
+
+
+@inlined
+def _fill_line(
+    above: Words16Matrix,
+    below: Words16Matrix,
+    divisions: int,
+    window: int,
+    most: int,
+    y: int,
+    x_first: int,
+    x_last: int,
+    lines: Matrix32,
+    values: Words16,
+) -> None:
+    """Squared distances of the lattice row `y` between two of its vertices.
+
+    `values` receives them, beginning with the vertex at the left side of the first one's cell; `lines` (2, n) is
+    working memory.
+    """
+    rows, columns = above.shape
+    limit = np.float32(most * most)
+    low, high = x_first // divisions, x_last // divisions + 1
+    count, line, heights = high - low, lines[0], lines[1]
+    row, above_row = y // divisions, y % divisions
+    for k in range(count + 2 * window + 4):
+        column = low - window + k
+        height = int64(most)
+        if 0 <= y <= rows * divisions and 0 <= column < columns:
+            height = min(height, column_distance(above, below, divisions, row, above_row, column))
+        heights[k] = np.float32(height * height)
+    for phase in range(divisions):
+        for i in range(count):
+            line[i] = limit
+        for k in range(-window, window + 1, 4):
+            _lower_line(line, heights, k + window, count, _square_gap(k, divisions, phase),
+                        _square_gap(k + 1, divisions, phase), _square_gap(k + 2, divisions, phase),
+                        _square_gap(k + 3, divisions, phase))  # fmt: skip
+        for i in range(count):
+            values[i * divisions + phase] = np.uint16(line[i])
+
+
+@inlined
+def _square_gap(k: int, divisions: int, phase: int) -> float:
+    """Squared distance from a vertex, `phase` spacings into its column of cells, to the k-th column after that."""
+    gap = k * divisions - phase if k > 0 else phase - (k + 1) * divisions
+    return np.float32(gap * gap if k != 0 else 0)
+
+
+@inlined
+def _lower_line(
+    line: Floats32, heights: Floats32, first: int, count: int, g0: float, g1: float, g2: float, g3: float
+) -> None:
+    """Lower entries of `line` to those of four successive columns; this loop vectorises."""
+    h0, h1, h2, h3 = heights[first:], heights[first + 1 :], heights[first + 2 :], heights[first + 3 :]
+    for i in range(count):
+        s0, s1, s2, s3 = h0[i] + g0, h1[i] + g1, h2[i] + g2, h3[i] + g3
+        a, b = s0 if s0 < s1 else s1, s2 if s2 < s3 else s3
+        least = a if a < b else b
+        line[i] = least if least < line[i] else line[i]
+
+
+@compiled
+def _lower_tiles(
+    all_shapes: Shapes, tile: IntMatrix32, squares: Words16Matrix, lattice: Floats, most: int
+) -> None:
+    """Lower the squares of all stored tiles to the squared distances to shapes, rounded down."""
+    x0, y0, c, s, spacing = lattice[0], lattice[1], lattice[2], lattice[3], lattice[4]
+    half = 0.5 * TILE * spacing * math.sqrt(2.0)
+    for shape in range(len(all_shapes.radius)):
+        low_u, high_u, low_v, high_v = math.inf, -math.inf, math.inf, -math.inf
+        for k in range(all_shapes.start[shape], all_shapes.start[shape + 1]):
+            dx, dy = all_shapes.points[k, 0] - x0, all_shapes.points[k, 1] - y0
+            u, v = dx * c + dy * s, dy * c - dx * s
+            low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
+        margin, side = all_shapes.radius[shape] + most * spacing, TILE * spacing
+        row0, row1 = int(max((low_v - margin) / side, 0.0)), min((high_v + margin) / side, tile.shape[0] - 1.0)
+        column0, column1 = int(max((low_u - margin) / side, 0.0)), min((high_u + margin) / side, tile.shape[1] - 1.0)
+        for row in range(row0, int(math.floor(row1)) + 1):
+            for column in range(column0, int(math.floor(column1)) + 1):
+                number = int64(tile[row, column])
+                if number < 0:
+                    continue
+                u, v = (column + 0.5) * side, (row + 0.5) * side
+                if shape_distance(all_shapes, shape, x0 + u * c - v * s, y0 + u * s + v * c) > most * spacing + half:
+                    continue
+                for k in range(VERTICES):
+                    u = (column * TILE + k % (TILE + 1)) * spacing
+                    v = (row * TILE + k // (TILE + 1)) * spacing
+                    gap = shape_distance(all_shapes, shape, x0 + u * c - v * s, y0 + u * s + v * c) / spacing
+                    if gap < most and gap * gap < squares[number, k]:
+                        squares[number, k] = np.uint16(gap * gap)
+
+
+@compiled
+def raise_to_fine(problem: Problem, x: Floats, y: Floats, value: Floats) -> None:
+    """Raise lower bounds (n,) of the distance from points to that of the fine field, m, where it is stored."""
+    side = TILE / problem.scalar[FINE_INVERSE]
+    for k in range(len(x)):
+        dx, dy = x[k] - problem.scalar[FINE_X], y[k] - problem.scalar[FINE_Y]
+        u = dx * problem.scalar[FINE_COS] + dy * problem.scalar[FINE_SIN]
+        v = dy * problem.scalar[FINE_COS] - dx * problem.scalar[FINE_SIN]
+        if 0.0 <= u < problem.tile.shape[1] * side and 0.0 <= v < problem.tile.shape[0] * side:
+            value[k] = max(value[k], fine_distance(problem, x[k], y[k]))
