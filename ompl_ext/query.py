@@ -137,11 +137,19 @@ def make_problem(
     """
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
-    field, fine = _fields(workspace, vehicle.footprint, discs.radius, settings.cell)
+    delta = float(safety.clearance(np.array(vehicle.top_speed), np.array(safety.delta_horizon)))
+    field, fine = _fields(workspace, vehicle.footprint, discs.radius, settings.cell, delta)
     seconds = np.zeros((1, 1), np.float32)
     if goal is not None:
         seconds = _seconds(
-            workspace, vehicle.footprint, discs.radius, settings.cell, goal.center, goal.radius, vehicle.top_speed
+            workspace,
+            vehicle.footprint,
+            discs.radius,
+            settings.cell,
+            delta,
+            goal.center,
+            goal.radius,
+            vehicle.top_speed,
         )
     limits = vehicle.state_limits.copy()
     for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
@@ -189,10 +197,10 @@ def make_problem(
 
 @lru_cache(CACHED_MAPS)
 def _fields(
-    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float
+    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float, delta: float
 ) -> tuple[ClearanceField, FineField | None]:
     """Clearance field and fine field for a footprint; kernels only read them."""
-    return fields(workspace, footprint, disc_radius, cell)
+    return fields(workspace, footprint, disc_radius, cell, delta)
 
 
 @lru_cache(CACHED_MAPS)
@@ -201,12 +209,13 @@ def _seconds(
     footprint: Footprint,
     disc_radius: float,
     cell: float,
+    delta: float,
     goal: tuple[float, float],
     goal_radius: float,
     top_speed: float,
 ) -> Matrix32:
     """Cost-to-go on the cells of the clearance field; kernels only read it."""
-    field, _ = _fields(workspace, footprint, disc_radius, cell)
+    field, _ = _fields(workspace, footprint, disc_radius, cell, delta)
     return cost_to_go(field, footprint.inscribed, goal, goal_radius, top_speed, workspace.bounds).seconds
 
 

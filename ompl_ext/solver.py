@@ -356,25 +356,17 @@ class DirtSolver:
 
     def least_distance(self, poses: Matrix) -> float:
         """Smallest exact distance of the footprint at poses (n, 3) to an obstacle (m), asked of as few as possible."""
-        (x_low, x_high), (y_low, y_high) = self.workspace.bounds
-        x, y = poses[:, 0], poses[:, 1]
-        inside = (x_low <= x) & (x <= x_high) & (y_low <= y) & (y <= y_high)
-        bounds = np.where(inside, self.clearances(poses), -math.inf)
-        least = math.inf
-        for k in np.argsort(bounds):
-            if bounds[k] >= least:
-                break
-            least = min(least, self.exact.distance(*poses[k]))
-        return least
+        return self.exact.least_distance(poses)
 
-    def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
-        """States (samples + 1, nx) at equal intervals along a control held for `duration` s, unchecked."""
-        states = np.empty((samples + 1, len(self.vehicle.state)))
-        states[0], step = state, duration / samples
-        held, parameters = np.ascontiguousarray(control, dtype=float), self._problem.parameters
-        for k in range(samples):
-            self._kernels.advance(states[k], held, parameters, step, states[k + 1])
-        return states
+    def fine(self, states: Matrix, controls: Matrix, durations: Floats, samples: int) -> Floats:
+        """States (n, samples + 1, nx) at equal intervals along n motions, unchecked.
+
+        Motion k begins in `states[k]` (nx,) and holds `controls[k]` (nu,) for `durations[k]` s.
+        """
+        found = np.empty((len(states), samples + 1, len(self.vehicle.state)))
+        found[:, 0] = states
+        self._kernels.roll_out(found, np.ascontiguousarray(controls), self._problem.parameters, durations / samples)
+        return found
 
     def goal_nodes(self) -> Ints:
         """Nodes in the goal region (n,), the one with the lowest cost first."""

@@ -7,7 +7,6 @@ from typing import Final
 
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.planning.workspace import (
-    fence,
     goal_of,
     heading_of,
     planar_obstacle,
@@ -22,7 +21,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import costtogo
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Problem
-from ompl_ext.obstacles import Obstacle, Workspace
+from ompl_ext.obstacles import Workspace
 from ompl_ext.query import make_problem
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -66,20 +65,17 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
 
 def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[float, float, float]) -> str | None:
     """Phrase with the first collision of the footprint at a pose; None if it is free."""
+    workspace = workspace_of(task, vehicle)
+    outside = task.bounds.outside(*pose[:2])
+    if not outside and not ExactClearance(workspace, footprint).collides(*pose):
+        return None
     for i, obstacle in enumerate(task.obstacles):
-        if _collides(task, footprint, pose, planar_obstacle(obstacle)):
+        alone = Workspace(workspace.bounds, (planar_obstacle(obstacle),))
+        if ExactClearance(alone, footprint).collides(*pose):
             return (
                 f"is in collision with {obstacle.name!r}" if obstacle.name else f"is in collision with obstacles[{i}]"
             )
-    for side in fence(task.bounds, 2 * vehicle.footprint.reach):
-        if _collides(task, footprint, pose, side):
-            return "is out of bounds"
-    return "is out of bounds" if task.bounds.outside(*pose[:2]) else None
-
-
-def _collides(task: Task, footprint: Footprint, pose: tuple[float, float, float], obstacle: Obstacle) -> bool:
-    alone = Workspace((task.bounds.x, task.bounds.y), (obstacle,))
-    return ExactClearance(alone, footprint).distance(*pose) <= 0.0
+    return "is out of bounds"
 
 
 def check_reachable(task: Task, vehicle: Vehicle) -> None:

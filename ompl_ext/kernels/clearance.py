@@ -34,7 +34,7 @@ from ompl_ext.vehicle import Footprint
 
 MAX_CELLS = 1_000_000
 FARTHEST = 1e6  # m, the distance where there is no obstacle
-BEYOND_REACH = 0.75  # m beyond the footprint's reach, within which the fine field is stored
+BEYOND_REACH = 0.5  # m beyond reach and delta, within which the fine field is stored: room for motion in a step
 
 
 class ClearanceField(NamedTuple):
@@ -78,20 +78,24 @@ def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> 
 
 
 def fields(
-    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float
+    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float, delta: float = 0.0
 ) -> tuple[ClearanceField, FineField | None]:
-    """Clearance field for a footprint, and a fine field if the clearance field alone would lose more than `cell` m.
+    """Clearance field, and a fine field if the clearance field alone would lose more than `cell` m of clearance.
+
+    The fields are for a footprint that keeps up to `delta` m.
 
     In a workspace without a map the cells of the clearance field are `cell` m wide if these are at most `MAX_CELLS`,
     and there is no fine field.  Otherwise the clearance field has larger cells, and the fine field, which loses at most
     `cell` m, decides wherever the footprint can touch an obstacle.
     """
     area = math.prod(high - low + 2 * footprint.reach for low, high in workspace.bounds)
-    coarse = max(cell, math.sqrt(area / (4 * MAX_CELLS)), min(math.sqrt(area / MAX_CELLS), 0.8 * footprint.inscribed))
     grid = next((obstacle for obstacle in workspace.obstacles if isinstance(obstacle, OccupancyGrid)), None)
+    thin = 0.0 if grid is None else grid.resolution  # thickness of a wall, which must not fall between larger cells
+    widest = (footprint.inscribed + thin / 2) / (0.5 + math.sqrt(0.5))
+    coarse = max(cell, math.sqrt(area / (4 * MAX_CELLS)), min(math.sqrt(area / MAX_CELLS), widest))
     if grid is None and coarse == cell:
         return clearance_field(workspace, footprint.reach + 2 * cell, cell), None
-    touch = footprint.reach + BEYOND_REACH
+    touch = footprint.reach + delta + BEYOND_REACH
     cells = None if grid is None else map_cells(grid, cell * math.sqrt(2.0), max(touch, coarse), workspace.bounds)
     field = _field_of(workspace, cells, footprint.reach + 2 * coarse, coarse)
     return field, _fine_field_of(workspace, field, cells, disc_radius, touch, cell * math.sqrt(2.0))

@@ -37,11 +37,12 @@ def cost_to_go(
     goal_radius: float,
     top_speed: float,
     bounds: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    most_in_order: int = CELLS_IN_ORDER,
 ) -> CostToGo:
     """Geodesic distance to the goal region divided by `top_speed`, on the clearance field's cells.
 
     A cell is blocked if each of its points is nearer to an obstacle than the `inscribed` radius (m), or if it lies
-    outside the workspace's `bounds`.
+    outside the workspace's `bounds`.  Up to `most_in_order` cells are marched in the order of their distances.
     """
     best_in_cell = field.values + np.float32(field.cell * math.sqrt(2.0) + field.loss)
     blocked = best_in_cell < inscribed
@@ -58,7 +59,7 @@ def cost_to_go(
         (goal[0] - field.origin[0]) / field.cell - 0.5,
         (goal[1] - field.origin[1]) / field.cell - 0.5,
     )
-    march = _march if rows * columns <= CELLS_IN_ORDER else _march_by_buckets
+    march = _march if rows * columns <= most_in_order else _march_by_buckets
     march(distance, blocked, goal_cell[0], goal_cell[1], max(goal_radius / field.cell, 3.0), heap, heap_index)
     _extend(distance, blocked)
     seconds = np.maximum(distance * field.cell - goal_radius, 0.0) / top_speed
@@ -199,9 +200,7 @@ def _move(links: Ints32, bucket: Ints32, cells: int, cell: int, to: int) -> None
 
 
 @inlined
-def _lower_neighbours(
-    distance: Floats, blocked: Bools, links: Ints32, bucket: Ints32, cell: int, current: int
-) -> int:
+def _lower_neighbours(distance: Floats, blocked: Bools, links: Ints32, bucket: Ints32, cell: int, current: int) -> int:
     """Lower the distances of the neighbours of a final cell; returns how many cells more are in buckets."""
     rows, columns = distance.shape
     row, column, added = cell // columns, cell % columns, 0

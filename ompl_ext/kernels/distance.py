@@ -22,7 +22,7 @@ from ompl_ext.jit import compiled, inlined
 from ompl_ext.obstacles import Circle, Polygon
 
 FAR = 65535  # cells; farther obstacles count as if they were so near
-SUPERBLOCK, BLOCK = 128, 16  # points along the side of a block
+SUPERBLOCK, BLOCK = 64, 8  # points along the side of a block
 ROUNDING = 1e-9  # of a distance (m), by which blocks keep shapes that are just too far
 
 
@@ -72,7 +72,7 @@ def shape_distance(all_shapes: Shapes, shape: int, x: float, y: float) -> float:
 
 
 @inlined
-def _near_shapes(
+def near_shapes(
     all_shapes: Shapes, x: float, y: float, half: float, given: Ints32, count: int, chosen: Ints32, gap: Floats
 ) -> int:
     """Choose, of `count` given shapes, those that may be nearest to a point within `half` m of (x, y); their number."""
@@ -99,13 +99,13 @@ def _lower(distance: Matrix, xs: Floats, ys: Floats, all_shapes: Shapes, numbers
             bottom, right = min(top + SUPERBLOCK, rows), min(left + SUPERBLOCK, columns)
             x, y = 0.5 * (xs[left] + xs[right - 1]), 0.5 * (ys[top] + ys[bottom - 1])
             half = math.hypot(half_x * (right - left), half_y * (bottom - top))
-            outer = _near_shapes(all_shapes, x, y, half, numbers[2], count, numbers[0], gap)
+            outer = near_shapes(all_shapes, x, y, half, numbers[2], count, numbers[0], gap)
             for row0 in range(top, bottom, BLOCK):
                 for column0 in range(left, right, BLOCK):
                     row1, column1 = min(row0 + BLOCK, bottom), min(column0 + BLOCK, right)
                     x, y = 0.5 * (xs[column0] + xs[column1 - 1]), 0.5 * (ys[row0] + ys[row1 - 1])
                     half = math.hypot(half_x * (column1 - column0), half_y * (row1 - row0))
-                    inner = _near_shapes(all_shapes, x, y, half, numbers[0], outer, numbers[1], gap)
+                    inner = near_shapes(all_shapes, x, y, half, numbers[0], outer, numbers[1], gap)
                     for row in range(row0, row1):
                         for column in range(column0, column1):
                             least = distance[row, column]
@@ -148,7 +148,14 @@ def column_distance(
 
 @compiled
 def squares_at_vertices(
-    above: Words16Matrix, below: Words16Matrix, divisions: int, every: int, squares: Matrix, height: Floats, hull: Ints, cut: Floats
+    above: Words16Matrix,
+    below: Words16Matrix,
+    divisions: int,
+    every: int,
+    squares: Matrix,
+    height: Floats,
+    hull: Ints,
+    cut: Floats,
 ) -> None:
     """Squared distance from every `every`-th vertex of the lattice to the occupied cells, in squared spacings.
 

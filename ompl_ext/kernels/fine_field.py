@@ -1,8 +1,8 @@
 """Fine distance field: squared distances at the vertices of a lattice, stored only where a footprint can touch.
 
 The lattice lies in the frame of the map, so that the corners of the map's cells are vertices and distances there are
-exact.  Between vertices `distance.interpolated` is a lower bound, which is at most spacing / sqrt(2) below the distance.
-The lattice is stored in tiles of 16 x 16 cells, and only tiles near obstacles are: the coarse `ClearanceField` decides
+exact.  Between vertices `distance.interpolated` is a lower bound, at most spacing / sqrt(2) below the distance.  The
+lattice is stored in tiles of 16 x 16 cells, and only tiles near obstacles are: the coarse `ClearanceField` decides
 everywhere else.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32, IntMatrix32, Matrix32, Words16, Words16Matrix, int64
 from ompl_ext.jit import compiled, inlined
-from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, shape_distance, shapes
+from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, near_shapes, shape_distance, shapes
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     FINE_COS,
     FINE_INVERSE,
@@ -29,6 +29,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
 from ompl_ext.obstacles import Circle, Polygon
 
 TILE = 16  # cells along the side of a tile
+TILES = 8  # tiles along the side of a block
 VERTICES = (TILE + 1) * (TILE + 1)  # of a tile; neighbours have those on their common side twice
 LARGEST_SPACINGS = 255  # distance in spacings that a vertex can store
 ROUNDING = 1e-7  # m, subtracted from distances, far above the rounding errors of their computation
@@ -123,7 +124,9 @@ def fine_field(
         lines, values = np.empty((2, length), np.float32), np.empty(length * divisions, np.uint16)
         _fill_tiles(*free, divisions, window, most, tile, offset[0], offset[1], squares, lines, values)
     if len(obstacles):
-        _lower_tiles(shapes(obstacles), tile, squares, np.array(lattice), most)
+        numbers = np.empty((3, len(obstacles)), np.int32)
+        numbers[2] = np.arange(len(obstacles))
+        _lower_tiles(shapes(obstacles), tile, squares, np.array(lattice), most, numbers, np.empty(len(obstacles)))
     return FineField(lattice, tile, squares)
 
 
@@ -229,34 +232,50 @@ def _lower_line(
 
 @compiled
 def _lower_tiles(
-    all_shapes: Shapes, tile: IntMatrix32, squares: Words16Matrix, lattice: Floats, most: int
+    all_shapes: Shapes,
+    tile: IntMatrix32,
+    squares: Words16Matrix,
+    lattice: Floats,
+    most: int,
+    numbers: IntMatrix32,
+    gap: Floats,
 ) -> None:
-    """Lower the squares of all stored tiles to the squared distances to shapes, rounded down."""
+    """Lower the squares of all stored tiles to the squared distances to shapes, rounded down.
+
+    `numbers` (3, shapes) are those near a block of tiles, near a tile, and all; `gap` (shapes,) is working memory.
+    """
     x0, y0, c, s, spacing = lattice[0], lattice[1], lattice[2], lattice[3], lattice[4]
-    half = 0.5 * TILE * spacing * math.sqrt(2.0)
-    for shape in range(len(all_shapes.radius)):
-        low_u, high_u, low_v, high_v = math.inf, -math.inf, math.inf, -math.inf
-        for k in range(all_shapes.start[shape], all_shapes.start[shape + 1]):
-            dx, dy = all_shapes.points[k, 0] - x0, all_shapes.points[k, 1] - y0
-            u, v = dx * c + dy * s, dy * c - dx * s
-            low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
-        margin, side = all_shapes.radius[shape] + most * spacing, TILE * spacing
-        row0, row1 = int(max((low_v - margin) / side, 0.0)), min((high_v + margin) / side, tile.shape[0] - 1.0)
-        column0, column1 = int(max((low_u - margin) / side, 0.0)), min((high_u + margin) / side, tile.shape[1] - 1.0)
-        for row in range(row0, int(math.floor(row1)) + 1):
-            for column in range(column0, int(math.floor(column1)) + 1):
-                number = int64(tile[row, column])
-                if number < 0:
-                    continue
-                u, v = (column + 0.5) * side, (row + 0.5) * side
-                if shape_distance(all_shapes, shape, x0 + u * c - v * s, y0 + u * s + v * c) > most * spacing + half:
-                    continue
-                for k in range(VERTICES):
-                    u = (column * TILE + k % (TILE + 1)) * spacing
-                    v = (row * TILE + k // (TILE + 1)) * spacing
-                    gap = shape_distance(all_shapes, shape, x0 + u * c - v * s, y0 + u * s + v * c) / spacing
-                    if gap < most and gap * gap < squares[number, k]:
-                        squares[number, k] = np.uint16(gap * gap)
+    count, half = len(gap), 0.5 * TILE * spacing * math.sqrt(2.0)
+    for top in range(0, tile.shape[0], TILES):
+        for left in range(0, tile.shape[1], TILES):
+            u, v = (left + 0.5 * TILES) * TILE * spacing, (top + 0.5 * TILES) * TILE * spacing
+            x, y = x0 + u * c - v * s, y0 + u * s + v * c
+            outer = near_shapes(all_shapes, x, y, half * TILES, numbers[2], count, numbers[0], gap)
+            for row in range(top, min(top + TILES, tile.shape[0])):
+                for column in range(left, min(left + TILES, tile.shape[1])):
+                    number = int64(tile[row, column])
+                    if number < 0:
+                        continue
+                    u, v = (column + 0.5) * TILE * spacing, (row + 0.5) * TILE * spacing
+                    x, y = x0 + u * c - v * s, y0 + u * s + v * c
+                    inner = near_shapes(all_shapes, x, y, half, numbers[0], outer, numbers[1], gap)
+                    least, stored = math.inf, squares[number]
+                    for k in range(outer):
+                        least = min(least, gap[k])
+                    largest = int64(0)
+                    for k in range(VERTICES):
+                        largest = max(largest, int64(stored[k]))
+                    if max(least - half, 0.0) > math.sqrt(float(largest)) * spacing:
+                        continue
+                    for k in range(VERTICES):
+                        u = (column * TILE + k % (TILE + 1)) * spacing
+                        v = (row * TILE + k // (TILE + 1)) * spacing
+                        x, y, nearest = x0 + u * c - v * s, y0 + u * s + v * c, math.inf
+                        for j in range(inner):
+                            nearest = min(nearest, shape_distance(all_shapes, numbers[1, j], x, y))
+                        nearest /= spacing
+                        if nearest < most and nearest * nearest < stored[k]:
+                            stored[k] = np.uint16(nearest * nearest)
 
 
 @compiled

@@ -11,7 +11,7 @@ import math
 
 from numba import types
 
-from ompl_ext.arrays import Floats, IntMatrix32, Matrix32, Words16Matrix, int64
+from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix, int64
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels import dirt
 from ompl_ext.kernels.clearance import pose_slack
@@ -380,6 +380,16 @@ def _advance(state: Floats, control: Floats, parameters: Floats, h: float, resul
         result[k] = y[k]
 
 
+def _roll_out(states: Floats, controls: Matrix, parameters: Floats, h: Floats) -> None:
+    p = load_parameters(parameters)
+    for motion in range(states.shape[0]):
+        x, u = first_state(states[motion, 0]), actuation(first_control(controls[motion]), p)
+        for step in range(1, states.shape[1]):
+            x, _, _ = rk4_step(x, u, p, h[motion])
+            for k in range(NX):
+                states[motion, step, k] = x[k]
+
+
 def _pose(
     field: Matrix32,
     tile: IntMatrix32,
@@ -403,6 +413,11 @@ grow = compiled(
 edge = compiled(_edge, folder=FOLDER, signature=types.void(PROBLEM, LANES, types.float64))
 brake = compiled(_brake, folder=FOLDER, signature=types.int64(PROBLEM, LANES, LANES, types.float64))
 advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS))
+roll_out = compiled(
+    _roll_out,
+    folder=FOLDER,
+    signature=types.void(types.float64[:, :, ::1], types.float64[:, ::1], _FLOATS, _FLOATS),
+)
 pose = compiled(
     _pose,
     folder=FOLDER,

@@ -32,6 +32,7 @@ class VehicleKernels:
     edge: Callable[[Problem, Lanes, float], None]
     brake: Callable[[Problem, Lanes, Lanes, float], int]
     advance: Callable[[Floats, Floats, Floats, float, Floats], None]
+    roll_out: Callable[[Floats, Matrix, Floats, Floats], None]
     pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
 
 
@@ -70,7 +71,8 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     key = _key(vehicle)
     if key not in _kernels:
         module = _execute(vehicle, "lanes")
-        _kernels[key] = VehicleKernels(module.grow, module.edge, module.brake, module.advance, module.pose)
+        names = VehicleKernels.__dataclass_fields__
+        _kernels[key] = VehicleKernels(**{name: getattr(module, name) for name in names})
         if vehicle.source:
             _done_marker(vehicle).touch()
     return _kernels[key]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from support.kernels import BENCHMARK, GOAL, NO_SAFETY, point_to_segment
 
 from ompl_ext.exact import ExactClearance
-from ompl_ext.kernels.clearance import MAX_CELLS, cover, fields
+from ompl_ext.kernels.clearance import BEYOND_REACH, MAX_CELLS, cover, fields
 from ompl_ext.kernels.fine_field import LARGEST_SPACINGS
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.query import Goal, Settings
@@ -63,7 +63,9 @@ def true_distances(workspace: Workspace, points: np.ndarray) -> np.ndarray:
         else:
             corners, after = obstacle.vertices, np.roll(obstacle.vertices, -1, axis=0)
             side = after - corners
-            cross = side[:, 0] * (points[:, None, 1] - corners[:, 1]) - side[:, 1] * (points[:, None, 0] - corners[:, 0])
+            cross = side[:, 0] * (points[:, None, 1] - corners[:, 1]) - side[:, 1] * (
+                points[:, None, 0] - corners[:, 0]
+            )
             inside = np.all(cross >= 0, axis=1) | np.all(cross <= 0, axis=1)
             outline = [min(point_to_segment(p, a, b) for a, b in zip(corners, after, strict=True)) for p in points]
             least = np.minimum(least, np.where(inside, 0.0, outline))
@@ -86,9 +88,7 @@ POST = Footprint(0.2, 0.2)
 
 
 def pinned_disc(workspace: Workspace) -> DirtSolver:
-    return DirtSolver(
-        replace(BENCHMARK, footprint=POST), workspace, GOAL, NO_SAFETY, Settings(discs=1), capacity=10
-    )
+    return DirtSolver(replace(BENCHMARK, footprint=POST), workspace, GOAL, NO_SAFETY, Settings(discs=1), capacity=10)
 
 
 EXTRA = (Circle(np.array([3.2, 3.1]), 0.3), box((0.0, 3.0), (0.8, 0.2), 0.4))
@@ -104,7 +104,7 @@ def test_the_fields_of_a_map_never_exceed_the_distance_and_lose_at_most_two_cent
     points = np.random.default_rng(seed).uniform((-1.0, -1.5), (4.0, 4.0), (1500, 2))
     bound, true = bounds_at(dirt, points), true_distances(workspace, points)
     assert np.all(bound <= true + 1e-7)
-    near = (true > cover(POST, 1).radius + LOSS) & (true < POST.reach + 0.5)
+    near = (true > cover(POST, 1).radius + LOSS) & (true < POST.reach + BEYOND_REACH - LOSS)
     assert np.all(true[near] - bound[near] <= LOSS + 0.002)  # squares are rounded down beside shapes
     if not with_others:
         assert np.all(true[near] - bound[near] <= LOSS + 1e-6)
@@ -119,7 +119,7 @@ def test_two_maps_that_lie_differently_are_both_kept_away_from(seed: int, yaw: f
     points = np.random.default_rng(seed).uniform((-1.0, -1.5), (4.0, 4.0), (800, 2))
     bound, true = bounds_at(dirt, points), true_distances(workspace, points)
     assert np.all(bound <= true + 1e-7)
-    near = (true > cover(POST, 1).radius + LOSS) & (true < POST.reach + 0.5)
+    near = (true > cover(POST, 1).radius + LOSS) & (true < POST.reach + BEYOND_REACH - LOSS)
     assert np.all(true[near] - bound[near] <= LOSS + 0.002)
 
 
