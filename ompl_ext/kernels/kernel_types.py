@@ -107,14 +107,14 @@ class Tree(NamedTuple):
     state: Matrix  # (capacity, nx)
     edge: Matrix  # (capacity, nu + 1) control and duration of the edge from the parent
     value: Matrix  # (capacity, 8) what the search reads of a node, one cache line each
-    link: IntMatrix  # (capacity, 7)
+    link: IntMatrix32  # (capacity, 8), half a cache line each
     region_head: Ints32  # first node of each cell, level after level
-    level: IntMatrix  # (levels, 4)
+    level: IntMatrix  # (levels, 7)
     level_cell: Floats  # cell size of each level (m)
     cell_head: Ints32
     cell_best: Floats  # smallest f in each cell
     block_best: Floats  # smallest f in each block of cells
-    block_shape: Ints  # columns, rows of blocks
+    block_shape: Ints  # columns, rows of blocks, and how they are stored
     frame: Floats  # lower left corner and cell size of the cells (m)
     count: Ints  # type: ignore[assignment]  # hides the method of tuples, which is not needed
     best: Floats  # cost of the best goal node, smallest cost-to-go of any node (s)
@@ -132,8 +132,12 @@ F, RADIUS, COST, TOGO = (
 # Columns of Tree.link
 PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS = range(7)
 
-# Columns of Tree.level: first index in region_head, columns and rows, number of nodes
+# Columns of Tree.level: first index in region_head, columns and rows, number of nodes, and how the cells are stored
 LEVEL_START, LEVEL_COLUMNS, LEVEL_ROWS, LEVEL_COUNT = range(4)
+LEVEL_COLUMN_MASK, LEVEL_ROW_MASK, LEVEL_STRIDE = range(4, 7)
+
+# Indices of Tree.block_shape
+BLOCK_COLUMNS, BLOCK_ROWS, BLOCK_COLUMN_MASK, BLOCK_ROW_MASK, BLOCK_STRIDE = range(5)
 
 # Indices of Tree.count
 SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL, RETAINED, PRUNED = range(11)
