@@ -11,7 +11,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix, Matrix32
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.clearance import ClearanceField, cover, fields
+from ompl_ext.kernels.clearance import ClearanceField, cover, fields, memory_of_fields
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.fine_field import FineField
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
@@ -137,7 +137,7 @@ def make_problem(
     """
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
-    delta = float(safety.clearance(np.array(vehicle.top_speed), np.array(safety.delta_horizon)))
+    delta = _largest_delta(vehicle, safety)
     field, fine = _fields(workspace, vehicle.footprint, discs.radius, settings.cell, delta)
     seconds = np.zeros((1, 1), np.float32)
     if goal is not None:
@@ -193,6 +193,16 @@ def make_problem(
         scalar=scalar,
         option=option,
     )
+
+
+def memory_of_maps(vehicle: Vehicle, workspace: Workspace, safety: Safety, settings: Settings) -> int:
+    """Memory (bytes) that the maps of a query need at most."""
+    return memory_of_fields(workspace, vehicle.footprint, settings.cell, _largest_delta(vehicle, safety))
+
+
+def _largest_delta(vehicle: Vehicle, safety: Safety) -> float:
+    """Largest clearance delta(t, v) that a query requires (m)."""
+    return float(safety.clearance(np.array(vehicle.top_speed), np.array(safety.delta_horizon)))
 
 
 @lru_cache(CACHED_MAPS)

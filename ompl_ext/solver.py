@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,6 +32,7 @@ from ompl_ext.kernels.tree_memory import (  # fmt: skip
     with_room,
 )
 from ompl_ext.obstacles import Workspace
+from ompl_ext.partner import Partner, rank
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
 from ompl_ext.retainment import RetainableEdges, retainable_edges
@@ -38,6 +40,10 @@ from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between readings of the clock until a solution is found
 PRUNE_EVERY = 4096  # iterations
+MAX_THREADS = 64
+LONGEST_ROUND = 1024  # iterations of each thread between two exchanges of the best cost
+ROUNDS_TO_PRUNING = 4
+PARTNER_SEEDS = 2**32  # difference between the seeds of the trees of one query
 LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
 
 
@@ -69,6 +75,9 @@ class DirtSolver:
 
     A budget of iterations uses memory for `capacity` nodes; for any other budget the memory is doubled when needed, up
     to `max_nodes`.  When the memory is full, the tree is pruned; if then less than a tenth is free, the search ends.
+
+    With several `threads` each grows a tree of its own, in the same workspace and with a seed of its own; the trees
+    exchange the best cost at fixed iterations.  A budget of iterations is for all of them together.
     """
 
     def __init__(
@@ -80,7 +89,10 @@ class DirtSolver:
         settings: Settings | None = None,
         capacity: int = CAPACITY,
         max_nodes: int = MAX_NODES,
+        threads: int = 1,
     ) -> None:
+        if not 1 <= threads <= MAX_THREADS:
+            raise ValueError(f"threads is {threads}, not 1 to {MAX_THREADS}")
         self.vehicle, self.workspace, self.goal = vehicle, workspace, goal
         self.safety, self.settings = safety or Safety(), settings or Settings()
         self._kernels = kernels(vehicle)
@@ -95,9 +107,19 @@ class DirtSolver:
         self._capacity, self._max_nodes = capacity, max(capacity, max_nodes)
         self._memory = new_tree(capacity, nx, nu, workspace.bounds)
         self._tree = self._memory
-        self._work = make_lanes(nx, nu, inputs, int(self._problem.option[at.STEPS]))
-        self._brake = make_lanes(nx, nu, inputs, int(self._problem.option[at.BRAKE_STEPS]))
+        steps, brake_steps = int(problem.option[at.STEPS]), int(problem.option[at.BRAKE_STEPS])
+        self._work, self._brake = make_lanes(nx, nu, inputs, steps), make_lanes(nx, nu, inputs, brake_steps)
         self._q = np.zeros(at.Q_DIM)
+        self._partners = [
+            Partner(
+                new_tree(capacity, nx, nu, workspace.bounds),
+                make_lanes(nx, nu, inputs, steps),
+                make_lanes(nx, nu, inputs, brake_steps),
+            )
+            for _ in range(threads - 1)
+        ]
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._rounds = 0
         self._no_edges = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
         self._retained_nodes = self._no_edges.node
         self._progress = Progress()
@@ -136,12 +158,16 @@ class DirtSolver:
         """Empty the tree; memory allocated since is kept for later queries."""
         self._tree = first_nodes(self._memory, self._capacity)
         reset(self._tree, generator(seed))
+        for number, partner in enumerate(self._partners, 1):
+            partner.clear(self._capacity, generator(seed + number * PARTNER_SEEDS))
+        self._rounds = 0
         self._progress = Progress()
 
     def add_root(self, state: Floats) -> float:
         """Add a start state; returns its spare clearance as `start` does."""
         slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
-        add_root(self._tree, self._work)
+        for tree in (self._tree, *(partner.tree for partner in self._partners)):
+            add_root(tree, self._work)
         return slack
 
     def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
@@ -164,6 +190,10 @@ class DirtSolver:
         retained = edges_to_retain(parents, controls, durations, targets)
         self._run_kernel(retained, 0)
         self._retained_nodes = retained.node
+        for partner in self._partners:
+            partner.reserve(len(parents), self._max_nodes)
+            partner.retained = edges_to_retain(parents, controls, durations, targets)
+            self._run_partner(partner, partner.retained, 0)
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before
 
@@ -189,7 +219,7 @@ class DirtSolver:
     ) -> Progress:
         """Grow the tree until a budget is used up or `stop()` is true, and return the progress since `start`.
 
-        With `iterations` the result depends on the seed alone, not on the clock.
+        With `iterations` the result depends on the seed and the number of threads alone, not on the clock.
 
         Raises:
             ValueError: there is no budget or no goal.
@@ -198,6 +228,8 @@ class DirtSolver:
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
+        if self._pool is not None:
+            return self._grow_together(self._pool, iterations, seconds, stop)
         left = iterations if iterations is not None else 2**62
         base, began = self._progress.seconds, time.perf_counter()
         chunk, elapsed = FIRST_CHUNK, 0.0
@@ -219,6 +251,73 @@ class DirtSolver:
             if self._progress.history:
                 chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
         return self._progress
+
+    def _grow_together(
+        self,
+        pool: ThreadPoolExecutor,
+        iterations: int | None,
+        seconds: float | None,
+        stop: Callable[[], bool] | None,
+    ) -> Progress:
+        """Grow one tree per thread, in rounds of equal numbers of iterations; see `grow`.
+
+        After each round all trees get the lowest cost, beyond which nothing is added, and the tree with that plan
+        becomes the solver's own.
+        """
+        left = iterations if iterations is not None else 2**62
+        base, began, elapsed, trees = self._progress.seconds, time.perf_counter(), 0.0, 1 + len(self._partners)
+        insertions = max(EXPLORATION_INSERTIONS, self.settings.insertions)
+        while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
+            longest = min(FIRST_CHUNK << min(self._rounds, 10), LONGEST_ROUND)
+            shares = [min(longest, left // trees + (k < left % trees)) for k in range(trees)]
+            if iterations is None:
+                self._reserve(longest * insertions)
+                for partner in self._partners:
+                    partner.reserve(longest * insertions, self._max_nodes)
+            running = [
+                pool.submit(self._run_partner, partner, self._no_edges, share)
+                for partner, share in zip(self._partners, shares[1:], strict=True)
+            ]
+            self._run_kernel(self._no_edges, shares[0])
+            for each in running:
+                each.result()
+            left -= sum(shares)
+            self._rounds += 1
+            self._take_best()
+            elapsed = time.perf_counter() - began
+            self._update_progress(base + elapsed)
+            if not all([self._has_room(tree, iterations is not None) for tree in self._trees()]):
+                break
+        return self._progress
+
+    def _take_best(self) -> None:
+        """Make the tree with the best plan the solver's own, and its cost the bound of all trees."""
+        costs = [rank(tree) for tree in self._trees()]
+        best = costs.index(min(costs))
+        if best > 0:
+            partner = self._partners[best - 1]
+            self._memory, partner.memory = partner.memory, self._memory
+            self._tree, partner.tree = partner.tree, self._tree
+            nodes, self._retained_nodes = self._retained_nodes, partner.retained.node
+            partner.retained = partner.retained._replace(node=nodes)
+        for partner in self._partners:
+            partner.tree.best[0] = min(self._tree.best[0], partner.tree.best[0])
+
+    def _trees(self) -> list[at.Tree]:
+        return [self._tree, *(partner.tree for partner in self._partners)]
+
+    def _has_room(self, tree: at.Tree, fixed: bool) -> bool:
+        """Prune a tree if it is full or due; whether there is room, or memory if that is not `fixed`, for more nodes."""
+        due = self.settings.pruning and self._rounds % ROUNDS_TO_PRUNING == 0
+        if not (tree.count[at.FULL] or due):
+            return True
+        prune(tree)
+        memory = len(tree.state)
+        is_last = fixed or memory == self._max_nodes
+        return not is_last or memory - int(tree.count[at.SIZE]) >= memory // 10
+
+    def _run_partner(self, partner: Partner, retained: at.Retained, iterations: int) -> None:
+        self._kernels.grow(partner.tree, self._problem, partner.work, partner.brake, partner.q, retained, iterations)
 
     def _reserve(self, nodes: int) -> None:
         """Reserve memory for so many more nodes, as far as `max_nodes` allows."""
@@ -441,12 +540,13 @@ class DirtSolver:
         if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
             history = (*history, (seconds, cost))
         first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None
+        total = sum((tree.count for tree in self._trees()[1:]), start=count)
         self._progress = Progress(
             seconds=seconds,
-            iterations=int(count[at.ITERATIONS]),
-            edges=int(count[at.EDGES]),
-            nodes=int(count[at.SIZE]),
-            unsafe=int(count[at.UNSAFE]),
+            iterations=int(total[at.ITERATIONS]),
+            edges=int(total[at.EDGES]),
+            nodes=int(total[at.SIZE]),
+            unsafe=int(total[at.UNSAFE]),
             retained=int(count[at.RETAINED]),
             first_iteration=first,
             history=history,

@@ -17,7 +17,7 @@ import numpy as np
 from ompl_ext.arrays import Floats, Floats32
 from ompl_ext.jit import inlined
 from ompl_ext.kernels.distance import lower_to_shapes
-from ompl_ext.kernels.fine_field import TILE, FineField, Lattice, fine_distance, fine_field
+from ompl_ext.kernels.fine_field import TILE, VERTICES, FineField, Lattice, fine_distance, fine_field
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     DISC_RADIUS,
     FINE_INVERSE,
@@ -28,11 +28,13 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Maps,
     Problem,
 )
-from ompl_ext.kernels.map_cells import MapCells, map_cells
+from ompl_ext.kernels.map_cells import MAX_FREE_CELLS, MapCells, map_cells
+from ompl_ext.memory import check_memory
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.vehicle import Footprint
 
 MAX_CELLS = 1_000_000
+BYTES_PER_CELL, BYTES_PER_MAP_CELL, BYTES_PER_TILE = 56, 16, 120  # of working memory and results
 FARTHEST = 1e6  # m, the distance where there is no obstacle
 BEYOND_REACH = 0.5  # m beyond reach and delta, within which the fine field is stored: room for motion in a step
 
@@ -87,18 +89,53 @@ def fields(
     In a workspace without a map the cells of the clearance field are `cell` m wide if these are at most `MAX_CELLS`,
     and there is no fine field.  Otherwise the clearance field has larger cells, and the fine field, which loses at most
     `cell` m, decides wherever the footprint can touch an obstacle.
+
+    Raises:
+        MapTooLarge: there is not enough memory.
     """
-    area = math.prod(high - low + 2 * footprint.reach for low, high in workspace.bounds)
-    grid = next((obstacle for obstacle in workspace.obstacles if isinstance(obstacle, OccupancyGrid)), None)
-    thin = 0.0 if grid is None else grid.resolution  # thickness of a wall, which must not fall between larger cells
-    widest = (footprint.inscribed + thin / 2) / (0.5 + math.sqrt(0.5))
-    coarse = max(cell, math.sqrt(area / (4 * MAX_CELLS)), min(math.sqrt(area / MAX_CELLS), widest))
+    check_memory(memory_of_fields(workspace, footprint, cell, delta))
+    grid, coarse = _first_map(workspace), coarse_cell(workspace, footprint, cell)
     if grid is None and coarse == cell:
         return clearance_field(workspace, footprint.reach + 2 * cell, cell), None
     touch = footprint.reach + delta + BEYOND_REACH
     cells = None if grid is None else map_cells(grid, cell * math.sqrt(2.0), max(touch, coarse), workspace.bounds)
     field = _field_of(workspace, cells, footprint.reach + 2 * coarse, coarse)
     return field, _fine_field_of(workspace, field, cells, disc_radius, touch, cell * math.sqrt(2.0))
+
+
+def coarse_cell(workspace: Workspace, footprint: Footprint, cell: float) -> float:
+    """Cell of the clearance field (m): `cell`, or larger in a large workspace, as far as walls stay closed to it."""
+    area = math.prod(high - low + 2 * footprint.reach for low, high in workspace.bounds)
+    grid = _first_map(workspace)
+    thin = 0.0 if grid is None else grid.resolution  # thickness of a wall, which must not fall between larger cells
+    widest = (footprint.inscribed + thin / 2) / (0.5 + math.sqrt(0.5))
+    return max(cell, math.sqrt(area / (4 * MAX_CELLS)), min(math.sqrt(area / MAX_CELLS), widest))
+
+
+def memory_of_fields(workspace: Workspace, footprint: Footprint, cell: float, delta: float = 0.0) -> int:
+    """Memory (bytes) that both fields and a cost-to-go need at most, while they are computed."""
+    coarse, grid = coarse_cell(workspace, footprint, cell), _first_map(workspace)
+    width, height = (high - low + 2 * (footprint.reach + 2 * coarse) for low, high in workspace.bounds)
+    needed = BYTES_PER_CELL * width * height / coarse**2
+    if grid is None and coarse == cell:
+        return int(needed)
+    side, touch = TILE * cell * math.sqrt(2.0), footprint.reach + delta + BEYOND_REACH
+    extents = []
+    for obstacle in workspace.obstacles:
+        if isinstance(obstacle, OccupancyGrid):
+            needed += BYTES_PER_MAP_CELL * (obstacle.occupied.size + MAX_FREE_CELLS)
+            side = min(side, TILE * obstacle.resolution / math.ceil(obstacle.resolution / (cell * math.sqrt(2.0))))
+            extents.append(np.array(obstacle.occupied.shape) * obstacle.resolution)
+        elif isinstance(obstacle, Circle):
+            extents.append(np.full(2, 2 * obstacle.radius))
+        else:
+            extents.append(np.ptp(obstacle.vertices, axis=0))
+    tiles, near = 2 * width * height / side**2, sum(np.prod((extent + 2 * touch) / side + 2) for extent in extents)
+    return int(needed + BYTES_PER_TILE * tiles + 2 * VERTICES * min(tiles, near))
+
+
+def _first_map(workspace: Workspace) -> OccupancyGrid | None:
+    return next((obstacle for obstacle in workspace.obstacles if isinstance(obstacle, OccupancyGrid)), None)
 
 
 def _field_of(workspace: Workspace, cells: MapCells | None, margin: float, cell: float) -> ClearanceField:

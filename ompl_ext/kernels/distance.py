@@ -48,7 +48,7 @@ def lower_to_shapes(distance: Matrix, xs: Floats, ys: Floats, obstacles: Sequenc
     if count:
         numbers = np.empty((3, count), np.int32)
         numbers[2] = np.arange(count)
-        _lower(distance, xs, ys, shapes(obstacles), numbers, np.empty(count))
+        _lower(distance, xs, ys, shapes(obstacles), numbers, np.empty(count), np.empty((5, BLOCK * BLOCK)))
 
 
 @inlined
@@ -72,6 +72,42 @@ def shape_distance(all_shapes: Shapes, shape: int, x: float, y: float) -> float:
 
 
 @inlined
+def lower_points(all_shapes: Shapes, shape: int, work: Matrix, count: int) -> None:
+    """Lower distances to that to a shape: rows of `work` are x, y and distance of `count` points, and working memory.
+
+    The same as `shape_distance` of each point; the loops over the points vectorise.
+    """
+    points, first, end = all_shapes.points, all_shapes.start[shape], all_shapes.start[shape + 1]
+    xs, ys, least, near, inside = work[0], work[1], work[2], work[3], work[4]
+    if end == first + 1:
+        for i in range(count):
+            gap = max(math.hypot(xs[i] - points[first, 0], ys[i] - points[first, 1]) - all_shapes.radius[shape], 0.0)
+            least[i] = min(least[i], gap)
+        return
+    for i in range(count):
+        near[i], inside[i] = math.inf, 0.0
+    ax, ay = points[end - 1, 0], points[end - 1, 1]
+    for k in range(first, end):
+        bx, by = points[k, 0], points[k, 1]
+        ex, ey = bx - ax, by - ay
+        length2, rise = ex * ex + ey * ey, by - ay
+        for i in range(count):
+            x, y = xs[i], ys[i]
+            t = ((x - ax) * ex + (y - ay) * ey) / length2
+            t = t if t > 0.0 else 0.0
+            t = t if t < 1.0 else 1.0
+            dx, dy = x - ax - t * ex, y - ay - t * ey
+            square = dx * dx + dy * dy
+            near[i] = square if square < near[i] else near[i]
+            crosses = ((ay > y) != (by > y)) & (x < ax + (y - ay) / rise * ex)
+            inside[i] = 1.0 - inside[i] if crosses else inside[i]
+        ax, ay = bx, by
+    for i in range(count):
+        gap = 0.0 if inside[i] == 1.0 else math.sqrt(near[i])
+        least[i] = gap if gap < least[i] else least[i]
+
+
+@inlined
 def near_shapes(
     all_shapes: Shapes, x: float, y: float, half: float, given: Ints32, count: int, chosen: Ints32, gap: Floats
 ) -> int:
@@ -89,7 +125,9 @@ def near_shapes(
 
 
 @compiled
-def _lower(distance: Matrix, xs: Floats, ys: Floats, all_shapes: Shapes, numbers: IntMatrix32, gap: Floats) -> None:
+def _lower(
+    distance: Matrix, xs: Floats, ys: Floats, all_shapes: Shapes, numbers: IntMatrix32, gap: Floats, work: Matrix
+) -> None:
     """Distances block by block; `numbers` (3, shapes) are those of blocks, of blocks within them, and all."""
     rows, columns = distance.shape
     half_x, half_y = 0.5 * (xs[-1] - xs[0]) / max(columns - 1, 1), 0.5 * (ys[-1] - ys[0]) / max(rows - 1, 1)
@@ -106,12 +144,16 @@ def _lower(distance: Matrix, xs: Floats, ys: Floats, all_shapes: Shapes, numbers
                     x, y = 0.5 * (xs[column0] + xs[column1 - 1]), 0.5 * (ys[row0] + ys[row1 - 1])
                     half = math.hypot(half_x * (column1 - column0), half_y * (row1 - row0))
                     inner = near_shapes(all_shapes, x, y, half, numbers[0], outer, numbers[1], gap)
+                    width = column1 - column0
                     for row in range(row0, row1):
                         for column in range(column0, column1):
-                            least = distance[row, column]
-                            for k in range(inner):
-                                least = min(least, shape_distance(all_shapes, numbers[1, k], xs[column], ys[row]))
-                            distance[row, column] = least
+                            at = (row - row0) * width + column - column0
+                            work[0, at], work[1, at], work[2, at] = xs[column], ys[row], distance[row, column]
+                    for k in range(inner):
+                        lower_points(all_shapes, numbers[1, k], work, (row1 - row0) * width)
+                    for row in range(row0, row1):
+                        for column in range(column0, column1):
+                            distance[row, column] = work[2, (row - row0) * width + column - column0]
 
 
 @compiled

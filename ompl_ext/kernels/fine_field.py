@@ -9,14 +9,16 @@ everywhere else.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32, IntMatrix32, Matrix32, Words16, Words16Matrix, int64
 from ompl_ext.jit import compiled, inlined
-from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, near_shapes, shape_distance, shapes
+from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, lower_points, near_shapes, shapes
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     FINE_COS,
     FINE_INVERSE,
@@ -29,6 +31,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
 from ompl_ext.obstacles import Circle, Polygon
 
 TILE = 16  # cells along the side of a tile
+FILL_THREADS = min(4, os.cpu_count() or 1)
 TILES = 8  # tiles along the side of a block
 VERTICES = (TILE + 1) * (TILE + 1)  # of a tile; neighbours have those on their common side twice
 LARGEST_SPACINGS = 255  # distance in spacings that a vertex can store
@@ -121,12 +124,19 @@ def fine_field(
     else:
         window = math.ceil(most / divisions)  # columns of cells
         length = shape[1] * TILE // divisions + 2 * window + 8
-        lines, values = np.empty((2, length), np.float32), np.empty(length * divisions, np.uint16)
-        _fill_tiles(*free, divisions, window, most, tile, offset[0], offset[1], squares, lines, values)
+
+        def fill(rows: tuple[int, int]) -> None:
+            lines, values = np.empty((2, length), np.float32), np.empty(length * divisions, np.uint16)
+            _fill_tiles(*free, divisions, window, most, tile, *rows, *offset, squares, lines, values)
+
+        cuts = np.linspace(0, shape[0], FILL_THREADS + 1).astype(int).tolist()
+        with ThreadPoolExecutor(FILL_THREADS) as pool:
+            list(pool.map(fill, zip(cuts[:-1], cuts[1:], strict=True)))
     if len(obstacles):
         numbers = np.empty((3, len(obstacles)), np.int32)
         numbers[2] = np.arange(len(obstacles))
-        _lower_tiles(shapes(obstacles), tile, squares, np.array(lattice), most, numbers, np.empty(len(obstacles)))
+        gap, work = np.empty(len(obstacles)), np.empty((5, VERTICES))
+        _lower_tiles(shapes(obstacles), tile, squares, np.array(lattice), most, numbers, gap, work)
     return FineField(lattice, tile, squares)
 
 
@@ -138,17 +148,21 @@ def _fill_tiles(
     window: int,
     most: int,
     tile: IntMatrix32,
+    first_row: int,
+    end_row: int,
     row_offset: int,
     column_offset: int,
     squares: Words16Matrix,
     lines: Matrix32,
     values: Words16,
 ) -> None:
-    """Squared distances from the vertices of all stored tiles to the cells of a map, at most `most` squared.
+    """Squared distances from the vertices of stored tiles to the cells of a map, at most `most` squared.
+
+    The tiles are those in the rows from `first_row` to before `end_row`.
 
     Cells farther than `window` columns away are farther than `most` spacings.
     """
-    for row in range(tile.shape[0]):
+    for row in range(first_row, end_row):
         first = int64(0)
         while first < tile.shape[1]:
             if tile[row, first] < 0:
@@ -239,10 +253,12 @@ def _lower_tiles(
     most: int,
     numbers: IntMatrix32,
     gap: Floats,
+    work: Matrix,
 ) -> None:
     """Lower the squares of all stored tiles to the squared distances to shapes, rounded down.
 
-    `numbers` (3, shapes) are those near a block of tiles, near a tile, and all; `gap` (shapes,) is working memory.
+    `numbers` (3, shapes) are those near a block of tiles, near a tile, and all; `gap` (shapes,) and `work` (5, VERTICES) are
+    working memory.
     """
     x0, y0, c, s, spacing = lattice[0], lattice[1], lattice[2], lattice[3], lattice[4]
     count, half = len(gap), 0.5 * TILE * spacing * math.sqrt(2.0)
@@ -270,10 +286,11 @@ def _lower_tiles(
                     for k in range(VERTICES):
                         u = (column * TILE + k % (TILE + 1)) * spacing
                         v = (row * TILE + k // (TILE + 1)) * spacing
-                        x, y, nearest = x0 + u * c - v * s, y0 + u * s + v * c, math.inf
-                        for j in range(inner):
-                            nearest = min(nearest, shape_distance(all_shapes, numbers[1, j], x, y))
-                        nearest /= spacing
+                        work[0, k], work[1, k], work[2, k] = x0 + u * c - v * s, y0 + u * s + v * c, most * spacing
+                    for j in range(inner):
+                        lower_points(all_shapes, numbers[1, j], work, int64(VERTICES))
+                    for k in range(VERTICES):
+                        nearest = work[2, k] / spacing
                         if nearest < most and nearest * nearest < stored[k]:
                             stored[k] = np.uint16(nearest * nearest)
 
