@@ -9,7 +9,7 @@ from pathlib import Path
 GROUP = Path("/sys/fs/cgroup")
 
 
-class MapTooLarge(MemoryError):
+class MapTooLargeError(MemoryError):
     """A workspace whose maps need more memory than there is; `needed` and `available` are in bytes."""
 
     def __init__(self, needed: int, available: int) -> None:
@@ -38,11 +38,11 @@ def check_memory(needed: int) -> None:
     """Check that `needed` bytes are available.
 
     Raises:
-        MapTooLarge: they are not.
+        MapTooLargeError: they are not.
     """
     available = available_memory()
     if needed > available:
-        raise MapTooLarge(needed, available)
+        raise MapTooLargeError(needed, available)
 
 
 def _free_of_machine() -> int:

@@ -286,7 +286,8 @@ class DirtSolver:
             self._take_best()
             elapsed = time.perf_counter() - began
             self._update_progress(base + elapsed)
-            if not all([self._has_room(tree, iterations is not None) for tree in self._trees()]):
+            rooms = [self._has_room(tree, iterations is not None) for tree in self._trees()]  # prunes each
+            if not all(rooms):
                 break
         return self._progress
 
@@ -307,7 +308,7 @@ class DirtSolver:
         return [self._tree, *(partner.tree for partner in self._partners)]
 
     def _has_room(self, tree: at.Tree, fixed: bool) -> bool:
-        """Prune a tree if it is full or due; whether there is room, or memory if that is not `fixed`, for more nodes."""
+        """Prune a tree if it is full or due; whether it has room for more nodes, or can get memory unless `fixed`."""
         due = self.settings.pruning and self._rounds % ROUNDS_TO_PRUNING == 0
         if not (tree.count[at.FULL] or due):
             return True

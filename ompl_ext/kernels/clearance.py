@@ -91,7 +91,7 @@ def fields(
     `cell` m, decides wherever the footprint can touch an obstacle.
 
     Raises:
-        MapTooLarge: there is not enough memory.
+        MapTooLargeError: there is not enough memory.
     """
     check_memory(memory_of_fields(workspace, footprint, cell, delta))
     grid, coarse = _first_map(workspace), coarse_cell(workspace, footprint, cell)

@@ -12,11 +12,12 @@ import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Floats32, IntMatrix32, Matrix32, Words16, Words16Matrix, int64
+from ompl_ext.arrays import Bools, Floats, Floats32, IntMatrix32, Matrix, Matrix32, Words16, Words16Matrix, int64
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, lower_points, near_shapes, shapes
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
@@ -96,7 +97,7 @@ def fine_distance(problem: Problem | Maps, x: float, y: float) -> float:
 def fine_field(
     lattice: Lattice,
     shape: tuple[int, int],
-    wanted: Floats,
+    wanted: Bools,
     free: tuple[Words16Matrix, Words16Matrix] | None,
     offset: tuple[int, int],
     divisions: int,
@@ -116,8 +117,8 @@ def fine_field(
         reach: largest distance of interest (m).
     """
     tile = np.full(shape, -1, np.int32)
-    tile[wanted] = np.arange(np.count_nonzero(wanted))
-    squares = np.empty((max(1, np.count_nonzero(wanted)), VERTICES), np.uint16)
+    tile[wanted] = np.arange(int(wanted.sum()))
+    squares = np.empty((max(1, int(wanted.sum())), VERTICES), np.uint16)
     most = max(1, min(LARGEST_SPACINGS, math.floor(reach / lattice.spacing)))
     if free is None:
         squares[:] = most * most
@@ -131,7 +132,7 @@ def fine_field(
 
         cuts = np.linspace(0, shape[0], FILL_THREADS + 1).astype(int).tolist()
         with ThreadPoolExecutor(FILL_THREADS) as pool:
-            list(pool.map(fill, zip(cuts[:-1], cuts[1:], strict=True)))
+            list(pool.map(fill, pairwise(cuts)))
     if len(obstacles):
         numbers = np.empty((3, len(obstacles)), np.int32)
         numbers[2] = np.arange(len(obstacles))
@@ -225,7 +226,7 @@ def _fill_line(
 
 
 @inlined
-def _square_gap(k: int, divisions: int, phase: int) -> float:
+def _square_gap(k: int, divisions: int, phase: int) -> np.float32:
     """Squared distance from a vertex, `phase` spacings into its column of cells, to the k-th column after that."""
     gap = k * divisions - phase if k > 0 else phase - (k + 1) * divisions
     return np.float32(gap * gap if k != 0 else 0)
@@ -233,7 +234,14 @@ def _square_gap(k: int, divisions: int, phase: int) -> float:
 
 @inlined
 def _lower_line(
-    line: Floats32, heights: Floats32, first: int, count: int, g0: float, g1: float, g2: float, g3: float
+    line: Floats32,
+    heights: Floats32,
+    first: int,
+    count: int,
+    g0: np.float32,
+    g1: np.float32,
+    g2: np.float32,
+    g3: np.float32,
 ) -> None:
     """Lower entries of `line` to those of four successive columns; this loop vectorises."""
     h0, h1, h2, h3 = heights[first:], heights[first + 1 :], heights[first + 2 :], heights[first + 3 :]
@@ -257,8 +265,8 @@ def _lower_tiles(
 ) -> None:
     """Lower the squares of all stored tiles to the squared distances to shapes, rounded down.
 
-    `numbers` (3, shapes) are those near a block of tiles, near a tile, and all; `gap` (shapes,) and `work` (5, VERTICES) are
-    working memory.
+    `numbers` (3, shapes) are those near a block of tiles, near a tile, and all; `gap` (shapes,) and `work`
+    (5, VERTICES) are working memory.
     """
     x0, y0, c, s, spacing = lattice[0], lattice[1], lattice[2], lattice[3], lattice[4]
     count, half = len(gap), 0.5 * TILE * spacing * math.sqrt(2.0)

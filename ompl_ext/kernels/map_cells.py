@@ -77,7 +77,8 @@ def map_cells(
     if (rows + 2 * up_to_bounds) * (columns + 2 * up_to_bounds) <= max(MAX_FREE_CELLS, 2 * rows * columns):
         around = up_to_bounds
     occupied = np.pad(grid.occupied, around)
-    above, below = np.empty(occupied.shape, np.uint16), np.empty(occupied.shape, np.uint16)
+    shape = len(occupied), len(occupied[0])
+    above, below = np.empty(shape, np.uint16), np.empty(shape, np.uint16)
     count_free_cells(occupied, above, below)
     x, y, yaw = grid.origin
     c, s, back = math.cos(yaw), math.sin(yaw), around * grid.resolution

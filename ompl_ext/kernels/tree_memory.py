@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Ints, Words
+from ompl_ext.arrays import Bools, Floats, Ints32, Words
 from ompl_ext.jit import compiled
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
@@ -102,7 +102,7 @@ def _storage(columns: int, rows: int, most: int) -> tuple[int, int, int, int]:
 
 
 def _per_node(capacity: int, columns: int, dtype: type) -> Any:
-    """Zeros (capacity, columns) that begin a cache line; in huge pages, if there are any, of which the first is touched.
+    """Zeros (capacity, columns) that begin a cache line, in huge pages if the system has them; the first is touched.
 
     Nodes are visited in no order: with small pages most visits would miss the processor's cache of addresses too.
     """
@@ -110,7 +110,7 @@ def _per_node(capacity: int, columns: int, dtype: type) -> Any:
     memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     if size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
         memory.madvise(mmap.MADV_HUGEPAGE)
-    array = np.frombuffer(memory, dtype, capacity * columns).reshape(capacity, columns)
+    array: Any = np.frombuffer(memory, dtype, capacity * columns).reshape(capacity, columns)
     array[: HUGE_PAGE // (columns * array.itemsize)] = 0
     return array
 
@@ -242,7 +242,7 @@ def prune(tree: Tree, bound: int = F) -> int:
 
 
 @compiled
-def _keep_ancestors(keep: Bools, parent: Ints) -> None:
+def _keep_ancestors(keep: Bools, parent: Ints32) -> None:
     for node in range(len(keep) - 1, 0, -1):  # children come after their parents
         if keep[node] and parent[node] >= 0:
             keep[parent[node]] = True
