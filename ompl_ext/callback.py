@@ -105,9 +105,18 @@ class CallbackSearch:
         if target is not None:
             scalar[at.GOAL_BIAS] = settings.goal_bias
             scalar[[at.GOAL_X, at.GOAL_Y]] = target
-        nothing = np.zeros((1, 1), np.float32)
+        nothing, no_tile, no_squares = (np.zeros((1, 1), kind) for kind in (np.float32, np.int32, np.uint16))
         return Problem(
-            np.zeros(1), self._control.bounds, np.zeros((1, 2)), np.zeros(1), nothing, nothing, scalar, option
+            np.zeros(1),
+            self._control.bounds,
+            np.zeros((1, 2)),
+            np.zeros(1),
+            nothing,
+            nothing,
+            no_tile,
+            no_squares,
+            scalar,
+            option,
         )
 
     def count(self, which: int) -> int:

@@ -10,6 +10,7 @@ from ompl import base as ob
 from ompl import control as oc
 
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.tree_memory import CAPACITY
 from ompl_ext.parameters import ParamSet
 from ompl_ext.plan import TreeView
@@ -48,7 +49,10 @@ class CompiledSearch:
         )
         max_nodes = int(params["max_nodes"])
         capacity = min(CAPACITY, max_nodes)
-        self.dirt = DirtSolver(checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity, max_nodes)
+        threads = int(params["threads"])
+        self.dirt = DirtSolver(
+            checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity, max_nodes, threads
+        )
 
     def clear(self) -> None:
         """Empty the tree; maps and memory stay."""
@@ -82,8 +86,9 @@ class CompiledSearch:
         self.dirt.grow(stop=stop)
 
     def count(self, which: int) -> int:
-        """Entry of `ompl_ext.kernels.kernel_types.Tree.count`."""
-        return int(self.dirt.tree_arrays.count[which])
+        """Entry of `ompl_ext.kernels.kernel_types.Tree.count`; iterations and edges are those of all threads."""
+        progress = {at.ITERATIONS: self.dirt.progress.iterations, at.EDGES: self.dirt.progress.edges}
+        return progress[which] if which in progress else int(self.dirt.tree_arrays.count[which])
 
     def best(self) -> tuple[int, bool]:
         """Last node of the best plan, -1 without a plan, and whether it is in the goal."""

@@ -9,72 +9,128 @@ import fcl
 import numpy as np
 
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
+from ompl_ext.kernels.broad_phase import body_of, lower_bounds, nearest_pieces
+from ompl_ext.kernels.distance import shapes
+from ompl_ext.obstacles import Circle, Polygon, Workspace
 from ompl_ext.triangulate import triangles
 from ompl_ext.vehicle import Footprint
 
+DISTANCE, CONTACT = fcl.DistanceRequest(), fcl.CollisionRequest()
 HEIGHT = 30.0  # of prisms around the plane z = 0; with low prisms FCL's iteration fails where bodies are far apart
 
 
+SPREAD = 1e-3  # m, above the error of FCL's distances to round shapes: pieces this much farther cannot be nearest
+
+
 class ExactClearance:
-    """Exact distance between a footprint and the obstacles of a workspace."""
+    """Exact distance between a footprint and the obstacles of a workspace.
+
+    A broad phase bounds the distance to every convex piece of the obstacles from below; FCL is asked of the pieces that
+    can be nearest.  The result is that of FCL over all pieces.
+    """
 
     def __init__(self, workspace: Workspace, footprint: Footprint) -> None:
-        self._obstacles, self._manager = _scene(workspace)
-        self._offset = footprint.offset
-        self._body = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT), fcl.Transform())
+        self._pieces = _pieces(workspace)
+        self._offset, self._body = footprint.offset, body_of(footprint)
+        self._solid = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT), fcl.Transform())
+        count = len(self._pieces.arrays.radius)
+        self._numbers, self._gap = np.empty((3, count), np.int32), np.empty(count)
+        self._numbers[2] = np.arange(count)
 
     def distance(self, x: float, y: float, theta: float = 0.0) -> float:
         """Distance (m) from the footprint at a pose to the nearest obstacle: 0 in contact, inf without obstacles."""
-        if not self._obstacles:
-            return math.inf
-        if self.collides(x, y, theta):
+        near = self._near(x, y, theta)
+        if self._touches(near):
             return 0.0
-        data = fcl.DistanceData()
-        self._manager.distance(self._body, data, fcl.defaultDistanceCallback)
-        return float(data.result.min_distance)
+        least = math.inf
+        for bound, piece in near:
+            if bound >= least + SPREAD:
+                break
+            data = fcl.DistanceResult()
+            least = min(least, fcl.distance(self._pieces.solid(piece), self._solid, DISTANCE, data))
+        return float(least)
 
     def collides(self, x: float, y: float, theta: float = 0.0) -> bool:
         """Whether the footprint at a pose touches an obstacle."""
-        c, s = math.cos(theta), math.sin(theta)
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        position = np.array([x + c * self._offset, y + s * self._offset, 0.0])
-        self._body.setTransform(fcl.Transform(rotation, position))
-        contact = fcl.CollisionData()
-        self._manager.collide(self._body, contact, fcl.defaultCollisionCallback)
-        return bool(contact.result.is_collision)
+        return self._touches(self._near(x, y, theta))
 
     def distances(self, poses: Matrix) -> Floats:
         """`distance` for each row x, y, theta of `poses`."""
         return np.array([self.distance(*pose) for pose in poses])
 
+    def lower_bounds(self, poses: Matrix) -> Floats:
+        """Lower bound (n,) of `distance` at poses (n, 3), m, without FCL; nothing touches where it exceeds `SPREAD`."""
+        bounds = np.full(len(poses), math.inf)
+        if len(self._gap):
+            poses = np.ascontiguousarray(poses, dtype=float)
+            lower_bounds(self._pieces.arrays, poses, self._body, self._numbers, self._gap, bounds)
+        return bounds
+
+    def least_distance(self, poses: Matrix) -> float:
+        """Smallest `distance` at poses (n, 3), m: FCL is asked of those where it can be."""
+        bounds, least = self.lower_bounds(poses), math.inf
+        for k in np.argsort(bounds, kind="stable"):
+            if bounds[k] >= least + SPREAD:
+                break
+            least = min(least, self.distance(*poses[k]))
+        return least
+
+    def _near(self, x: float, y: float, theta: float) -> list[tuple[float, int]]:
+        """Bound and number of the pieces that may be nearest at a pose, to which FCL's body is moved."""
+        c, s = math.cos(theta), math.sin(theta)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        position = np.array([x + c * self._offset, y + s * self._offset, 0.0])
+        self._solid.setTransform(fcl.Transform(rotation, position))
+        if not len(self._gap):
+            return []
+        pose = np.array([[x, y, theta]], dtype=float)
+        count = nearest_pieces(self._pieces.arrays, pose, self._body, self._numbers, self._gap)
+        return sorted(zip(self._gap[:count].tolist(), self._numbers[0, :count].tolist(), strict=True))
+
+    def _touches(self, near: list[tuple[float, int]]) -> bool:
+        for bound, piece in near:
+            if bound > SPREAD:
+                break
+            if fcl.collide(self._solid, self._pieces.solid(piece), CONTACT, fcl.CollisionResult()):
+                return True
+        return False
+
+
+class _Pieces:
+    """Convex pieces of all obstacles: as arrays, and as FCL's solids, each made when it is first needed."""
+
+    def __init__(self, pieces: list[Polygon | Circle]) -> None:
+        self.arrays, self._pieces = shapes(pieces), pieces
+        self._solids: list[fcl.CollisionObject | None] = [None] * len(pieces)
+
+    def solid(self, number: int) -> fcl.CollisionObject:
+        """Upright solid of a piece."""
+        solid = self._solids[number]
+        if solid is None:
+            solid = self._solids[number] = _solid(self._pieces[number])
+        return solid
+
 
 @lru_cache(8)  # the replanner and the measures of every trial use the same one
-def _scene(workspace: Workspace) -> tuple[list[fcl.CollisionObject], fcl.DynamicAABBTreeCollisionManager]:
-    """Prisms of all obstacles, and a manager of them, which queries do not change."""
-    prisms = [part for obstacle in workspace.obstacles for part in _prisms(obstacle)]
-    manager = fcl.DynamicAABBTreeCollisionManager()
-    manager.registerObjects(prisms)
-    manager.setup()
-    return prisms, manager
+def _pieces(workspace: Workspace) -> _Pieces:
+    """Convex pieces of all obstacles, which queries do not change."""
+    pieces: list[Polygon | Circle] = []
+    for obstacle in workspace.obstacles:
+        if isinstance(obstacle, Circle):
+            pieces.append(obstacle)
+        elif isinstance(obstacle, Polygon):
+            pieces += [Polygon(corners) for corners in triangles(obstacle.vertices)]
+        else:
+            pieces += obstacle.boxes()
+    return _Pieces(pieces)
 
 
-def _prisms(obstacle: Polygon | Circle | OccupancyGrid) -> list[fcl.CollisionObject]:
-    """Convex prisms that compose an obstacle."""
-    if isinstance(obstacle, Circle):
+def _solid(piece: Polygon | Circle) -> fcl.CollisionObject:
+    """Solid around the plane z = 0 with a piece as its cross-section."""
+    if isinstance(piece, Circle):
         # A sphere around z = 0: its nearest point to an upright prism lies in that plane, and FCL is exact for it.
-        place = fcl.Transform(np.array([*obstacle.center, 0.0]))
-        return [fcl.CollisionObject(fcl.Sphere(obstacle.radius), place)]
-    if isinstance(obstacle, Polygon):
-        return [_prism(corners) for corners in triangles(obstacle.vertices)]
-    x, y, yaw = obstacle.origin
-    c, s = math.cos(yaw), math.sin(yaw)
-    turn = np.array([[c, -s], [s, c]])
-    prisms = []
-    for row, column, rows, columns in obstacle.rectangles():  # not fcl.Box: FCL fails for two boxes side by side
-        cells = np.array([[column, row], [column + columns, row], [column + columns, row + rows], [column, row + rows]])
-        prisms.append(_prism(cells * obstacle.resolution @ turn.T + np.array([x, y])))
-    return prisms
+        return fcl.CollisionObject(fcl.Sphere(piece.radius), fcl.Transform(np.array([*piece.center, 0.0])))
+    return _prism(piece.vertices)  # of a map's boxes too: FCL fails for two fcl.Box side by side
 
 
 def _prism(corners: Matrix) -> fcl.CollisionObject:

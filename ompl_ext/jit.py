@@ -79,8 +79,10 @@ def check_cache(folder: Path) -> None:
         raise CacheError(folder, error.strerror or str(error)) from None
 
 
-def compiled(function: F, *, folder: Path | None = None, signature: object = None) -> F:
+def compiled(function: F, *, folder: Path | None = None, signature: object = None, nogil: bool = True) -> F:
     """Compile `function` with numba and cache the machine code in `folder`.
+
+    With `nogil` it releases Python's global lock, so that several threads can run kernels at the same time.
 
     With a `signature` it is compiled, or loaded from the cache, at once; otherwise on its first call.
 
@@ -92,7 +94,7 @@ def compiled(function: F, *, folder: Path | None = None, signature: object = Non
     before = _config.CACHE_DIR
     _config.CACHE_DIR = str(target)  # read once, when njit attaches the cache
     try:
-        dispatcher: F = _njit(signature, cache=True, error_model="numpy", _nrt=False)(function)
+        dispatcher: F = _njit(signature, cache=True, error_model="numpy", nogil=nogil, _nrt=False)(function)
     finally:
         _config.CACHE_DIR = before
     return dispatcher

@@ -49,22 +49,30 @@ class OccupancyGrid:
 
         A rectangle is a run of cells in a row, extended upwards while the next row has the same run.
         """
-        done: list[tuple[int, int, int, int]] = []
-        growing: dict[tuple[int, int], int] = {}  # (first column, past last column) -> first row
-        for row in range(self.occupied.shape[0] + 1):
-            runs = set(_runs(self.occupied[row])) if row < self.occupied.shape[0] else set()
-            for (first, last), start in list(growing.items()):
-                if (first, last) not in runs:
-                    done.append((start, first, row - start, last - first))
-                    del growing[first, last]
-            for run in sorted(runs):
-                growing.setdefault(run, row)
-        return done
+        if not self.occupied.size:
+            return []
+        change = np.diff(np.pad(self.occupied, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+        (row, first), last = np.nonzero(change == 1), np.nonzero(change == -1)[1]
+        order = np.lexsort((row, last, first))  # equal runs one after the other, upwards
+        row, first, last = row[order], first[order], last[order]
+        begins = np.ones(len(row), bool)
+        begins[1:] = (np.diff(first) != 0) | (np.diff(last) != 0) | (np.diff(row) != 1)
+        start = np.flatnonzero(begins)
+        rows = np.diff(np.append(start, len(row)))
+        row, first, last = row[start], first[start], last[start]
+        order = np.lexsort((last, first, row, row + rows))  # as a sweep over the rows completes them
+        found = np.column_stack([row, first, rows, last - first])[order]
+        return [(a, b, c, d) for a, b, c, d in found.tolist()]
 
-
-def _runs(cells: Bools) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], cells, [False])).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    def boxes(self) -> list[Polygon]:
+        """Disjoint rectangles in the world that cover exactly the occupied cells."""
+        x, y, yaw = self.origin
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        corners = [
+            np.array([[column, row], [column + columns, row], [column + columns, row + rows], [column, row + rows]])
+            for row, column, rows, columns in self.rectangles()
+        ]
+        return [Polygon(cells * self.resolution @ turn.T + np.array([x, y])) for cells in corners]
 
 
 Obstacle = Polygon | Circle | OccupancyGrid

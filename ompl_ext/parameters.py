@@ -119,6 +119,7 @@ DIRT_PARAMETERS = (
     Parameter("pruning", False, 0, 1, "0,1", "remove nodes that cannot lead to a better plan"),
     Parameter("resolution", 0.01, 0, 10, "0.:.005:.1", "radius (m) below which a dominated region is closed"),
     Parameter("seed", 1, 0, 2**53, "1:1:100", "seed of the planner's generator; clear() selects the next one"),
+    Parameter("threads", 1, 1, 64, "1:1:8", "trees that are grown at the same time (compiled only)"),
     Parameter(
         "top_speed",
         0.0,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Tree
@@ -63,7 +65,7 @@ def tree_view(tree: Tree, states: Matrix) -> TreeView:
     size = int(tree.count[at.SIZE])
     return TreeView(
         states=states,
-        parents=tree.link[:size, at.PARENT].copy(),
+        parents=tree.link[:size, at.PARENT].astype(np.int64),
         controls=tree.edge[:size, :-1].copy(),
         durations=tree.edge[:size, -1].copy(),
         costs=tree.value[:size, at.COST].copy(),

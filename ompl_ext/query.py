@@ -11,8 +11,9 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix, Matrix32
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.clearance import ClearanceField, clearance_field, cover
+from ompl_ext.kernels.clearance import ClearanceField, cover, fields, memory_of_fields
 from ompl_ext.kernels.costtogo import cost_to_go
+from ompl_ext.kernels.fine_field import FineField
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Footprint, Vehicle
@@ -136,9 +137,20 @@ def make_problem(
     """
     discs = cover(vehicle.footprint, settings.discs)
     reach = vehicle.footprint.reach
-    field, seconds = _field(workspace, reach, settings.cell), np.zeros((1, 1), np.float32)
+    delta = _largest_delta(vehicle, safety)
+    field, fine = _fields(workspace, vehicle.footprint, discs.radius, settings.cell, delta)
+    seconds = np.zeros((1, 1), np.float32)
     if goal is not None:
-        seconds = _seconds(workspace, vehicle.footprint, settings.cell, goal.center, goal.radius, vehicle.top_speed)
+        seconds = _seconds(
+            workspace,
+            vehicle.footprint,
+            discs.radius,
+            settings.cell,
+            delta,
+            goal.center,
+            goal.radius,
+            vehicle.top_speed,
+        )
     limits = vehicle.state_limits.copy()
     for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
         k = vehicle.index(name)
@@ -151,6 +163,9 @@ def make_problem(
     scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
     scalar[[at.REACH, at.DISC_RADIUS, at.LENGTH]] = reach, discs.radius, vehicle.footprint.length
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell
+    if fine is not None:
+        x, y, c, s, spacing = fine.lattice
+        scalar[[at.FINE_X, at.FINE_Y, at.FINE_COS, at.FINE_SIN, at.FINE_INVERSE]] = x, y, c, s, 1 / spacing
     scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
     scalar[[at.GOAL_BIAS, at.EXPLORATION, at.CONTROL_BOUND_BIAS]] = (
         settings.goal_bias,
@@ -173,28 +188,44 @@ def make_problem(
         discs=discs.centres,
         field=field.values,
         togo=seconds,
+        tile=np.full((1, 1), -1, np.int32) if fine is None else fine.tile,
+        squares=np.zeros((1, 1), np.uint16) if fine is None else fine.squares,
         scalar=scalar,
         option=option,
     )
 
 
+def memory_of_maps(vehicle: Vehicle, workspace: Workspace, safety: Safety, settings: Settings) -> int:
+    """Memory (bytes) that the maps of a query need at most."""
+    return memory_of_fields(workspace, vehicle.footprint, settings.cell, _largest_delta(vehicle, safety))
+
+
+def _largest_delta(vehicle: Vehicle, safety: Safety) -> float:
+    """Largest clearance delta(t, v) that a query requires (m)."""
+    return float(safety.clearance(np.array(vehicle.top_speed), np.array(safety.delta_horizon)))
+
+
 @lru_cache(CACHED_MAPS)
-def _field(workspace: Workspace, reach: float, cell: float) -> ClearanceField:
-    """Clearance field for a footprint of that reach; kernels only read it."""
-    return clearance_field(workspace, reach + 2 * cell, cell)
+def _fields(
+    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float, delta: float
+) -> tuple[ClearanceField, FineField | None]:
+    """Clearance field and fine field for a footprint; kernels only read them."""
+    return fields(workspace, footprint, disc_radius, cell, delta)
 
 
 @lru_cache(CACHED_MAPS)
 def _seconds(
     workspace: Workspace,
     footprint: Footprint,
+    disc_radius: float,
     cell: float,
+    delta: float,
     goal: tuple[float, float],
     goal_radius: float,
     top_speed: float,
 ) -> Matrix32:
     """Cost-to-go on the cells of the clearance field; kernels only read it."""
-    field = _field(workspace, footprint.reach, cell)
+    field, _ = _fields(workspace, footprint, disc_radius, cell, delta)
     return cost_to_go(field, footprint.inscribed, goal, goal_radius, top_speed, workspace.bounds).seconds
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +16,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
+from ompl_ext.kernels.fine_field import raise_to_fine
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Problem
 from ompl_ext.kernels.rng import generator
 from ompl_ext.kernels.specialise import kernels
@@ -30,6 +32,7 @@ from ompl_ext.kernels.tree_memory import (  # fmt: skip
     with_room,
 )
 from ompl_ext.obstacles import Workspace
+from ompl_ext.partner import Partner, rank
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
 from ompl_ext.retainment import RetainableEdges, retainable_edges
@@ -37,6 +40,10 @@ from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between readings of the clock until a solution is found
 PRUNE_EVERY = 4096  # iterations
+MAX_THREADS = 64
+LONGEST_ROUND = 1024  # iterations of each thread between two exchanges of the best cost
+ROUNDS_TO_PRUNING = 4
+PARTNER_SEEDS = 2**32  # difference between the seeds of the trees of one query
 LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
 
 
@@ -68,6 +75,9 @@ class DirtSolver:
 
     A budget of iterations uses memory for `capacity` nodes; for any other budget the memory is doubled when needed, up
     to `max_nodes`.  When the memory is full, the tree is pruned; if then less than a tenth is free, the search ends.
+
+    With several `threads` each grows a tree of its own, in the same workspace and with a seed of its own; the trees
+    exchange the best cost at fixed iterations.  A budget of iterations is for all of them together.
     """
 
     def __init__(
@@ -79,12 +89,16 @@ class DirtSolver:
         settings: Settings | None = None,
         capacity: int = CAPACITY,
         max_nodes: int = MAX_NODES,
+        threads: int = 1,
     ) -> None:
+        if not 1 <= threads <= MAX_THREADS:
+            raise ValueError(f"threads is {threads}, not 1 to {MAX_THREADS}")
         self.vehicle, self.workspace, self.goal = vehicle, workspace, goal
         self.safety, self.settings = safety or Safety(), settings or Settings()
         self._kernels = kernels(vehicle)
         self._problem = make_problem(vehicle, workspace, goal, self.safety, self.settings)
-        self._maps = self._problem.field, self._problem.discs, self._problem.scalar
+        problem = self._problem
+        self._maps = problem.field, problem.tile, problem.squares, problem.discs, problem.scalar
         nx, nu, inputs = (
             len(vehicle.state),
             len(vehicle.controls),
@@ -93,9 +107,19 @@ class DirtSolver:
         self._capacity, self._max_nodes = capacity, max(capacity, max_nodes)
         self._memory = new_tree(capacity, nx, nu, workspace.bounds)
         self._tree = self._memory
-        self._work = make_lanes(nx, nu, inputs, int(self._problem.option[at.STEPS]))
-        self._brake = make_lanes(nx, nu, inputs, int(self._problem.option[at.BRAKE_STEPS]))
+        steps, brake_steps = int(problem.option[at.STEPS]), int(problem.option[at.BRAKE_STEPS])
+        self._work, self._brake = make_lanes(nx, nu, inputs, steps), make_lanes(nx, nu, inputs, brake_steps)
         self._q = np.zeros(at.Q_DIM)
+        self._partners = [
+            Partner(
+                new_tree(capacity, nx, nu, workspace.bounds),
+                make_lanes(nx, nu, inputs, steps),
+                make_lanes(nx, nu, inputs, brake_steps),
+            )
+            for _ in range(threads - 1)
+        ]
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._rounds = 0
         self._no_edges = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
         self._retained_nodes = self._no_edges.node
         self._progress = Progress()
@@ -134,12 +158,16 @@ class DirtSolver:
         """Empty the tree; memory allocated since is kept for later queries."""
         self._tree = first_nodes(self._memory, self._capacity)
         reset(self._tree, generator(seed))
+        for number, partner in enumerate(self._partners, 1):
+            partner.clear(self._capacity, generator(seed + number * PARTNER_SEEDS))
+        self._rounds = 0
         self._progress = Progress()
 
     def add_root(self, state: Floats) -> float:
         """Add a start state; returns its spare clearance as `start` does."""
         slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
-        add_root(self._tree, self._work)
+        for tree in (self._tree, *(partner.tree for partner in self._partners)):
+            add_root(tree, self._work)
         return slack
 
     def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
@@ -162,6 +190,10 @@ class DirtSolver:
         retained = edges_to_retain(parents, controls, durations, targets)
         self._run_kernel(retained, 0)
         self._retained_nodes = retained.node
+        for partner in self._partners:
+            partner.reserve(len(parents), self._max_nodes)
+            partner.retained = edges_to_retain(parents, controls, durations, targets)
+            self._run_partner(partner, partner.retained, 0)
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before
 
@@ -187,7 +219,7 @@ class DirtSolver:
     ) -> Progress:
         """Grow the tree until a budget is used up or `stop()` is true, and return the progress since `start`.
 
-        With `iterations` the result depends on the seed alone, not on the clock.
+        With `iterations` the result depends on the seed and the number of threads alone, not on the clock.
 
         Raises:
             ValueError: there is no budget or no goal.
@@ -196,6 +228,8 @@ class DirtSolver:
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
+        if self._pool is not None:
+            return self._grow_together(self._pool, iterations, seconds, stop)
         left = iterations if iterations is not None else 2**62
         base, began = self._progress.seconds, time.perf_counter()
         chunk, elapsed = FIRST_CHUNK, 0.0
@@ -217,6 +251,74 @@ class DirtSolver:
             if self._progress.history:
                 chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
         return self._progress
+
+    def _grow_together(
+        self,
+        pool: ThreadPoolExecutor,
+        iterations: int | None,
+        seconds: float | None,
+        stop: Callable[[], bool] | None,
+    ) -> Progress:
+        """Grow one tree per thread, in rounds of equal numbers of iterations; see `grow`.
+
+        After each round all trees get the lowest cost, beyond which nothing is added, and the tree with that plan
+        becomes the solver's own.
+        """
+        left = iterations if iterations is not None else 2**62
+        base, began, elapsed, trees = self._progress.seconds, time.perf_counter(), 0.0, 1 + len(self._partners)
+        insertions = max(EXPLORATION_INSERTIONS, self.settings.insertions)
+        while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
+            longest = min(FIRST_CHUNK << min(self._rounds, 10), LONGEST_ROUND)
+            shares = [min(longest, left // trees + (k < left % trees)) for k in range(trees)]
+            if iterations is None:
+                self._reserve(longest * insertions)
+                for partner in self._partners:
+                    partner.reserve(longest * insertions, self._max_nodes)
+            running = [
+                pool.submit(self._run_partner, partner, self._no_edges, share)
+                for partner, share in zip(self._partners, shares[1:], strict=True)
+            ]
+            self._run_kernel(self._no_edges, shares[0])
+            for each in running:
+                each.result()
+            left -= sum(shares)
+            self._rounds += 1
+            self._take_best()
+            elapsed = time.perf_counter() - began
+            self._update_progress(base + elapsed)
+            rooms = [self._has_room(tree, iterations is not None) for tree in self._trees()]  # prunes each
+            if not all(rooms):
+                break
+        return self._progress
+
+    def _take_best(self) -> None:
+        """Make the tree with the best plan the solver's own, and its cost the bound of all trees."""
+        costs = [rank(tree) for tree in self._trees()]
+        best = costs.index(min(costs))
+        if best > 0:
+            partner = self._partners[best - 1]
+            self._memory, partner.memory = partner.memory, self._memory
+            self._tree, partner.tree = partner.tree, self._tree
+            nodes, self._retained_nodes = self._retained_nodes, partner.retained.node
+            partner.retained = partner.retained._replace(node=nodes)
+        for partner in self._partners:
+            partner.tree.best[0] = min(self._tree.best[0], partner.tree.best[0])
+
+    def _trees(self) -> list[at.Tree]:
+        return [self._tree, *(partner.tree for partner in self._partners)]
+
+    def _has_room(self, tree: at.Tree, fixed: bool) -> bool:
+        """Prune a tree if it is full or due; whether it has room for more nodes, or can get memory unless `fixed`."""
+        due = self.settings.pruning and self._rounds % ROUNDS_TO_PRUNING == 0
+        if not (tree.count[at.FULL] or due):
+            return True
+        prune(tree)
+        memory = len(tree.state)
+        is_last = fixed or memory == self._max_nodes
+        return not is_last or memory - int(tree.count[at.SIZE]) >= memory // 10
+
+    def _run_partner(self, partner: Partner, retained: at.Retained, iterations: int) -> None:
+        self._kernels.grow(partner.tree, self._problem, partner.work, partner.brake, partner.q, retained, iterations)
 
     def _reserve(self, nodes: int) -> None:
         """Reserve memory for so many more nodes, as far as `max_nodes` allows."""
@@ -339,37 +441,32 @@ class DirtSolver:
 
     def clearances(self, poses: Matrix) -> Floats:
         """Lower bound (n,) of the footprint's clearance at poses (n, 3), m; as `pose_slack`, but tight everywhere."""
-        field, discs, scalar = self._maps
+        field, _, _, discs, scalar = self._maps
         distance = np.full(len(poses), math.inf)
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         for offset in discs:
             row = (poses[:, 1] + offset * s - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
             column = (poses[:, 0] + offset * c - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
             inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)
-            distance = np.minimum(distance, field[inside] - scalar[at.DISC_RADIUS])
+            value = field[inside].astype(float)
+            if scalar[at.FINE_INVERSE] > 0.0:
+                raise_to_fine(self._problem, poses[:, 0] + offset * c, poses[:, 1] + offset * s, value)
+            distance = np.minimum(distance, value - scalar[at.DISC_RADIUS])
         return distance
 
     def least_distance(self, poses: Matrix) -> float:
         """Smallest exact distance of the footprint at poses (n, 3) to an obstacle (m), asked of as few as possible."""
-        (x_low, x_high), (y_low, y_high) = self.workspace.bounds
-        x, y = poses[:, 0], poses[:, 1]
-        inside = (x_low <= x) & (x <= x_high) & (y_low <= y) & (y <= y_high)
-        bounds = np.where(inside, self.clearances(poses), -math.inf)
-        least = math.inf
-        for k in np.argsort(bounds):
-            if bounds[k] >= least:
-                break
-            least = min(least, self.exact.distance(*poses[k]))
-        return least
+        return self.exact.least_distance(poses)
 
-    def fine(self, state: Floats, control: Floats, duration: float, samples: int = 32) -> Matrix:
-        """States (samples + 1, nx) at equal intervals along a control held for `duration` s, unchecked."""
-        states = np.empty((samples + 1, len(self.vehicle.state)))
-        states[0], step = state, duration / samples
-        held, parameters = np.ascontiguousarray(control, dtype=float), self._problem.parameters
-        for k in range(samples):
-            self._kernels.advance(states[k], held, parameters, step, states[k + 1])
-        return states
+    def fine(self, states: Matrix, controls: Matrix, durations: Floats, samples: int) -> Floats:
+        """States (n, samples + 1, nx) at equal intervals along n motions, unchecked.
+
+        Motion k begins in `states[k]` (nx,) and holds `controls[k]` (nu,) for `durations[k]` s.
+        """
+        found = np.empty((len(states), samples + 1, len(self.vehicle.state)))
+        found[:, 0] = states
+        self._kernels.roll_out(found, np.ascontiguousarray(controls), self._problem.parameters, durations / samples)
+        return found
 
     def goal_nodes(self) -> Ints:
         """Nodes in the goal region (n,), the one with the lowest cost first."""
@@ -381,7 +478,10 @@ class DirtSolver:
         """Whether each of the points (n, 2) is in an obstacle or less than a cell of the clearance field from one."""
         scalar, field = self._problem.scalar, self._problem.field
         columns, rows = ((points - scalar[[at.GRID_X, at.GRID_Y]]) * scalar[at.GRID_INVERSE]).astype(int).T
-        inside: Bools = field[rows.clip(0, field.shape[0] - 1), columns.clip(0, field.shape[1] - 1)] <= 0.0
+        value = field[rows.clip(0, field.shape[0] - 1), columns.clip(0, field.shape[1] - 1)].astype(float)
+        if scalar[at.FINE_INVERSE] > 0.0:
+            raise_to_fine(self._problem, points[:, 0].copy(), points[:, 1].copy(), value)
+        inside: Bools = value <= 0.0
         return inside
 
     @cached_property
@@ -441,12 +541,13 @@ class DirtSolver:
         if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
             history = (*history, (seconds, cost))
         first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None
+        total = sum((tree.count for tree in self._trees()[1:]), start=count)
         self._progress = Progress(
             seconds=seconds,
-            iterations=int(count[at.ITERATIONS]),
-            edges=int(count[at.EDGES]),
-            nodes=int(count[at.SIZE]),
-            unsafe=int(count[at.UNSAFE]),
+            iterations=int(total[at.ITERATIONS]),
+            edges=int(total[at.EDGES]),
+            nodes=int(total[at.SIZE]),
+            unsafe=int(total[at.UNSAFE]),
             retained=int(count[at.RETAINED]),
             first_iteration=first,
             history=history,

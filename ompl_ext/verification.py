@@ -8,7 +8,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.exact import SPREAD
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
@@ -55,31 +56,59 @@ class Verification:
 
 
 def verify(dirt: DirtSolver, plan: Plan) -> Verification:
-    """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency."""
+    """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency.
+
+    A broad phase, which does not use the clearance field, decides where FCL need not be asked; verdict and clearances
+    are those of FCL at every sample.
+    """
     problems: list[Violation] = []
-    clearance = dirt.exact.distances(_poses(dirt, plan.trajectory))
+    poses = _poses(dirt, plan.trajectory)
+    clearance = _Clearance(dirt, poses)
     problems += _clearance_violations(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
-    if not np.all(clearance > 0.0):
-        text = f"plan: collides at t = {plan.times[np.argmin(clearance)]:.3f} s"
-        problems.append(Violation(Requirement.COLLISION, text))
+    least, at = clearance.least()
+    if not least > 0.0:
+        problems.append(Violation(Requirement.COLLISION, f"plan: collides at t = {plan.times[at]:.3f} s"))
     problems += _collisions_between_samples(dirt, plan, clearance)
     if np.any(np.abs(plan.states[-1] - plan.trajectory[-1]) > 1e-6):
         text = "plan: the trajectory does not end in the last state"
         problems.append(Violation(Requirement.CONSISTENCY, text))
     if not dirt.safety.enabled:
-        return Verification(float(clearance.min()), None, tuple(problems))
+        return Verification(least, None, tuple(problems))
     if plan.contingency is None:
         missing = Violation(Requirement.CONTINGENCY, "contingency: missing")
-        return Verification(float(clearance.min()), None, (*problems, missing))
+        return Verification(least, None, (*problems, missing))
     stop = plan.contingency
-    distances = dirt.exact.distances(_poses(dirt, stop.states))
-    problems += _clearance_violations(
-        dirt, "contingency", stop.times, stop.states, distances, np.ones(len(distances), bool)
-    )
+    stopping = _Clearance(dirt, _poses(dirt, stop.states))
+    every = np.ones(len(stop.times), bool)
+    problems += _clearance_violations(dirt, "contingency", stop.times, stop.states, stopping, every)
     final_speeds = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
     if np.any(final_speeds > dirt.safety.rest_speed):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
-    return Verification(float(clearance.min()), float(distances.min()), tuple(problems))
+    return Verification(least, stopping.least()[0], tuple(problems))
+
+
+class _Clearance:
+    """Clearance at poses (n, 3): a lower bound (n,) of each, which becomes exact where FCL is asked."""
+
+    def __init__(self, dirt: DirtSolver, poses: Matrix) -> None:
+        self._exact, self._poses = dirt.exact, poses
+        self.values = dirt.exact.lower_bounds(poses)
+        self._known = np.zeros(len(poses), bool)
+
+    def ask(self, which: Ints) -> Floats:
+        """Exact clearances at the poses with these numbers, m."""
+        for k in which[~self._known[which]]:
+            self.values[k], self._known[k] = self._exact.distance(*self._poses[k]), True
+        return self.values[which]
+
+    def least(self) -> tuple[float, int]:
+        """Smallest clearance, m, and the number of the first pose with it."""
+        least = math.inf
+        for k in np.argsort(self.values, kind="stable"):
+            if self.values[k] >= least + SPREAD:
+                break
+            least = min(least, float(self.ask(np.array([k]))[0]))
+        return least, int(np.argmin(np.where(self._known, self.values, math.inf)))
 
 
 def _poses(dirt: DirtSolver, states: Matrix) -> Matrix:
@@ -94,38 +123,45 @@ def _within_cycle(dirt: DirtSolver, plan: Plan) -> Bools:
 
 
 def _clearance_violations(
-    dirt: DirtSolver, what: str, times: Floats, states: Matrix, clearance: Floats, required: Bools
+    dirt: DirtSolver, what: str, times: Floats, states: Matrix, clearance: _Clearance, required: Bools
 ) -> list[Violation]:
     """Violation at the sample that violates delta(v) most, if any does."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
     delta = dirt.safety.clearance(speed, times)
-    worst = np.where(required, clearance - delta, math.inf)
-    k = int(np.argmin(worst))
-    if worst[k] >= -TOLERANCE:
+    asked = np.flatnonzero(required & (clearance.values < delta + SPREAD))
+    if not len(asked):
         return []
-    text = f"{what}: {clearance[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta requires {delta[k]:.4f} m"
+    spare = clearance.ask(asked) - delta[asked]
+    k = int(asked[np.argmin(spare)])
+    if spare.min() >= -TOLERANCE:
+        return []
+    text = (
+        f"{what}: {clearance.values[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta requires {delta[k]:.4f} m"
+    )
     return [Violation(Requirement.CLEARANCE, text)]
 
 
-def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: Floats) -> list[Violation]:
+def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: _Clearance) -> list[Violation]:
     """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m, else sampled."""
-    problems = []
     ends = np.cumsum(plan.durations)
-    for k in range(len(plan.times) - 1):
-        edge = min(int(np.searchsorted(ends, plan.times[k] + 1e-9, side="right")), len(ends) - 1)
-        fine = dirt.fine(plan.trajectory[k], plan.controls[edge], float(plan.times[k + 1] - plan.times[k]), FINE)
-        poses = _poses(dirt, fine)
-        travelled = _motion(poses[:-1], poses[1:], dirt.vehicle.footprint.reach).sum()
-        if clearance[k] + clearance[k + 1] > travelled:
+    edge = np.minimum(np.searchsorted(ends, plan.times[:-1] + 1e-9, side="right"), len(ends) - 1)
+    if not len(ends):  # the start is in the goal
+        return []
+    fine = dirt.fine(plan.trajectory[:-1], plan.controls[edge], np.diff(plan.times), FINE)
+    poses = _poses(dirt, fine.reshape(-1, fine.shape[2])).reshape(*fine.shape[:2], 3)
+    travelled = _motion(poses[:, :-1], poses[:, 1:], dirt.vehicle.footprint.reach).sum(axis=1)
+    problems = []
+    for k in np.flatnonzero(clearance.values[:-1] + clearance.values[1:] <= travelled + SPREAD):
+        if clearance.ask(np.array([k, k + 1])).sum() > travelled[k]:
             continue
-        if not dirt.exact.distances(poses[1:-1]).min() > 0.0:
+        if not dirt.exact.least_distance(poses[k, 1:-1]) > 0.0:
             text = f"plan: collides between t = {plan.times[k]:.3f} and {plan.times[k + 1]:.3f} s"
             problems.append(Violation(Requirement.COLLISION, text))
     return problems
 
 
-def _motion(before: Matrix, after: Matrix, reach: float) -> Floats:
-    """Upper bound of how far any point of the body moves between poses (m)."""
-    shift = np.hypot(after[:, 0] - before[:, 0], after[:, 1] - before[:, 1])
-    bound: Floats = shift + np.abs(after[:, 2] - before[:, 2]) * reach
+def _motion(before: Floats, after: Floats, reach: float) -> Floats:
+    """Upper bound of how far any point of the body moves between poses (..., 3), m."""
+    shift = np.hypot(after[..., 0] - before[..., 0], after[..., 1] - before[..., 1])
+    bound: Floats = shift + np.abs(after[..., 2] - before[..., 2]) * reach
     return bound

@@ -7,7 +7,6 @@ from typing import Final
 
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.planning.workspace import (
-    fence,
     goal_of,
     heading_of,
     planar_obstacle,
@@ -16,18 +15,39 @@ from kraft.planning.workspace import (
     settings_of,
     workspace_of,
 )
-from kraft.scenario import Task
+from kraft.scenario import OccupancyMap, Task
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import costtogo
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Problem
-from ompl_ext.obstacles import Obstacle, Workspace
-from ompl_ext.query import make_problem
+from ompl_ext.memory import available_memory, in_words
+from ompl_ext.obstacles import Workspace
+from ompl_ext.query import make_problem, memory_of_maps
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)
 UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
+
+
+def memory_needed(task: Task, vehicle: Vehicle) -> int:
+    """Memory (bytes) that the distance fields of a task need at most."""
+    return memory_of_maps(vehicle, workspace_of(task, vehicle), safety_of_task(task), settings_of(task))
+
+
+def check_memory_of_maps(task: Task, vehicle: Vehicle) -> None:
+    """Check that the maps of a task fit into memory, before any of it is taken.
+
+    Raises:
+        InputError: at the first map, or at the bounds, if they do not.
+    """
+    needed, available = memory_needed(task, vehicle), available_memory()
+    if needed > available:
+        maps = [i for i, obstacle in enumerate(task.obstacles) if isinstance(obstacle, OccupancyMap)]
+        place: str | tuple[str | int, ...] = ("obstacles", maps[0], "map") if maps else "bounds"
+        problem = f"needs {in_words(needed)} of memory for its distance fields"
+        expected = f"expected at most {in_words(available)}, which are available"
+        raise InputError([task.source.diagnostic(place, problem, expected, code=Code.VALUE)])
 
 
 def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | None = None) -> None:
@@ -66,20 +86,17 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
 
 def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[float, float, float]) -> str | None:
     """Phrase with the first collision of the footprint at a pose; None if it is free."""
+    workspace = workspace_of(task, vehicle)
+    outside = task.bounds.outside(*pose[:2])
+    if not outside and not ExactClearance(workspace, footprint).collides(*pose):
+        return None
     for i, obstacle in enumerate(task.obstacles):
-        if _collides(task, footprint, pose, planar_obstacle(obstacle)):
+        alone = Workspace(workspace.bounds, (planar_obstacle(obstacle),))
+        if ExactClearance(alone, footprint).collides(*pose):
             return (
                 f"is in collision with {obstacle.name!r}" if obstacle.name else f"is in collision with obstacles[{i}]"
             )
-    for side in fence(task.bounds, 2 * vehicle.footprint.reach):
-        if _collides(task, footprint, pose, side):
-            return "is out of bounds"
-    return "is out of bounds" if task.bounds.outside(*pose[:2]) else None
-
-
-def _collides(task: Task, footprint: Footprint, pose: tuple[float, float, float], obstacle: Obstacle) -> bool:
-    alone = Workspace((task.bounds.x, task.bounds.y), (obstacle,))
-    return ExactClearance(alone, footprint).distance(*pose) <= 0.0
+    return "is out of bounds"
 
 
 def check_reachable(task: Task, vehicle: Vehicle) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from kraft.errors import Defect
-from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
-from kraft.planning.search import Budget, Previous, SearchResult, search_named
+from kraft.planning.feasibility import UNREACHABLE, check_memory_of_maps, check_placement, reachable
+from kraft.planning.search import Budget, Previous, SearchResult, check_threads, search_named
 from kraft.planning.workspace import (
     goal_of,
     heading_of,
@@ -48,6 +48,7 @@ class PlanResult:
         seed: of the random generator.
         setup_seconds: clearance field, cost-to-go, loading the compiled kernels.
         verify_seconds: verification.
+        threads: number of trees grown at the same time.
     """
 
     plan: Plan | None
@@ -59,6 +60,7 @@ class PlanResult:
     seed: int
     setup_seconds: float
     verify_seconds: float
+    threads: int = 1
 
     @property
     def safe(self) -> bool:
@@ -77,7 +79,12 @@ def budget_of(task: Task) -> Budget:
 
 
 def plan_task(
-    task: Task, vehicle: Vehicle, budget: Budget | None = None, seed: int = 0, previous: Previous | None = None
+    task: Task,
+    vehicle: Vehicle,
+    budget: Budget | None = None,
+    seed: int = 0,
+    previous: Previous | None = None,
+    threads: int = 1,
 ) -> PlanResult:
     """Plan to the goal from the start of the task, or from a state of a previous plan.
 
@@ -85,8 +92,9 @@ def plan_task(
         task: scene, start, goal and planning settings.
         vehicle: from `kraft.vehicles.load.load_vehicle`; the reference in the task is ignored.
         budget: by default that of the task.
-        seed: the same seed and iterations give the same plan, bit for bit.
+        seed: the same seed, iterations and threads give the same plan, bit for bit.
         previous: earlier plan to start from and to retain.
+        threads: number of trees that are grown at the same time and share the best cost; only with DIRT.
 
     Raises:
         InputError: if start or goal is in collision or out of bounds, the previous plan is not of this vehicle, or
@@ -94,12 +102,15 @@ def plan_task(
         Defect: if a plan of DIRT fails verification.
     """
     search = search_named(task.planning.planner)
+    check_threads(task.planning.planner, threads)
+    check_memory_of_maps(task, vehicle)
     if previous is not None:
         previous.check(vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()
-    dirt = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
+    workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task)
+    dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
     spare = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
@@ -111,7 +122,9 @@ def plan_task(
     plan, unfit = _accepted(found, verification, seed)
     reason = reason or unfit or _failure_reason(task, vehicle, plan, found.progress)
     judged = verification if plan is not None else None
-    return PlanResult(plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds)
+    return PlanResult(
+        plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds, threads
+    )
 
 
 def plan(
@@ -122,6 +135,7 @@ def plan(
     time: float | None = None,
     seed: int = 0,
     previous: Previous | None = None,
+    threads: int = 1,
 ) -> PlanResult:
     """Plan a scenario, as `plan_task` does with what is already loaded.
 
@@ -132,6 +146,7 @@ def plan(
         time: budget instead of the scenario's, in s of wall-clock time; at most one of the two.
         seed: the same seed and iterations give the same plan, bit for bit.
         previous: an earlier plan to begin with.
+        threads: number of trees that are grown at the same time.
 
     Raises:
         InputError: with what is wrong with scenario, vehicle or budget, or as `plan_task`.
@@ -143,7 +158,7 @@ def plan(
     budget = None
     if iterations is not None or time is not None:
         budget = budget_of(replace(task, planning=task.planning.with_budget(iterations=iterations, time=time)))
-    return plan_task(task, model, budget, seed, previous)
+    return plan_task(task, model, budget, seed, previous, threads)
 
 
 def _accepted(found: SearchResult, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:

@@ -100,6 +100,7 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
         "vehicle": vehicle_content(vehicle, origin.vehicle),
         "planner": task.planning.planner,
         "seed": result.seed,
+        **({"threads": result.threads} if result.threads > 1 else {}),
         "iterations": result.progress.iterations,
         "settings": {**asdict(settings_of(task)), **_planning(task)},
         "from": _previous(origin.previous),
@@ -266,6 +267,8 @@ class PlanFile(StrictModel):
     """name of the planner"""
     seed: object = None
     """seed of the random generator"""
+    threads: object = None
+    """number of trees grown at the same time"""
     iterations: object = None
     """iterations of the search"""
     settings: object = None

@@ -13,7 +13,7 @@ from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
-from ompl_ext.solver import DirtSolver, Progress
+from ompl_ext.solver import MAX_THREADS, DirtSolver, Progress
 from ompl_ext.vehicle import Vehicle
 
 
@@ -87,6 +87,19 @@ def search_named(planner: str) -> Search:
     if planner not in _SEARCHES:
         raise InputError.of_argument("planner", f"is {planner!r}", suggestion(planner, _SEARCHES), Code.NOT_FOUND)
     return _SEARCHES[planner]
+
+
+def check_threads(planner: str, threads: int) -> None:
+    """Check that a planner can use so many threads.
+
+    Raises:
+        InputError: if it cannot.
+    """
+    if not 1 <= threads <= MAX_THREADS:
+        raise InputError.of_argument("threads", f"is {threads}", f"expected 1 to {MAX_THREADS}")
+    if threads > 1 and planner != "dirt":
+        problem = f"is {threads} with the planner {planner!r}, which uses one thread"
+        raise InputError.of_argument("threads", problem, "expected 1, or the planner 'dirt'", Code.CONFLICT)
 
 
 def _dirt_search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:

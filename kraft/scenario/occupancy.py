@@ -23,8 +23,10 @@ from kraft.config.source import Source
 from kraft.config.validation import read_model
 from kraft.errors import Code, InputError
 from kraft.scenario.geometry import OccupancyMap
+from ompl_ext.memory import available_memory, in_words
 
-CELLS_MAX: Final = 16_000_000
+CELLS_MAX: Final = 80_000_000
+BYTES_PER_PIXEL: Final = 24  # while an image is read
 
 _FORMATS: Final = ("PPM", "PNG")  # Pillow reads PGM as a kind of PPM
 _BROKEN: Final = (
@@ -102,6 +104,10 @@ def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArra
                 if image.width * image.height > CELLS_MAX:
                     size = f"{image.width} x {image.height}"
                     raise wrong(f"the image {path} is {size}", f"expected at most {CELLS_MAX} pixels")
+                needed, available = BYTES_PER_PIXEL * image.width * image.height, available_memory()
+                if needed > available:
+                    problem = f"the image {path} needs {in_words(needed)} of memory"
+                    raise wrong(problem, f"expected at most {in_words(available)}, which are available")
                 image.load()
                 return _brightness(image)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
@@ -117,5 +123,7 @@ def _brightness(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.boo
     if image.mode in ("I", "I;16", "I;16B", "I;16L"):
         pixels = np.asarray(image, dtype=np.float64) / 65535.0
         return pixels, np.ones(pixels.shape, dtype=np.bool_)
+    if image.mode == "L" and "transparency" not in image.info:
+        return np.asarray(image) / 255.0, np.ones((image.height, image.width), dtype=np.bool_)
     rgba = np.asarray(image.convert("RGBA"))
     return rgba[..., :3].mean(axis=-1) / 255.0, rgba[..., 3] == 255

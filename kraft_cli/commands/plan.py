@@ -23,6 +23,9 @@ Parameters = Annotated[
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
 ]
+Threads = Annotated[
+    int, typer.Option(metavar="N", min=1, max=64, help="Grow trees on N cores, which share the best cost.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write plan.json into DIR.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the plan: FILE.png, .svg or .pdf.")]
 From = Annotated[
@@ -42,6 +45,7 @@ def plan(
     vehicle: VehicleName = None,
     param: Parameters = None,
     set_: Set = None,
+    threads: Threads = 1,
     out: Out = None,
     plot: Plot = None,
     from_: From = None,
@@ -55,7 +59,7 @@ def plan(
     terminal: Terminal = context.obj
     request = PlanRequest(
         scenario, time, iterations, seed, planner, vehicle, tuple(param or ()), out, plot, from_, after,
-        tuple(set_ or ()),
+        tuple(set_ or ()), threads,
     )  # fmt: skip
     outcome = run_plan(request, terminal.info, terminal.detail)
     if json:

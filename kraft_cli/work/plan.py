@@ -13,6 +13,7 @@ from kraft.config.overrides import Override, parse_overrides, plain_value
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
+from kraft.planning.feasibility import memory_needed
 from kraft.planning.plan import PlanResult, budget_of, plan_task
 from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
 from kraft.planning.search import Previous, search_named
@@ -22,7 +23,10 @@ from kraft.text import counted, finite, grouped, metres
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
+from ompl_ext.memory import in_words
 from ompl_ext.vehicle import Vehicle
+
+MUCH_MEMORY = 1_000_000_000  # bytes of maps from which on they are said without -v too
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,7 @@ class PlanRequest:
         plot: picture; None draws none.
         previous: plan file to start from, `after` s after its beginning.
         settings: ``key=value`` each, for keys of the scenario.
+        threads: number of trees that are grown at the same time.
     """
 
     scenario: str
@@ -53,6 +58,7 @@ class PlanRequest:
     previous: Path | None = None
     after: float = 0.0
     settings: tuple[str, ...] = ()
+    threads: int = 1
 
 
 @dataclass(frozen=True)
@@ -87,7 +93,9 @@ def run_plan(
     _report_inputs(detail, request, task, vehicle)
     timer.report("loaded and checked")
     ensure_compiled(vehicle, report)
-    result = plan_task(task, vehicle, seed=request.seed, previous=previous)
+    needed = memory_needed(task, vehicle)
+    (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
+    result = plan_task(task, vehicle, seed=request.seed, previous=previous, threads=request.threads)
     timer.report("planned, with maps and verification,")
     if target is not None and result.plan is not None:
         changed = {each.key: plain_value(each.value) for each in settings}
@@ -131,7 +139,8 @@ def _report_inputs(detail: Callable[[str], None], request: PlanRequest, task: Ta
         detail(line)
     budget = budget_of(task)
     amount = f"{budget.iterations} iterations" if budget.iterations is not None else f"{budget.seconds:g} s"
-    detail(f"planner {task.planning.planner}: {amount}, seed {request.seed}")
+    threads = f", {request.threads} threads" if request.threads > 1 else ""
+    detail(f"planner {task.planning.planner}: {amount}, seed {request.seed}{threads}")
 
 
 def _vehicle(request: PlanRequest, task: Task) -> Vehicle:
@@ -185,6 +194,7 @@ def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
         "vehicle": outcome.vehicle.name,
         "planner": outcome.task.planning.planner,
         "seed": result.seed,
+        "threads": result.threads,
         "solved": result.solved,
         "reason": result.reason or None,
         "cost_s": plan.cost if plan else None,

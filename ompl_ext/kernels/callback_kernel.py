@@ -67,4 +67,4 @@ def grow() -> Grow:
     Compiled, or loaded from the cache, on the first call.
     """
     signature = _types.void(TREE, PROBLEM, _CALLBACK_LANES, _types.float64[::1], RETAINED_EDGES, _types.int64)
-    return compiled(_grow, signature=signature)
+    return compiled(_grow, signature=signature, nogil=False)  # Python is called back

@@ -1,8 +1,9 @@
 """Distance field that never overestimates, and the footprint's clearance by it.
 
 Each cell stores a lower bound of the distance from *any* point of the cell to the nearest obstacle: the exact distance
-of its centre minus half a cell diagonal (the distance function is 1-Lipschitz).  The footprint is covered by discs, so
-the smallest field(centre of disc) - radius is a lower bound of the footprint's clearance: an accepted pose is free.
+of its centre minus half a cell diagonal (the distance function is 1-Lipschitz).  In large workspaces and in those with
+a map its cells are large, and a fine field (`fine_field`) decides near obstacles.  The footprint is covered by discs,
+so the smallest field(centre of disc) - radius is a lower bound of the footprint's clearance: an accepted pose is free.
 `ompl_ext.exact` computes the exact clearance.
 """
 
@@ -14,20 +15,37 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32
-from ompl_ext.jit import compiled, inlined
-from ompl_ext.kernels.kernel_types import DISC_RADIUS, GRID_INVERSE, GRID_X, GRID_Y, REACH, Maps, Problem
+from ompl_ext.jit import inlined
+from ompl_ext.kernels.distance import lower_to_shapes
+from ompl_ext.kernels.fine_field import TILE, VERTICES, FineField, Lattice, fine_distance, fine_field
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    DISC_RADIUS,
+    FINE_INVERSE,
+    GRID_INVERSE,
+    GRID_X,
+    GRID_Y,
+    REACH,
+    Maps,
+    Problem,
+)
+from ompl_ext.kernels.map_cells import MAX_FREE_CELLS, MapCells, map_cells
+from ompl_ext.memory import check_memory
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace
 from ompl_ext.vehicle import Footprint
 
-MAX_CELLS = 4_000_000
+MAX_CELLS = 1_000_000
+BYTES_PER_CELL, BYTES_PER_MAP_CELL, BYTES_PER_TILE = 56, 16, 120  # of working memory and results
+FARTHEST = 1e6  # m, the distance where there is no obstacle
+BEYOND_REACH = 0.5  # m beyond reach and delta, within which the fine field is stored: room for motion in a step
 
 
 class ClearanceField(NamedTuple):
-    """Clearance field: `values[row, column]` in m; `origin` is the lower left corner of cell (0, 0)."""
+    """Clearance field: `values[row, column]` in m; `origin` is the lower left corner of cell (0, 0), m."""
 
     values: Floats32
     origin: tuple[float, float]
     cell: float
+    loss: float = 0.0  # largest underestimate of the distance of a cell's centre
 
     def at(self, x: float, y: float) -> float:
         """Lower bound of the distance from (x, y) to the nearest obstacle (m); IndexError outside the field."""
@@ -57,58 +75,133 @@ def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> 
     The cell is enlarged if cells of `cell` m would be more than `MAX_CELLS`.
     """
     (x_low, x_high), (y_low, y_high) = workspace.bounds
-    width, height = x_high - x_low + 2 * margin, y_high - y_low + 2 * margin
-    cell = max(cell, math.sqrt(width * height / MAX_CELLS))
-    columns, rows = (math.ceil(extent / cell) + 1 for extent in (width, height))
-    origin = (x_low - margin, y_low - margin)
+    cell = max(cell, math.sqrt((x_high - x_low + 2 * margin) * (y_high - y_low + 2 * margin) / MAX_CELLS))
+    return _field_of(workspace, None, margin, cell)
+
+
+def fields(
+    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float, delta: float = 0.0
+) -> tuple[ClearanceField, FineField | None]:
+    """Clearance field, and a fine field if the clearance field alone would lose more than `cell` m of clearance.
+
+    The fields are for a footprint that keeps up to `delta` m.
+
+    In a workspace without a map the cells of the clearance field are `cell` m wide if these are at most `MAX_CELLS`,
+    and there is no fine field.  Otherwise the clearance field has larger cells, and the fine field, which loses at most
+    `cell` m, decides wherever the footprint can touch an obstacle.
+
+    Raises:
+        MapTooLargeError: there is not enough memory.
+    """
+    check_memory(memory_of_fields(workspace, footprint, cell, delta))
+    grid, coarse = _first_map(workspace), coarse_cell(workspace, footprint, cell)
+    if grid is None and coarse == cell:
+        return clearance_field(workspace, footprint.reach + 2 * cell, cell), None
+    touch = footprint.reach + delta + BEYOND_REACH
+    cells = None if grid is None else map_cells(grid, cell * math.sqrt(2.0), max(touch, coarse), workspace.bounds)
+    field = _field_of(workspace, cells, footprint.reach + 2 * coarse, coarse)
+    return field, _fine_field_of(workspace, field, cells, disc_radius, touch, cell * math.sqrt(2.0))
+
+
+def coarse_cell(workspace: Workspace, footprint: Footprint, cell: float) -> float:
+    """Cell of the clearance field (m): `cell`, or larger in a large workspace, as far as walls stay closed to it."""
+    area = math.prod(high - low + 2 * footprint.reach for low, high in workspace.bounds)
+    grid = _first_map(workspace)
+    thin = 0.0 if grid is None else grid.resolution  # thickness of a wall, which must not fall between larger cells
+    widest = (footprint.inscribed + thin / 2) / (0.5 + math.sqrt(0.5))
+    return max(cell, math.sqrt(area / (4 * MAX_CELLS)), min(math.sqrt(area / MAX_CELLS), widest))
+
+
+def memory_of_fields(workspace: Workspace, footprint: Footprint, cell: float, delta: float = 0.0) -> int:
+    """Memory (bytes) that both fields and a cost-to-go need at most, while they are computed."""
+    coarse, grid = coarse_cell(workspace, footprint, cell), _first_map(workspace)
+    width, height = (high - low + 2 * (footprint.reach + 2 * coarse) for low, high in workspace.bounds)
+    needed = BYTES_PER_CELL * width * height / coarse**2
+    if grid is None and coarse == cell:
+        return int(needed)
+    side, touch = TILE * cell * math.sqrt(2.0), footprint.reach + delta + BEYOND_REACH
+    extents = []
+    for obstacle in workspace.obstacles:
+        if isinstance(obstacle, OccupancyGrid):
+            needed += BYTES_PER_MAP_CELL * (obstacle.occupied.size + MAX_FREE_CELLS)
+            side = min(side, TILE * obstacle.resolution / math.ceil(obstacle.resolution / (cell * math.sqrt(2.0))))
+            extents.append(np.array(obstacle.occupied.shape) * obstacle.resolution)
+        elif isinstance(obstacle, Circle):
+            extents.append(np.full(2, 2 * obstacle.radius))
+        else:
+            extents.append(np.ptp(obstacle.vertices, axis=0))
+    tiles, near = 2 * width * height / side**2, sum(np.prod((extent + 2 * touch) / side + 2) for extent in extents)
+    return int(needed + BYTES_PER_TILE * tiles + 2 * VERTICES * min(tiles, near))
+
+
+def _first_map(workspace: Workspace) -> OccupancyGrid | None:
+    return next((obstacle for obstacle in workspace.obstacles if isinstance(obstacle, OccupancyGrid)), None)
+
+
+def _field_of(workspace: Workspace, cells: MapCells | None, margin: float, cell: float) -> ClearanceField:
+    """Clearance field of all obstacles; `cells` are those of the first map."""
+    grids = [obstacle for obstacle in workspace.obstacles if isinstance(obstacle, OccupancyGrid)]
+    prepared = [cells or map_cells(grid, cell, margin, workspace.bounds) for grid in grids[:1]]
+    prepared += [map_cells(grid, cell, margin, workspace.bounds) for grid in grids[1:]]
+    (x_low, x_high), (y_low, y_high) = workspace.bounds
+    origin, loss = (x_low - margin, y_low - margin), 0.0
+    if prepared:
+        origin, cell = prepared[0].aligned(origin, cell)
+    columns, rows = (
+        math.ceil((high + margin - low) / cell) + 1 for low, high in zip(origin, (x_high, y_high), strict=True)
+    )
     xs: Floats = origin[0] + (np.arange(columns, dtype=float) + 0.5) * cell
     ys: Floats = origin[1] + (np.arange(rows, dtype=float) + 0.5) * cell
     distance = np.full((rows, columns), math.inf)
-    for obstacle in workspace.obstacles:
-        if isinstance(obstacle, Polygon):
-            _lower_to_polygon(distance, xs, ys, np.ascontiguousarray(obstacle.vertices, dtype=float))
-        elif isinstance(obstacle, Circle):
-            gap = np.hypot(xs[None, :] - obstacle.center[0], ys[:, None] - obstacle.center[1]) - obstacle.radius
-            np.minimum(distance, np.maximum(gap, 0.0), out=distance)
-        else:
-            np.minimum(distance, _distance_to_map(obstacle, xs, ys), out=distance)
-    lower = np.minimum(distance, 1e6) - cell * math.sqrt(0.5)
-    return ClearanceField(np.nextafter(lower.astype(np.float32), np.float32(-np.inf)), origin, cell)
+    for each in prepared:
+        loss = max(loss, each.lower(distance, xs, ys, cell))
+    lower_to_shapes(distance, xs, ys, [o for o in workspace.obstacles if not isinstance(o, OccupancyGrid)])
+    np.minimum(distance, FARTHEST, out=distance)
+    distance -= cell * math.sqrt(0.5)
+    values = distance.astype(np.float32)
+    return ClearanceField(np.nextafter(values, np.float32(-np.inf), out=values), origin, cell, loss)
 
 
-def _distance_to_map(grid: OccupancyGrid, xs: Floats, ys: Floats) -> Floats:
-    """Lower bound of the distance to the occupied cells: that to the nearest centre minus half a cell's diagonal."""
-    centres = grid.cell_centres()
-    if not len(centres):
-        return np.full((len(ys), len(xs)), math.inf)
-    from scipy.spatial import cKDTree  # a slow import, needed for maps only
-
-    points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
-    nearest, _ = cKDTree(centres).query(points)
-    gap: Floats = np.maximum(nearest - grid.resolution * math.sqrt(0.5), 0.0).reshape(len(ys), len(xs))
-    return gap
-
-
-@compiled
-def _lower_to_polygon(distance: Floats, xs: Floats, ys: Floats, vertices: Floats) -> None:
-    """Lower `distance[row, column]` to the distance between (xs[column], ys[row]) and the filled polygon."""
-    count = len(vertices)
-    for row in range(len(ys)):
-        y = ys[row]
-        for column in range(len(xs)):
-            x = xs[column]
-            nearest, inside = math.inf, False
-            ax, ay = vertices[count - 1, 0], vertices[count - 1, 1]
-            for k in range(count):
-                bx, by = vertices[k, 0], vertices[k, 1]
-                ex, ey = bx - ax, by - ay
-                t = min(max(((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-                dx, dy = x - ax - t * ex, y - ay - t * ey
-                nearest = min(nearest, dx * dx + dy * dy)
-                if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * ex:
-                    inside = not inside
-                ax, ay = bx, by
-            distance[row, column] = 0.0 if inside else min(distance[row, column], math.sqrt(nearest))
+def _fine_field_of(
+    workspace: Workspace,
+    field: ClearanceField,
+    cells: MapCells | None,
+    disc_radius: float,
+    touch: float,
+    spacing: float,
+) -> FineField:
+    """Fine field on the lattice of the first map, stored where the distance is between `disc_radius` and `touch` m."""
+    rows, columns = field.values.shape
+    width, height = columns * field.cell, rows * field.cell
+    offset, lattice = (0, 0), Lattice(*field.origin, 1.0, 0.0, spacing)
+    if cells is not None:
+        x = field.origin[0] + np.array([0.0, width, 0.0, width])
+        y = field.origin[1] + np.array([0.0, 0.0, height, height])
+        v, u = cells.lattice.coordinates(x, y)
+        offset = (math.floor(v.min()) - 1, math.floor(u.min()) - 1)
+        corner = cells.lattice.vertices(np.array(float(offset[0])), np.array(float(offset[1])))
+        lattice = cells.lattice._replace(x=float(corner[0]), y=float(corner[1]))
+        width, height = (np.ptp(u) + 2) * lattice.spacing, (np.ptp(v) + 2) * lattice.spacing
+    side = TILE * lattice.spacing
+    shape = math.ceil(height / side) + 1, math.ceil(width / side) + 1
+    middle = (np.indices(shape) + 0.5) * TILE
+    x, y = lattice.vertices(middle[0], middle[1])
+    u, v = (x - field.origin[0]) / field.cell, (y - field.origin[1]) / field.cell
+    at_row, at_column = np.floor(v).astype(int).clip(0, rows - 1), np.floor(u).astype(int).clip(0, columns - 1)
+    half = side * math.sqrt(0.5)
+    away = half + field.cell * np.maximum(np.maximum(-u, u - columns), np.maximum(-v, v - rows)).clip(0.0)
+    value = field.values[at_row, at_column]
+    highest = value + field.cell * math.sqrt(2.0) + field.loss
+    wanted = (away <= 2 * half) & (value - away < touch) & (highest + away >= disc_radius)
+    others: list[Polygon | Circle] = []
+    for number, obstacle in enumerate(workspace.obstacles):
+        if not isinstance(obstacle, OccupancyGrid):
+            others.append(obstacle)
+        elif any(isinstance(earlier, OccupancyGrid) for earlier in workspace.obstacles[:number]):
+            others += obstacle.boxes()
+    free = None if cells is None else (cells.above, cells.below)
+    divisions = 1 if cells is None else cells.divisions
+    return fine_field(lattice, shape, wanted, free, offset, divisions, others, touch)
 
 
 @inlined
@@ -125,8 +218,12 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
     slack = math.inf
     for k in range(len(problem.discs)):
         d = problem.discs[k]
-        value = field[int((y + d * s - oy) * inverse), int((x + d * c - ox) * inverse)]
-        slack = min(slack, value - scalar[DISC_RADIUS] - required)
+        px, py = x + d * c, y + d * s
+        value = field[int((py - oy) * inverse), int((px - ox) * inverse)]
+        spare = value - scalar[DISC_RADIUS] - required
+        if spare < 0.0 and scalar[FINE_INVERSE] > 0.0:
+            spare = max(spare, fine_distance(problem, px, py) - scalar[DISC_RADIUS] - required)
+        slack = min(slack, spare)
         if slack < 0.0:
             return slack
     return slack

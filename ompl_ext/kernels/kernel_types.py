@@ -11,7 +11,18 @@ from typing import Any, NamedTuple, get_type_hints
 import numba
 import numpy as np
 
-from ompl_ext.arrays import Floats, Floats32, IntMatrix, Ints, Ints32, Matrix, Matrix32, Words
+from ompl_ext.arrays import (
+    Floats,
+    Floats32,
+    IntMatrix,
+    IntMatrix32,
+    Ints,
+    Ints32,
+    Matrix,
+    Matrix32,
+    Words,
+    Words16Matrix,
+)
 
 LANE_WIDTH = 32  # lanes that the arrays hold, the upper bound of the blossom number
 Q_DIM = 4  # components of a configuration in the tree's metric: x, y, weighted cosine and sine of the heading
@@ -26,6 +37,8 @@ class Problem(NamedTuple):
     discs: Floats  # centres of the covering discs along the body axis (m)
     field: Matrix32  # (rows, columns) lower bound of the distance to obstacles (m)
     togo: Matrix32  # (rows, columns) geodesic cost-to-go at the same cells' centres (s)
+    tile: IntMatrix32  # (rows, columns) number of each tile of the fine field, -1 where none is stored
+    squares: Words16Matrix  # (tiles, vertices) squared distances of the fine field, in squared spacings
     scalar: Floats
     option: Ints
 
@@ -35,6 +48,8 @@ class Maps(NamedTuple):
 
     discs: Floats
     field: Matrix32
+    tile: IntMatrix32
+    squares: Words16Matrix
     scalar: Floats
 
 
@@ -60,7 +75,9 @@ GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
     27,
 )  # tolerance as its cosine
 DELTA_PER_TIME, DELTA_HORIZON = 29, 30  # clearance added per second since the begin of the query, for so long (m/s, s)
-SCALARS = 31
+FINE_X, FINE_Y, FINE_COS, FINE_SIN = 31, 32, 33, 34  # frame of the fine field (m)
+FINE_INVERSE = 35  # 1 / spacing of the fine field (1/m), 0 without one
+SCALARS = 36
 
 # Indices of Problem.option
 STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre
@@ -90,14 +107,14 @@ class Tree(NamedTuple):
     state: Matrix  # (capacity, nx)
     edge: Matrix  # (capacity, nu + 1) control and duration of the edge from the parent
     value: Matrix  # (capacity, 8) what the search reads of a node, one cache line each
-    link: IntMatrix  # (capacity, 7)
+    link: IntMatrix32  # (capacity, 8), half a cache line each
     region_head: Ints32  # first node of each cell, level after level
-    level: IntMatrix  # (levels, 4)
+    level: IntMatrix  # (levels, 7)
     level_cell: Floats  # cell size of each level (m)
     cell_head: Ints32
     cell_best: Floats  # smallest f in each cell
     block_best: Floats  # smallest f in each block of cells
-    block_shape: Ints  # columns, rows of blocks
+    block_shape: Ints  # columns, rows of blocks, and how they are stored
     frame: Floats  # lower left corner and cell size of the cells (m)
     count: Ints  # type: ignore[assignment]  # hides the method of tuples, which is not needed
     best: Floats  # cost of the best goal node, smallest cost-to-go of any node (s)
@@ -115,8 +132,12 @@ F, RADIUS, COST, TOGO = (
 # Columns of Tree.link
 PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS = range(7)
 
-# Columns of Tree.level: first index in region_head, columns and rows, number of nodes
+# Columns of Tree.level: first index in region_head, columns and rows, number of nodes, and how the cells are stored
 LEVEL_START, LEVEL_COLUMNS, LEVEL_ROWS, LEVEL_COUNT = range(4)
+LEVEL_COLUMN_MASK, LEVEL_ROW_MASK, LEVEL_STRIDE = range(4, 7)
+
+# Indices of Tree.block_shape
+BLOCK_COLUMNS, BLOCK_ROWS, BLOCK_COLUMN_MASK, BLOCK_ROW_MASK, BLOCK_STRIDE = range(5)
 
 # Indices of Tree.count
 SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL, RETAINED, PRUNED = range(11)
@@ -139,7 +160,7 @@ _typeof: Any = numba.typeof
 def _numba_type(tuple_class: type) -> Any:
     kinds = {
         Floats: (1, "f8"), Floats32: (1, "f4"), Ints: (1, "i8"), Ints32: (1, "i4"), Words: (1, "u8"),
-        Matrix: (2, "f8"), Matrix32: (2, "f4"), IntMatrix: (2, "i8"),
+        Matrix: (2, "f8"), Matrix32: (2, "f4"), IntMatrix: (2, "i8"), IntMatrix32: (2, "i4"), Words16Matrix: (2, "u2"),
     }  # fmt: skip
     hints = [kinds[kind] for kind in get_type_hints(tuple_class).values()]
     return _types.NamedTuple([_typeof(np.empty((1,) * ndim, dtype=dtype)) for ndim, dtype in hints], tuple_class)

@@ -11,7 +11,7 @@ import math
 
 from numba import types
 
-from ompl_ext.arrays import Floats, Matrix32, int64
+from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix, int64
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels import dirt
 from ompl_ext.kernels.clearance import pose_slack
@@ -380,8 +380,27 @@ def _advance(state: Floats, control: Floats, parameters: Floats, h: float, resul
         result[k] = y[k]
 
 
-def _pose(field: Matrix32, discs: Floats, scalar: Floats, x: float, y: float, theta: float) -> float:
-    maps = Maps(discs, field, scalar)  # passing three arrays from Python takes half the time of a Problem
+def _roll_out(states: Floats, controls: Matrix, parameters: Floats, h: Floats) -> None:
+    p = load_parameters(parameters)
+    for motion in range(states.shape[0]):
+        x, u = first_state(states[motion, 0]), actuation(first_control(controls[motion]), p)
+        for step in range(1, states.shape[1]):
+            x, _, _ = rk4_step(x, u, p, h[motion])
+            for k in range(NX):
+                states[motion, step, k] = x[k]
+
+
+def _pose(
+    field: Matrix32,
+    tile: IntMatrix32,
+    squares: Words16Matrix,
+    discs: Floats,
+    scalar: Floats,
+    x: float,
+    y: float,
+    theta: float,
+) -> float:
+    maps = Maps(discs, field, tile, squares, scalar)  # passing few arrays from Python takes half the time of a Problem
     return pose_slack(maps, x, y, cos(theta), sin(theta), 0.0)
 
 
@@ -394,8 +413,22 @@ grow = compiled(
 edge = compiled(_edge, folder=FOLDER, signature=types.void(PROBLEM, LANES, types.float64))
 brake = compiled(_brake, folder=FOLDER, signature=types.int64(PROBLEM, LANES, LANES, types.float64))
 advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS))
+roll_out = compiled(
+    _roll_out,
+    folder=FOLDER,
+    signature=types.void(types.float64[:, :, ::1], types.float64[:, ::1], _FLOATS, _FLOATS),
+)
 pose = compiled(
     _pose,
     folder=FOLDER,
-    signature=types.float64(types.float32[:, ::1], _FLOATS, _FLOATS, types.float64, types.float64, types.float64),
+    signature=types.float64(
+        types.float32[:, ::1],
+        types.int32[:, ::1],
+        types.uint16[:, ::1],
+        _FLOATS,
+        _FLOATS,
+        types.float64,
+        types.float64,
+        types.float64,
+    ),
 )

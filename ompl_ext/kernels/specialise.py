@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from ompl_ext.arrays import Floats, Matrix, Matrix32
+from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder
 from ompl_ext.kernels.kernel_types import Lanes, Problem, Retained, Tree
@@ -32,7 +32,8 @@ class VehicleKernels:
     edge: Callable[[Problem, Lanes, float], None]
     brake: Callable[[Problem, Lanes, Lanes, float], int]
     advance: Callable[[Floats, Floats, Floats, float, Floats], None]
-    pose: Callable[[Matrix32, Floats, Floats, float, float, float], float]
+    roll_out: Callable[[Floats, Matrix, Floats, Floats], None]
+    pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     key = _key(vehicle)
     if key not in _kernels:
         module = _execute(vehicle, "lanes")
-        _kernels[key] = VehicleKernels(module.grow, module.edge, module.brake, module.advance, module.pose)
+        names = VehicleKernels.__dataclass_fields__
+        _kernels[key] = VehicleKernels(**{name: getattr(module, name) for name in names})
         if vehicle.source:
             _done_marker(vehicle).touch()
     return _kernels[key]

@@ -9,6 +9,10 @@ of a query grows with the number of levels, not of nodes.
 their nodes.  A search for the nearest better node proceeds outward over rings of blocks and skips every block and cell
 without a better node.
 
+*Large workspaces.*  The cells keep their size, and the same memory is used for cells that lie a power of two apart: a
+list may hold nodes of several far cells.  Every use compares distances, so that this changes nothing but the time, and
+cells that few nodes share are as good as cells of their own.
+
 *Closed nodes.*  A node whose region has shrunk below the tree's resolution has a better node right beside it.  It stays
 in the tree but leaves both indices, which keeps their lists short, and its radius becomes 0.  In large trees the
 resolution falls with the root of the number of nodes inserted, pruned ones included: it never rises again.
@@ -21,11 +25,19 @@ import math
 from ompl_ext.arrays import Floats, int64
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    BLOCK_COLUMN_MASK,
+    BLOCK_COLUMNS,
+    BLOCK_ROW_MASK,
+    BLOCK_ROWS,
+    BLOCK_STRIDE,
     CELL_NEXT,
+    LEVEL_COLUMN_MASK,
     LEVEL_COLUMNS,
     LEVEL_COUNT,
+    LEVEL_ROW_MASK,
     LEVEL_ROWS,
     LEVEL_START,
+    LEVEL_STRIDE,
     Q_DIM,
     RADIUS,
     REGION_LEVEL,
@@ -58,6 +70,20 @@ def distance_squared(tree: Tree, node: int, q: Floats) -> float:
 
 
 @inlined
+def stored_cell(tree: Tree, level: int, row: int, column: int) -> int:
+    """Index in region_head of a cell of a level."""
+    row, column = row & tree.level[level, LEVEL_ROW_MASK], column & tree.level[level, LEVEL_COLUMN_MASK]
+    return tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_STRIDE] + column
+
+
+@inlined
+def stored_block(tree: Tree, row: int, column: int) -> int:
+    """Number of the block of cells in which those of a block are stored."""
+    shape = tree.block_shape
+    return (row & shape[BLOCK_ROW_MASK]) * shape[BLOCK_STRIDE] + (column & shape[BLOCK_COLUMN_MASK])
+
+
+@inlined
 def region_cell(tree: Tree, level: int, node: int) -> int:
     """Index in region_head of the cell that contains a node's position."""
     size, columns, rows = (
@@ -67,7 +93,7 @@ def region_cell(tree: Tree, level: int, node: int) -> int:
     )
     column = clamp(int((tree.value[node, 0] - tree.frame[0]) / size), columns)
     row = clamp(int((tree.value[node, 1] - tree.frame[1]) / size), rows)
-    return tree.level[level, LEVEL_START] + row * columns + column
+    return stored_cell(tree, level, row, column)
 
 
 @inlined
@@ -124,7 +150,7 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
         first_row, end_row, first_column, end_column = level_window(tree, level, tree.value[node])
         for row in range(first_row, end_row):
             for column in range(first_column, end_column):
-                cell = tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_COLUMNS] + column
+                cell = stored_cell(tree, level, row, column)
                 other = int64(tree.region_head[cell])
                 while other >= 0:
                     following = tree.link[other, REGION_NEXT]
@@ -151,7 +177,7 @@ def select(tree: Tree, q: Floats) -> int:
         first_row, end_row, first_column, end_column = level_window(tree, level, q)
         for row in range(first_row, end_row):
             for column in range(first_column, end_column):
-                cell = tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_COLUMNS] + column
+                cell = stored_cell(tree, level, row, column)
                 node = int64(tree.region_head[cell])
                 while node >= 0:
                     following = tree.link[node, REGION_NEXT]
@@ -208,7 +234,7 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
 
     A distance below `closed` need not be the smallest: any such distance closes the node.
     """
-    columns, rows = tree.block_shape[0], tree.block_shape[1]
+    columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
     cell_size, size = tree.frame[2], BLOCK * tree.frame[2]
     center_column = clamp(int((q[0] - tree.frame[0]) / size), columns)
     center_row = clamp(int((q[1] - tree.frame[1]) / size), rows)
@@ -226,8 +252,9 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
                 left, bottom = tree.frame[0] + column * size, tree.frame[1] + row * size
                 if tree.block_best[block] >= f or gap_squared(q[0], q[1], left, bottom, size) >= best2:
                     continue
+                first = stored_block(tree, row, column) * BLOCK * BLOCK
                 for k in range(BLOCK * BLOCK):
-                    cell = block * BLOCK * BLOCK + k
+                    cell = first + k
                     if tree.cell_best[cell] < f:
                         x, y = left + (k % BLOCK) * cell_size, bottom + (k // BLOCK) * cell_size
                         if gap_squared(q[0], q[1], x, y, cell_size) < best2:
@@ -238,11 +265,11 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
 @inlined
 def list_position(tree: Tree, node: int) -> None:
     """List a node in the cell of its position."""
-    columns, rows = tree.block_shape[0], tree.block_shape[1]
+    columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
     column = clamp(int((tree.value[node, 0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
     row = clamp(int((tree.value[node, 1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)
     block = (row // BLOCK) * columns + column // BLOCK
-    cell = block * BLOCK * BLOCK + (row % BLOCK) * BLOCK + column % BLOCK
+    cell = (stored_block(tree, row // BLOCK, column // BLOCK) * BLOCK + row % BLOCK) * BLOCK + column % BLOCK
     tree.link[node, CELL_NEXT] = tree.cell_head[cell]
     tree.cell_head[cell] = node
     tree.cell_best[cell] = min(tree.cell_best[cell], tree.value[node, F])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import mmap
+from typing import Any
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Ints, Words
+from ompl_ext.arrays import Bools, Floats, Ints32, Words
 from ompl_ext.jit import compiled
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
@@ -37,7 +39,10 @@ REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)
 CAPACITY = 200_000  # nodes in the initial memory
 MAX_NODES = 10_000_000  # limit of the growth: about 2 GB, minutes of a compiled search
-MAX_CELLS = 250_000  # of each index; larger workspaces have larger cells
+MAX_CELLS = 250_000  # of each index with memory of their own; in larger workspaces cells share it
+MAX_BLOCKS = 500_000  # of cells of positions; in workspaces above 12,800 m^2 these cells are larger
+EVERY = 2**62 - 1  # mask of the number of a column or row that shares its memory with no other
+HUGE_PAGE = 2**21  # bytes
 _PER_NODE = ("state", "edge", "value", "link")
 
 
@@ -48,35 +53,66 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
     """
     (x_low, x_high), (y_low, y_high) = bounds
     width, height = x_high - x_low, y_high - y_low
-    smallest = math.sqrt(width * height / MAX_CELLS)
-    start, size = 0, max(REGION_CELL, smallest)
+    start, size = 0, REGION_CELL
     levels: list[list[int]] = []
     sizes: list[float] = []
     while not levels or levels[-1][LEVEL_COLUMNS] * levels[-1][LEVEL_ROWS] > 1:
         columns, rows = math.floor(width / size) + 1, math.floor(height / size) + 1
-        levels.append([start, columns, rows, 0])
+        column_mask, row_mask, stride, stored = _storage(columns, rows, MAX_CELLS)
+        levels.append([start, columns, rows, 0, column_mask, row_mask, stride])
         sizes.append(size)
-        start, size = start + columns * rows, size * 2
-    cell = max(POSITION_CELL, smallest)
+        start, size = start + stored, size * 2
+    cell = max(POSITION_CELL, math.sqrt(width * height / MAX_BLOCKS) / BLOCK)
     blocks = [math.floor(extent / (BLOCK * cell)) + 1 for extent in (width, height)]
-    cells = blocks[0] * blocks[1] * BLOCK * BLOCK
+    *how, stored = _storage(blocks[0], blocks[1], MAX_CELLS // (BLOCK * BLOCK))
+    cells = stored * BLOCK * BLOCK
     return Tree(
-        state=np.zeros((capacity, nx)),
-        edge=np.zeros((capacity, nu + 1)),
-        value=np.zeros((capacity, 8)),
-        link=np.zeros((capacity, 7), np.int64),
+        state=_per_node(capacity, nx, np.float64),
+        edge=_per_node(capacity, nu + 1, np.float64),
+        value=_per_node(capacity, 8, np.float64),
+        link=_per_node(capacity, 8, np.int32),
         region_head=np.full(start, -1, np.int32),
         level=np.array(levels),
         level_cell=np.array(sizes),
         cell_head=np.full(cells, -1, np.int32),
         cell_best=np.full(cells, math.inf),
         block_best=np.full(blocks[0] * blocks[1], math.inf),
-        block_shape=np.array(blocks),
+        block_shape=np.array([*blocks, *how]),
         frame=np.array([x_low, y_low, cell]),
         count=np.zeros(COUNTS, np.int64),
         best=np.full(2, math.inf),
         random=np.zeros(1, np.uint64),
     )
+
+
+def _storage(columns: int, rows: int, most: int) -> tuple[int, int, int, int]:
+    """Masks of column and row numbers, stride and number of the stored cells, about `most` of them.
+
+    If there are more cells, those a power of two of columns or rows apart share their memory.
+    """
+    if columns * rows <= most:
+        return EVERY, EVERY, columns, columns * rows
+    side = 1 << math.isqrt(most).bit_length()
+    stored_columns = min(columns, side)
+    stored_rows = min(rows, 1 << (2 * most // stored_columns).bit_length() - 1)
+    masks = [
+        stored - 1 if stored < count else EVERY for stored, count in ((stored_columns, columns), (stored_rows, rows))
+    ]
+    return masks[0], masks[1], stored_columns, stored_columns * stored_rows
+
+
+def _per_node(capacity: int, columns: int, dtype: type) -> Any:
+    """Zeros (capacity, columns) that begin a cache line, in huge pages if the system has them; the first is touched.
+
+    Nodes are visited in no order: with small pages most visits would miss the processor's cache of addresses too.
+    """
+    size = max(capacity, 1) * columns * np.dtype(dtype).itemsize
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    if size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
+        memory.madvise(mmap.MADV_HUGEPAGE)
+    array: Any = np.frombuffer(memory, dtype, capacity * columns).reshape(capacity, columns)
+    array[: HUGE_PAGE // (columns * array.itemsize)] = 0
+    return array
 
 
 def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:
@@ -92,7 +128,7 @@ def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:
     larger = {}
     for name in _PER_NODE:
         array = getattr(tree, name)
-        larger[name] = np.zeros((capacity, array.shape[1]), array.dtype)
+        larger[name] = _per_node(capacity, array.shape[1], array.dtype.type)
         larger[name][:size] = array[:size]
     return tree._replace(**larger)
 
@@ -206,7 +242,7 @@ def prune(tree: Tree, bound: int = F) -> int:
 
 
 @compiled
-def _keep_ancestors(keep: Bools, parent: Ints) -> None:
+def _keep_ancestors(keep: Bools, parent: Ints32) -> None:
     for node in range(len(keep) - 1, 0, -1):  # children come after their parents
         if keep[node] and parent[node] >= 0:
             keep[parent[node]] = True

@@ -40,7 +40,7 @@ def link(tree: Tree, name: int) -> NDArray[np.int64]:
 def listed_by_region(tree: Tree) -> dict[int, tuple[int, int]]:
     """Level and cell of every listed node; fails if a list is broken or names a node twice."""
     listed: dict[int, tuple[int, int]] = {}
-    for level, (start, columns, rows, count) in enumerate(tree.level):
+    for level, (start, columns, rows, count) in enumerate(tree.level[:, :4]):
         here = 0
         for cell in range(start, start + columns * rows):
             before, node = -1, int(tree.region_head[cell])
@@ -72,7 +72,7 @@ def check_regions(tree: Tree) -> None:
     for node, (level, cell) in listed.items():
         assert radius[node] <= size[level] or level == len(size) - 1
         assert level == 0 or radius[node] > size[level - 1]
-        start, columns, rows, _ = tree.level[level]
+        start, columns, rows, _ = tree.level[level, :4]
         x, y = ((tree.value[node, :2] - tree.frame[:2]) / size[level]).astype(int)
         assert cell == start + min(y, rows - 1) * columns + min(x, columns - 1)
     hopeful = np.flatnonzero((column(tree, at.F) < tree.best[0]) & (radius >= RESOLUTION))
