@@ -18,6 +18,7 @@ TOPICS = (
     "planner",
     "peers",
     "scaling",
+    "maps",
     "callbacks",
     "startup",
     "safety",

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import callbacks, peers, planner, safety, scaling, startup, sysid, world
+from benchmarks import callbacks, maps, peers, planner, safety, scaling, startup, sysid, world
 from benchmarks.__main__ import main
 from benchmarks.effort import SMOKE
 from benchmarks.exact import Body, Disc, Rectangle, Star
@@ -37,6 +37,13 @@ def test_planner_finds_solutions_and_judges_them_by_targets() -> None:
     assert quantities(report)["turns: cost after 100 ms"] < 12
     assert {each.met for each in report.rows if each.target is None} == {None}
     assert "turns: checked edges" in report.text()
+
+
+def test_maps_are_set_up_searched_and_verified() -> None:
+    measured = quantities(maps.run(SMOKE))
+    assert measured["clearance lost to the grid"] <= 0.02
+    assert measured["set-up"] > 0.0
+    assert measured["edges per second of 2 threads over one"] > 0.0
 
 
 def test_peers_write_a_database_with_runs_and_progress(tmp_path: Path) -> None:
