@@ -19,6 +19,7 @@ TOPICS = (
     "planner",
     "peers",
     "scaling",
+    "maps",
     "callbacks",
     "startup",
     "safety",

@@ -60,8 +60,10 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         origin: plan file that the state is from, if it is not the start of the task.
 
     Raises:
-        InputError: if the footprint at the start, or the goal's centre, is inside an obstacle or out of bounds.
+        InputError: if the footprint at the start, or the goal's centre, is inside an obstacle or out of bounds, or the
+            maps do not fit into memory.
     """
+    check_memory_of_maps(task, vehicle)
     x, y = float(state[vehicle.index("x")]), float(state[vehicle.index("y")])
     heading = heading_of(state, vehicle)
     problems = []

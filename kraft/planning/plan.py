@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kraft.errors import Defect
-from kraft.planning.feasibility import UNREACHABLE, check_memory_of_maps, check_placement, reachable
+from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
 from kraft.planning.search import Budget, Previous, SearchResult, check_threads, search_named
 from kraft.planning.workspace import (
     goal_of,
@@ -103,7 +103,6 @@ def plan_task(
     """
     search = search_named(task.planning.planner)
     check_threads(task.planning.planner, threads)
-    check_memory_of_maps(task, vehicle)
     if previous is not None:
         previous.check(vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state

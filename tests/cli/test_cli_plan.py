@@ -198,6 +198,7 @@ def test_a_plan_that_fails_verification_is_a_defect_and_not_written(
         (["turns", "--from", "none.json"], "none.json: "),
         (["turns", "--from", "room.yaml"], "room.yaml:1:1: "),
         (["turns", "--after", "1"], "--after: "),
+        (["turns", "--threads", "2", "--planner", "rrt"], "--threads: "),
     ],
 )  # fmt: skip
 def test_bad_arguments_are_explained_without_planning(
@@ -209,6 +210,38 @@ def test_bad_arguments_are_explained_without_planning(
     assert err.startswith(expected)
     assert "Traceback" not in err
     assert {p.name for p in tmp_path.iterdir()} == {"room.yaml"}
+
+
+def test_two_threads_share_the_iterations_and_write_the_same_plan_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = run_json(capsys, "room.yaml", "--threads", "2", "--iterations", "1501", "--out", "a")
+    assert (content["threads"], content["iterations"], content["edges"]) == (2, 1501, 1501 * 32)
+    run_json(capsys, "room.yaml", "--threads", "2", "--iterations", "1501", "--out", "b")
+    texts = [(tmp_path / name / "plan.json").read_bytes() for name in "ab"]
+    assert texts[0] == texts[1]
+    assert json.loads(texts[0])["threads"] == 2
+
+
+def test_a_map_larger_than_memory_is_refused_at_its_place_before_anything_runs(
+    room: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (room.parent / "m.pgm").write_bytes(b"P5 40 40 255\n" + bytes([254]) * 1600)
+    (room.parent / "m.yaml").write_text("{image: m.pgm, resolution: 0.1, origin: [0, 0, 0]}\n")
+    room.write_text(SCENE.replace("  - {name: pillar", "  - map: {file: m.yaml}\n  - {name: pillar"))
+    monkeypatch.setattr("kraft.planning.feasibility.available_memory", lambda: 1_000_000)
+    assert main(["plan", "room.yaml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("room.yaml:4:")
+    assert "obstacles[0].map" in err
+    assert "memory" in err
+
+
+def test_the_memory_of_the_maps_is_said_before_it_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "room.yaml", "-v"]) == 0
+    said = capsys.readouterr().err
+    assert said.index("the maps need at most") < said.index("planned, with maps")
 
 
 def test_a_plan_of_another_scenario_is_noted(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Tree
 from ompl_ext.kernels.tree import closed_radius, nearest_better, select
 from ompl_ext.kernels.tree_memory import prune
+from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
 
@@ -317,3 +318,29 @@ def test_memory_is_reused_without_a_trace_of_the_query_before() -> None:
         dirt.grow(iterations=600)
     for name in ("states", "parents", "controls", "durations", "costs", "costs_to_go"):
         assert getattr(fresh.tree(), name).tobytes() == getattr(used.tree(), name).tobytes()
+
+
+def test_in_a_large_workspace_cells_share_memory_and_queries_are_those_of_brute_force() -> None:
+    workspace = Workspace(((0.0, 60.0), (0.0, 60.0)), (box((30.0, 30.0), (20.0, 0.5)),))
+    dirt = DirtSolver(BENCHMARK, workspace, Goal((55.0, 50.0), 0.5), NO_SAFETY, capacity=20_000)
+    dirt.start(np.array([5.0, 5.0, 0.7, 0.0]), 0)
+    dirt.grow(iterations=6000)
+    tree, rng = dirt.tree_arrays, np.random.default_rng(0)
+    assert len(tree.region_head) < 3_000_000
+    assert len(tree.cell_head) < 600_000
+    f, radius, q = column(tree, at.F), column(tree, at.RADIUS), tree.value[: tree.count[at.SIZE], :4]
+    for node in rng.integers(1, len(f), 300):
+        better = np.flatnonzero((f < f[node]) & (radius >= RESOLUTION))
+        nearest = np.linalg.norm(q[better] - q[node], axis=1).min(initial=math.inf)
+        assert nearest_better(tree, q[node], f[node], math.inf, RESOLUTION)[1] <= max(nearest, RESOLUTION) + 1e-12
+        sample = q[node] + rng.uniform(-0.02, 0.02, 4)
+        holding = (np.linalg.norm(q - sample, axis=1) <= radius) & (f < tree.best[0]) & (radius > 0.0)
+        if holding.any():
+            visits = tree.link[: len(f), at.VISITS]
+            assert visits[select(tree, sample)] == visits[holding].min()
+
+
+def test_memory_of_nodes_begins_cache_lines() -> None:
+    tree = grown(10)
+    assert all(array.ctypes.data % 64 == 0 for array in (tree.value, tree.link))
+    assert tree.link.shape[1] * tree.link.itemsize == 32

@@ -17,6 +17,7 @@ from benchmarks import (
     callbacks,
     changes,
     estimated,
+    maps,
     peers,
     planner,
     random_arenas,
@@ -54,6 +55,13 @@ def test_planner_finds_solutions_and_judges_them_by_targets() -> None:
     assert quantities(report)["turns: cost after 100 ms"] < 12
     assert {each.met for each in report.rows if each.target is None} == {None}
     assert "turns: checked edges" in report.text()
+
+
+def test_maps_are_set_up_searched_and_verified() -> None:
+    measured = quantities(maps.run(SMOKE))
+    assert measured["clearance lost to the grid"] <= 0.02
+    assert measured["set-up"] > 0.0
+    assert measured["edges per second of 2 threads over one"] > 0.0
 
 
 def test_peers_write_a_database_with_runs_and_progress(tmp_path: Path) -> None:

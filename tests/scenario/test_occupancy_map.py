@@ -162,3 +162,11 @@ def test_no_image_raises_anything_but_an_input_error(
     folder = tmp_path_factory.getbasetemp()
     with contextlib.suppress(InputError):
         written(folder, head + content)
+
+
+def test_an_image_larger_than_memory_is_refused_at_its_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kraft.scenario.occupancy.available_memory", lambda: 100)
+    with pytest.raises(InputError) as error:
+        written(tmp_path, P2)
+    (problem,) = error.value.diagnostics
+    assert (problem.path, problem.line) == ("image", 1)
