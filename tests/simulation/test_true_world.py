@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kraft.vehicles.robot import CarDimensions, Drive, Servo, Wheels
 from support.diagnostics import located, raised
 from support.paths import ROOT
 
@@ -19,6 +18,7 @@ from kraft.simulation.car import F1TENTH, MUSHR, design_of
 from kraft.simulation.model_world import ModelWorld
 from kraft.simulation.true_world import TrueWorld, check_world, world_of
 from kraft.simulation.world import World
+from kraft.vehicles.config import CarDimensions, Drive, Servo, Wheels
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Workspace
