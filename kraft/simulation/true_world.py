@@ -13,7 +13,7 @@ from kraft.simulation.car import design_of
 from kraft.simulation.contacts import Collision
 from kraft.simulation.floor_frame import FloorFrame
 from kraft.simulation.model_world import ModelWorld
-from kraft.simulation.robots import SimulatedCar, mjcf_robot
+from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
 from kraft.simulation.world import World
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
@@ -152,15 +152,32 @@ def check_world(scenario: Scenario, vehicle: Vehicle) -> None:
         _true_model(scenario, vehicle, true)
 
 
-def _mjcf_world(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> World:
-    """World with a robot of an MJCF file, which stands freely on the floor at the start."""
+def check_own_truth(vehicle: Vehicle) -> None:
+    """Check the robot that a vehicle's file states, apart from any scenario.
+
+    Raises:
+        InputError: if it does not load or takes other controls than the vehicle has.
+    """
+    true = TrueRobot(*natural_robot(vehicle))
+    if true.robot.kind == "car":
+        _check_controls(vehicle, CAR_CONTROLS, true)
+    elif true.robot.kind == "mjcf":
+        _mjcf(vehicle, true)
+    else:
+        _check_controls(vehicle, tuple(_with_true_parameters(vehicle, true).controls), true)
+
+
+def _mjcf(vehicle: Vehicle, true: TrueRobot) -> MjcfRobot:
     robot = true.robot
     assert robot.mjcf is not None, "it is of this kind"
+    return mjcf_robot(robot.mjcf, vehicle.controls, robot.body, robot.actuators, robot.geoms, true.problem)
+
+
+def _mjcf_world(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> World:
+    """World with a robot of an MJCF file, which stands freely on the floor at the start."""
     if scenario.truth.vehicle != VehicleGap() or any(change.vehicle for change in scenario.truth.changes):
         raise InputError([_without_effect(scenario, "vehicle", "a robot of a MuJoCo model")])
-    world = World(
-        scenario, mjcf_robot(robot.mjcf, vehicle.controls, robot.body, robot.actuators, robot.geoms, true.problem)
-    )
+    world = World(scenario, _mjcf(vehicle, true))
     if world.collision is not None:
         problem, expected = f"the robot touches {world.collision.obstacle!r}", "expected a start that is free"
         raise InputError([scenario.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)])
@@ -179,6 +196,19 @@ def _check_controls(vehicle: Vehicle, controls: tuple[str, ...], true: TrueRobot
 
 
 def _true_model(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> Vehicle:
+    """Model that is true in a scenario, with its true parameters."""
+    problems = _unknown_to_a_model(scenario)
+    try:
+        model = _with_true_parameters(vehicle, true)
+    except InputError as error:
+        raise InputError([*error.diagnostics, *problems]) from None
+    if problems:
+        raise InputError(problems)
+    _check_controls(vehicle, tuple(model.controls), true)
+    return model
+
+
+def _with_true_parameters(vehicle: Vehicle, true: TrueRobot) -> Vehicle:
     """Model that is true, with its true parameters."""
     robot = true.robot
     base = vehicle if robot.model is None else load_vehicle(robot.model)
@@ -189,10 +219,8 @@ def _true_model(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> Vehicl
         for name in getattr(robot, key)
         if name not in names
     ]
-    problems += _unknown_to_a_model(scenario)
     if problems:
         raise InputError(problems)
-    _check_controls(vehicle, tuple(base.controls), true)
     return base.with_parameters(robot.parameters)
 
 

@@ -22,9 +22,15 @@ from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
 from kraft.sysid.result import Identification, LogFit, ParameterEstimate, PartFit
-from kraft.sysid.selection import candidates_of, requested_names, selected, selection_note
+from kraft.sysid.selection import (
+    candidates_of,
+    check_free_parameters,
+    check_settings,
+    requested_names,
+    selected,
+    selection_note,
+)
 from kraft.sysid.settings import Settings
-from kraft.sysid.settings_validation import check_free_parameters, check_settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig

@@ -23,8 +23,8 @@ from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Problem, assemble, simulated, starting_point
 from kraft.sysid.result import PredictionErrors
+from kraft.sysid.selection import check_settings
 from kraft.sysid.settings import Settings
-from kraft.sysid.settings_validation import check_settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix

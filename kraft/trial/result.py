@@ -124,6 +124,19 @@ def check_robot(scenario: Scenario, vehicle: Vehicle) -> None:
         check_world(scenario, vehicle)
 
 
+def check_own_robot(vehicle: Vehicle) -> None:
+    """Check the robot that a vehicle's file states.
+
+    Raises:
+        InputError: at its line, if it cannot be simulated or takes other controls.
+    """
+    robot, source = natural_robot(vehicle)
+    if robot.kind is not None and ("truth",) in source.keys:
+        from kraft.simulation.true_world import check_own_truth  # loads the simulator
+
+        check_own_truth(vehicle)
+
+
 @dataclass(frozen=True)
 class TrialResult:
     """Result of a trial.

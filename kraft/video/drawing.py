@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
-import matplotlib
 import mujoco
 import numpy as np
-from matplotlib.colors import to_rgb
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind
 from kraft.plot.frame import outlines
-from kraft.plot.style import CYCLE, GOAL, WARNING
 from kraft.simulation.floor_frame import Surface
 from kraft.video import palette
+from kraft.video.palette import Colour, colour
 from kraft.video.snapshot import Snapshot, poses_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import TreeView
@@ -176,34 +174,3 @@ def draw_snapshot(pen: Pen, snapshot: Snapshot, vehicle: Vehicle) -> None:
     pen.shaded(snapshot.trail[:, :2], 0.022, TRAIL_HEIGHT, palette.speed_colours(speeds, vehicle.top_speed))
     estimated = outlines(vehicle.footprint, snapshot.estimate[None, :])[0]
     pen.outline(estimated, 0.01, ESTIMATE_HEIGHT, colour(palette.ESTIMATE))
-
-
-Colour: TypeAlias = tuple[float, float, float, float]
-"""Red, green, blue and opacity, 0 to 1."""
-
-
-def colour(name: str, opacity: float = 1.0) -> Colour:
-    """A colour by its code, #rrggbb."""
-    red, green, blue = to_rgb(name)
-    return red, green, blue, opacity
-
-
-PLAN: Final = CYCLE
-PREDICTED: Final = "#a9d3ee"
-CONTINGENCY: Final = WARNING
-CONTINGENCY_PALE: Final = "#f6cba8"
-TREE: Final = "#44546c"
-ESTIMATE: Final = "#a3178f"
-SUCCESS: Final = GOAL
-FAILURE: Final = "#c1121f"
-
-BACKGROUND: Final = "#14171c"
-TEXT: Final = "#ffffff"
-SECONDARY_TEXT: Final = "#b9c2cf"
-
-
-def speed_colours(speeds: Floats, top: float) -> Matrix:
-    """Colours (n, 4) of speeds (n,): from standstill to `top` m/s, backwards like forwards."""
-    scale = matplotlib.colormaps["viridis"]
-    coloured: Matrix = scale(0.85 * np.clip(np.abs(speeds) / top, 0.0, 1.0))
-    return coloured

@@ -22,7 +22,7 @@ from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification
 from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
-from kraft.sysid.settings_validation import check_free_parameters, check_settings
+from kraft.sysid.selection import check_free_parameters, check_settings
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
 from kraft_cli.work.parameters import parse_parameters

@@ -23,6 +23,7 @@ from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
+from kraft.trial.result import check_own_robot, check_robot
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.cache_error import CacheError
@@ -124,12 +125,13 @@ def _find(name_or_path: str | Path) -> Path:
 
 def _check_as(kind: FileKind, document: Document, path: Path) -> None:
     if kind == "scenario":
-        task = scenario_from(document, path.parent).task()
-        vehicle = vehicle_of_task(task)
-        check_placement(task, vehicle, start_state(task, vehicle))
+        scenario = scenario_from(document, path.parent)
+        vehicle = vehicle_of_task(scenario.task())
+        check_placement(scenario.task(), vehicle, start_state(scenario.task(), vehicle))
+        check_robot(scenario, vehicle)
     elif kind == "vehicle":
         _validated(VehicleConfig, document)
-        load_vehicle(str(path))
+        check_own_robot(load_vehicle(str(path)))
     elif kind == "method":
         method = load_method(path)
         if method.planner.vehicle is not None:

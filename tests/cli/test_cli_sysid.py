@@ -17,7 +17,7 @@ from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
 from support.recorded import recorded_logs
 
-from kraft.sysid import compilation
+from kraft.sysid import fast_graph as compilation
 from kraft.sysid.parameters import affects_motion
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kraft.vehicles.robot import CarDimensions, Drive, Servo, Wheels
 from support.diagnostics import located, raised
 from support.paths import ROOT
 
@@ -19,9 +18,9 @@ from kraft.simulation.car import F1TENTH, MUSHR, design_of
 from kraft.simulation.model_world import ModelWorld
 from kraft.simulation.true_world import TrueWorld, check_world, world_of
 from kraft.simulation.world import World
+from kraft.vehicles.config import CarDimensions, Drive, Servo, Wheels
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
-from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
 JACKAL = ROOT / "configs" / "vehicles" / "jackal.xml"
@@ -81,9 +80,9 @@ def test_without_noise_the_truth_is_the_model_with_the_true_parameters() -> None
 
 def test_noise_has_its_size_depends_on_the_seed_and_does_not_move_a_vehicle_that_stands() -> None:
     scene = hall("process_noise: {y: 0.1}", speed=0.3)
-    ends = [drive(world_of(scene, vehicle("unicycle2"), seed), (0.0, 0.0), 1.0).pose for seed in range(200)]
+    ends = [drive(world_of(scene, vehicle("unicycle2"), seed), (0.0, 0.0), 1.0).pose for seed in range(120)]
     still = drive(world_of(hall(speed=0.3), vehicle("unicycle2"), 0), (0.0, 0.0), 1.0).pose
-    assert np.std([end[1] for end in ends]) == pytest.approx(0.1, rel=0.15)
+    assert np.std([end[1] for end in ends]) == pytest.approx(0.1, rel=0.2)
     assert {end[0] for end in ends} == {still[0]}
     again = drive(world_of(scene, vehicle("unicycle2"), 7), (0.0, 0.0), 1.0)
     assert np.array_equal(again.pose, ends[7])
@@ -97,10 +96,11 @@ def test_a_model_collides_where_its_footprint_touches_an_obstacle_for_the_first_
     scene = hall(obstacles=BOX)
     world = world_of(scene, vehicle("unicycle2"), 0)
     exact = ExactClearance(workspace_of(scene, vehicle("unicycle2")), vehicle("unicycle2").footprint)
-    world.apply(np.array([1.0, 0.02]))
-    while world.collision is None:
+    world.apply(np.array([1.0, 0.0]))
+    while world.collision is None and world.time < 20.0:
         assert not exact.collides(*world.pose)
         world.step(1)
+    assert world.collision is not None
     assert exact.collides(*world.pose)
     assert world.collision.obstacle == "crate"
     assert world.collision.time == world.time
@@ -130,7 +130,6 @@ def test_obstacles_that_bound_the_room_are_the_scenarios_alone() -> None:
     )
     assert world.collision is None
     assert world.pose[0] > 20.0
-    assert Workspace(((0.0, 1.0), (0.0, 1.0)), ()) is not None
 
 
 # a car by its dimensions
@@ -204,9 +203,10 @@ def test_only_geoms_that_count_collide() -> None:
     for geoms in ("", ", geoms: [rear caster]"):
         world = world_of(hall(MJCF + geoms, obstacles=BOX), vehicle("jackal"), 0)
         world.apply(np.array([1.0, 1.0]))
-        while world.collision is None:
+        while world.collision is None and world.time < 20.0:
             world.step(10)
         found.append(world.time)
+        assert world.collision is not None
         assert world.collision.obstacle == "crate"
     assert found[1] > found[0] + 0.3
 

@@ -16,8 +16,7 @@ from kraft.sysid.actuators import hat_means
 from kraft.sysid.dynamics import DiscreteModel, Dynamics
 from kraft.sysid.observation import Observation
 from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
-from kraft.sysid.selection import selection_note
-from kraft.sysid.settings_validation import check_free_parameters
+from kraft.sysid.selection import check_free_parameters, selection_note
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
