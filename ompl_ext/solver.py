@@ -342,11 +342,11 @@ class DirtSolver:
         field, discs, scalar = self._maps
         distance = np.full(len(poses), math.inf)
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        for offset in discs:
-            row = (poses[:, 1] + offset * s - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
-            column = (poses[:, 0] + offset * c - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
+        for ahead, aside, radius in discs:
+            row = (poses[:, 1] + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
+            column = (poses[:, 0] + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
             inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)
-            distance = np.minimum(distance, field[inside] - scalar[at.DISC_RADIUS])
+            distance = np.minimum(distance, field[inside] - radius)
         return distance
 
     def least_distance(self, poses: Matrix) -> float:
