@@ -19,9 +19,8 @@ Bools = npt.NDArray[np.bool_]
 Words = npt.NDArray[np.uint64]
 Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 Matrix32 = np.ndarray[tuple[int, int], np.dtype[np.float32]]
-Bytes = npt.NDArray[np.uint8]
-FloatCube = np.ndarray[tuple[int, int, int], np.dtype[np.float64]]
-IntCube = np.ndarray[tuple[int, int, int], np.dtype[np.int32]]
+Cube = np.ndarray[tuple[int, int, int], np.dtype[np.float64]]
+IntMatrix32 = np.ndarray[tuple[int, int], np.dtype[np.int32]]
 IntMatrix = np.ndarray[tuple[int, int], np.dtype[np.int64]]
 
 int64 = cast(Callable[[int], int], np.int64)

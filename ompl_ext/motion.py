@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Vehicle
 
@@ -27,16 +27,19 @@ class Motion:
     """What was seen in motions from standstill, within the vehicle's limits.
 
     `low`, `high`, `rate` (nx,): smallest and largest value and largest rate of each state component.  `twists` (n, 3)
-    are velocities ahead and to the left (m/s) and turning rates (rad/s), relative to the body.
+    are velocities ahead and to the left (m/s) and turning rates (rad/s), relative to the body, `states` (n, nx) and
+    `controls` (n, nu) those at which they were seen.
     """
 
     low: Floats
     high: Floats
     rate: Floats
     twists: Matrix
+    states: Matrix
+    controls: Matrix
 
-    def extreme_twists(self, length: float) -> Matrix:
-        """Twists (n, 3) that are extreme in some direction, of which time-optimal motions are composed.
+    def extreme_twists(self, length: float) -> tuple[Matrix, Ints]:
+        """Twists (n, 3), and their numbers, that are extreme in some direction, of which time-optimal motions are composed.
 
         A turning rate counts as the speed of a point `length` m away.  Of almost equal twists the slowest is taken.
         """
@@ -49,9 +52,10 @@ class Motion:
             best = int(np.argmax(support - PREFER_SLOW * size))
             if support[best] > NEGLIGIBLE * size.max():
                 found.append(best)
-        chosen = scaled[_distinct(scaled, found)]
-        chosen[np.abs(chosen) < NEGLIGIBLE * 2 * size.max()] = 0.0
-        return chosen / (1.0, 1.0, length)
+        found = _distinct(scaled, found)
+        chosen = scaled[found]
+        chosen[np.abs(chosen) < 2.0 * NEGLIGIBLE * size.max()] = 0.0
+        return chosen / (1.0, 1.0, length), np.array(found)
 
 
 PREFER_SLOW = 0.05
@@ -84,7 +88,7 @@ def _simulate(vehicle: Vehicle) -> Motion:
     varied = [[_random_control(bounds, random) for _ in range(SEGMENTS)] for _ in range(ROLLOUTS)]
     pieces = [_rollout(vehicle, controls, HELD_STEPS) for controls in held]
     pieces += [_rollout(vehicle, controls, SEGMENT_STEPS) for controls in varied]
-    before, after = (np.vstack([piece[side] for piece in pieces]) for side in ((0, 1)))
+    before, after, controls = (np.vstack([piece[part] for piece in pieces]) for part in range(3))
     rates = (after - before) / STEP
     theta = vehicle.index("theta")
     heading = 0.5 * (before[:, theta] + after[:, theta]) if theta >= 0 else np.zeros(len(before))
@@ -93,7 +97,7 @@ def _simulate(vehicle: Vehicle) -> Motion:
     turning = rates[:, theta] if theta >= 0 else np.zeros(len(before))
     twists = np.column_stack([c * vx + s * vy, c * vy - s * vx, turning])
     seen = np.vstack([before, after])
-    return Motion(seen.min(axis=0), seen.max(axis=0), np.abs(rates).max(axis=0), twists)
+    return Motion(seen.min(axis=0), seen.max(axis=0), np.abs(rates).max(axis=0), twists, after, controls)
 
 
 def _corners(bounds: Matrix, random: np.random.Generator) -> list[Floats]:
@@ -110,20 +114,28 @@ def _random_control(bounds: Matrix, random: np.random.Generator) -> Floats:
     return bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])
 
 
-def _rollout(vehicle: Vehicle, controls: list[Floats], steps: int) -> tuple[Matrix, Matrix]:
-    """States (n, nx) before and after each step, from standstill; a step that leaves the limits is not made."""
+def _rollout(vehicle: Vehicle, controls: list[Floats], steps: int) -> tuple[Matrix, Matrix, Matrix]:
+    """States (n, nx) before and after each step, from standstill, and controls (n, nu).
+
+    A step that leaves the limits is not made.
+    """
     advance, parameters, limits = kernels(vehicle).advance, vehicle.parameter_array, vehicle.state_limits
     for name in ("x", "y"):
         limits[vehicle.index(name)] = -math.inf, math.inf
-    state, before, after = np.zeros(len(vehicle.state)), [], []
+    state, before, after, held = np.zeros(len(vehicle.state)), [], [], []
+    bounded = np.flatnonzero(np.isfinite(limits).any(axis=1))
+    low, high = limits[bounded].T
     for control in controls:
+        control = np.ascontiguousarray(control)
         for _ in range(steps):
             following = np.empty_like(state)
-            advance(state, np.ascontiguousarray(control), parameters, STEP, following)
-            if np.any(following < limits[:, 0]) or np.any(following > limits[:, 1]):
+            advance(state, control, parameters, STEP, following)
+            if len(bounded) and (np.any(following[bounded] < low) or np.any(following[bounded] > high)):
                 break
             before.append(state)
             after.append(following)
+            held.append(control)
             state = following
-    shape = (len(before), len(state))
-    return np.array(before).reshape(shape), np.array(after).reshape(shape)
+    count = len(before)
+    return tuple(np.array(rows).reshape(count, -1 if count else width) for rows, width in (
+        (before, len(state)), (after, len(state)), (held, len(vehicle.controls))))

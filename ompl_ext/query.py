@@ -128,6 +128,8 @@ class Settings:
     cell: float = 0.02
     pose_cost_to_go: bool | None = None
     """whether the cost-to-go knows the heading; by default it does if the goal has one"""
+    polish: bool | None = None
+    """whether plans are improved by local optimisation; by default they are if the goal has a heading"""
 
     def __post_init__(self) -> None:
         """Check that the kernels' arrays can hold the settings.
@@ -239,11 +241,16 @@ def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings
             scalar[[at.BRAKING, at.GOAL_SPEED]] = rate, max(abs(low), abs(high))
 
 
+def pose_cost_to_go_of(vehicle: Vehicle, workspace: Workspace, goal: Goal, cell: float) -> PoseCostToGo:
+    """Cost-to-go of poses, computed once for a vehicle, a map and a goal; kernels only read it."""
+    return _pose_seconds(_Vehicle(vehicle), workspace, cell, goal.center, goal.radius, goal.heading, goal.tolerance)
+
+
 def _with_pose_cost_to_go(
     problem: Problem, vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings
 ) -> Problem:
     """Problem with the cost-to-go of poses."""
-    found = _pose_seconds(_Vehicle(vehicle), workspace, settings.cell, goal.center, goal.radius, goal.heading, goal.tolerance)
+    found = pose_cost_to_go_of(vehicle, workspace, goal, settings.cell)
     problem.option[[at.POSE_HEADINGS, at.POSE_ROWS, at.POSE_COLUMNS]] = found.headings, found.rows, found.columns
     problem.scalar[[at.POSE_X, at.POSE_Y, at.POSE_INVERSE]] = *found.origin, 1 / found.cell
     problem.scalar[[at.POSE_BEYOND, at.POSE_HEADING]] = found.beyond, goal.heading
@@ -304,7 +311,7 @@ def _pose_seconds(
         (*center, heading),
         radius,
         tolerance,
-        motion.extreme_twists(footprint.reach),
+        motion.extreme_twists(footprint.reach)[0],
         reversal,
         (cell, COARSEST * footprint.width),
         geodesic,

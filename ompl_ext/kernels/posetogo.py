@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Bytes, FloatCube, Floats, Floats32, IntCube, Ints32, Matrix, Matrix32
+from ompl_ext.arrays import Floats, Floats32, IntMatrix32, Ints, Ints32, Matrix, Matrix32
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.clearance import pose_slack
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
@@ -39,10 +39,12 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
 from ompl_ext.trigonometry import cos, sin
 
 MAX_CELLS = 1_000_000
-STRIDE, REFINED_STRIDE = 1.5, 2.0  # cells, or bins of the heading, of a motion
-PASSES = 0
-HEADINGS = (36, 240)
-ALLOWED = 0.4
+STRIDE = 1.1  # cells, or bins of the heading, of a motion
+CAUTION = 0.8  # factor that makes up for restricted motions, which overestimate
+HEADINGS = (36, 240)  # fewest and most bins of the heading
+ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because another one in the cell may not
+DEVIATION_PENALTY = 0.05  # share of the cost-to-go that counts for a cell of deviation
+NEARBY = 2  # cells around a pose of which one must have been reached
 UNKNOWN = 1e9  # seconds
 
 
@@ -56,6 +58,32 @@ class PoseCostToGo(NamedTuple):
     rows: int
     columns: int
     beyond: float
+    exact: Floats32
+    pose: Matrix32
+    after: IntMatrix32
+    motions: Matrix
+    frame: Floats
+
+    def path_from(self, x: float, y: float, theta: float) -> PosePath | None:
+        """Motions from a pose near (x, y, theta) to the goal; None if none was found near it."""
+        cell = _nearest_reached(x, y, theta, self.exact, self.frame, self.pose)
+        if cell < 0:
+            return None
+        poses, numbers = [self.pose[cell]], []
+        while self.after[cell, 0] >= 0:
+            numbers.append(int(self.after[cell, 1]))
+            cell = int(self.after[cell, 0])
+            poses.append(self.pose[cell])
+        chosen = np.array(numbers, np.int64)
+        return PosePath(np.array(poses, dtype=float), chosen, self.motions[chosen, 3])
+
+
+class PosePath(NamedTuple):
+    """Poses (n + 1, 3), headings continuous, and between them the number of the twist (n,) and its time (n,), s."""
+
+    poses: Matrix
+    twist: Ints
+    times: Floats
 
 
 def pose_cost_to_go(
@@ -87,40 +115,34 @@ def pose_cost_to_go(
     cell = (2.0 * math.pi * area / (MAX_CELLS * curvature)) ** (1.0 / 3.0)
     cell = min(max(cell, cells[0]), cells[1])
     headings = min(max(math.ceil(2.0 * math.pi / (cell * curvature)), HEADINGS[0]), HEADINGS[1])
-    half = 0.5 * cell * math.sqrt(MAX_CELLS / headings)
+    fits = area * headings / cell**2 <= 1.01 * MAX_CELLS
+    half = math.inf if fits else 0.5 * cell * math.sqrt(MAX_CELLS / headings)
     before = [math.ceil(min(c - low, half) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
     columns, rows = (
         before[k] + math.ceil(min(bounds[k][1] - goal[k], half) / cell) + 2 for k in range(2)
     )  # the goal is in the centre of a cell
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns
-    motions = _motions(twists, cell, headings, STRIDE)
+    motions = _motions(twists, cell, headings)
     width = float(motions[:, 3].min())
     buckets = np.full(math.ceil((motions[:, 3].max() + reversal) / width) + 2, -1, np.int32)
     seconds = np.full(count, UNKNOWN, np.float32)
-    pose, link, order = np.zeros((count, 4), np.float32), np.full((count, 2), -1, np.int32), np.zeros(count, np.int32)
+    pose, link, after = np.zeros((count, 4), np.float32), np.full((count, 2), -1, np.int32), np.full((count, 2), -1, np.int32)
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
     frame = np.array([origin[0], origin[1], 1.0 / cell, rows, columns, headings, goal[2], allowance])
     region = np.array([*goal, goal_radius, goal_tolerance])
-    reached = _search(seconds, pose, link, order, buckets, width, motions, reversal, region, frame, maps)
-    free = np.zeros(count, np.uint8)
-    _find_free(free, frame, maps)
-    motions = _motions(twists, cell, headings, REFINED_STRIDE)
-    offsets = np.zeros((headings, len(motions), 5), np.int32)
-    weights = np.zeros((headings, len(motions), 8))
-    _stencils(motions, frame, offsets, weights)
-    for _ in range(PASSES):
-        _refine(seconds, free, order[:reached], offsets, weights, motions, frame)
-    table = seconds.reshape(headings, rows, columns)
-    _fill(table)
-    return PoseCostToGo(seconds, origin, cell, headings, rows, columns, 0.0)
+    _search(seconds, pose, link, after, buckets, width, motions, reversal, region, frame, maps)
+    exact = seconds.copy()
+    _fill(seconds.reshape(headings, rows, columns))
+    seconds *= CAUTION
+    return PoseCostToGo(seconds, origin, cell, headings, rows, columns, 0.0, exact, pose[:, :3], after, motions, frame)
 
 
-def _motions(twists: Matrix, cell: float, headings: int, stride: float) -> Matrix:
+def _motions(twists: Matrix, cell: float, headings: int) -> Matrix:
     """Motions (n, 4): the twists with the time in which each leaves a cell or a bin of the heading."""
     speed, turning = np.hypot(twists[:, 0], twists[:, 1]), np.abs(twists[:, 2])
     with np.errstate(divide="ignore"):
-        time = np.minimum(stride * cell / speed, stride * 2.0 * math.pi / headings / turning)
+        time = np.minimum(STRIDE * cell / speed, STRIDE * 2.0 * math.pi / headings / turning)
     return np.column_stack([twists, time])
 
 
@@ -170,7 +192,7 @@ def _search(
     seconds: Floats32,
     pose: Matrix32,
     link: Ints32,
-    order: Ints32,
+    after: IntMatrix32,
     buckets: Ints32,
     width: float,
     motions: Matrix,
@@ -178,9 +200,12 @@ def _search(
     region: Floats,
     frame: Floats,
     maps: Maps,
-) -> int:
-    """Dijkstra's search with buckets of `width` s, backwards from the goal region; number of cells reached."""
-    open_cells, reached = 0, 0
+) -> None:
+    """Dijkstra's search with buckets of `width` s, backwards from the goal region.
+
+    `after` (cells, 2) receives the cell that follows each one towards the goal and the motion to it.
+    """
+    open_cells = 0
     bins, side = int(frame[5]), 1.0 / frame[2]
     around = int(math.ceil(region[3] / side))
     for k in range(-1, bins):
@@ -207,8 +232,6 @@ def _search(
         _unlink(link, buckets, cell)
         link[cell, 1] = -1
         open_cells -= 1
-        order[reached] = cell
-        reached += 1
         x, y, theta, way = pose[cell, 0], pose[cell, 1], pose[cell, 2], pose[cell, 3]
         for m in range(len(motions)):
             ahead, aside, turning, time = motions[m, 0], motions[m, 1], motions[m, 2], motions[m, 3]
@@ -233,83 +256,30 @@ def _search(
             seconds[other] = cost
             pose[other, 0], pose[other, 1], pose[other, 2] = px, py, theta - turn
             pose[other, 3] = ahead if ahead != 0.0 else way
+            after[other, 0], after[other, 1] = cell, m
             _link(link, buckets, other, int(cost / width) % len(buckets))
-    return reached
 
 
 @compiled
-def _find_free(free: Bytes, frame: Floats, maps: Maps) -> None:
-    """Set `free` to 1 where the footprint in the centre of a cell is free."""
-    rows, columns, headings = int(frame[3]), int(frame[4]), int(frame[5])
-    for k in range(headings):
-        for row in range(rows):
-            for column in range(columns):
-                x, y = frame[0] + column / frame[2], frame[1] + row / frame[2]
-                if _is_free(maps, x, y, frame[6] + 2.0 * math.pi * k / headings, frame[7]):
-                    free[(k * rows + row) * columns + column] = 1
-
-
-@compiled
-def _stencils(motions: Matrix, frame: Floats, offsets: IntCube, weights: FloatCube) -> None:
-    """Cells and weights by which each motion from the centre of a cell ends, for each heading.
-
-    `offsets` (headings, motions, 5): columns, rows and headings to the first of the eight cells around the end, columns
-    and rows to the middle.  `weights` (headings, motions, 8) are those of trilinear interpolation.
-    """
-    headings = int(frame[5])
-    bin_size = 2.0 * math.pi / headings
-    for k in range(headings):
-        for m in range(len(motions)):
-            ahead, aside, time = motions[m, 0], motions[m, 1], motions[m, 3]
-            turn = motions[m, 2] * time
-            chord = time * (1.0 - turn * turn / 24.0) * frame[2]
-            middle = frame[6] + k * bin_size + 0.5 * turn
-            c, s = cos(middle), sin(middle)
-            u, v, w = chord * (ahead * c - aside * s), chord * (ahead * s + aside * c), turn / bin_size
-            i, j, t = int(math.floor(u + 1e-9)), int(math.floor(v + 1e-9)), int(math.floor(w + 1e-9))
-            offsets[k, m, 0], offsets[k, m, 1], offsets[k, m, 2] = i, j, t
-            offsets[k, m, 3], offsets[k, m, 4] = int(math.floor(0.5 * u + 0.5)), int(math.floor(0.5 * v + 0.5))
-            u, v, w = max(u - i, 0.0), max(v - j, 0.0), max(w - t, 0.0)
-            for corner in range(8):
-                weight = u if corner & 1 else 1.0 - u
-                weight *= v if corner & 2 else 1.0 - v
-                weights[k, m, corner] = weight * (w if corner & 4 else 1.0 - w)
-
-
-@compiled
-def _refine(
-    seconds: Floats32,
-    free: Bytes,
-    order: Ints32,
-    offsets: IntCube,
-    weights: FloatCube,
-    motions: Matrix,
-    frame: Floats,
-) -> None:
-    """Value iteration in place, cells in the order of their cost-to-go: the least time by a motion and what follows."""
-    rows, columns, headings = int(frame[3]), int(frame[4]), int(frame[5])
-    for cell in order:
-        column, row, k = cell % columns, (cell // columns) % rows, cell // (columns * rows)
-        best = seconds[cell]
-        if best <= 0.0 or free[cell] == 0:
-            continue
-        for m in range(len(motions)):
-            i, j = column + offsets[k, m, 0], row + offsets[k, m, 1]
-            if not (0 <= i < columns - 1 and 0 <= j < rows - 1):
-                continue
-            t = (k + offsets[k, m, 2]) % headings
-            total = motions[m, 3]
-            for corner in range(8):
-                weight = weights[k, m, corner]
-                if weight > 1e-6:
-                    level = (t + (corner >> 2)) % headings
-                    other = (level * rows + j + ((corner >> 1) & 1)) * columns + i + (corner & 1)
-                    total += weight * seconds[other]
-                    if total >= best:
-                        break
-            if total < best:
-                best = total
-        seconds[cell] = best
+def _nearest_reached(x: float, y: float, theta: float, seconds: Floats32, frame: Floats, pose: Matrix32) -> int:
+    """Reached cell with a pose near (x, y, theta), the one with the least cost-to-go and deviation; -1 without one."""
+    rows, columns, bins = int(frame[3]), int(frame[4]), int(frame[5])
+    middle, best, chosen = _cell_of(x, y, theta, frame), math.inf, -1
+    if middle < 0:
+        return -1
+    column, row, k = middle % columns, (middle // columns) % rows, middle // (columns * rows)
+    for t in range(-NEARBY, NEARBY + 1):
+        for r in range(max(row - NEARBY, 0), min(row + NEARBY + 1, rows)):
+            for c in range(max(column - NEARBY, 0), min(column + NEARBY + 1, columns)):
+                cell = (((k + t) % bins) * rows + r) * columns + c
+                if seconds[cell] < UNKNOWN:
+                    away = math.hypot(pose[cell, 0] - x, pose[cell, 1] - y) * frame[2]
+                    turned = (pose[cell, 2] - theta) * bins / (2.0 * math.pi)
+                    away += abs(turned - bins * math.floor(turned / bins + 0.5))
+                    cost = seconds[cell] * (1.0 + DEVIATION_PENALTY * away)
+                    if cost < best:
+                        best, chosen = cost, cell
+    return chosen
 
 
 @compiled
