@@ -20,6 +20,7 @@ Words = npt.NDArray[np.uint64]
 Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 Matrix32 = np.ndarray[tuple[int, int], np.dtype[np.float32]]
 Cube = np.ndarray[tuple[int, int, int], np.dtype[np.float64]]
+Floats32Cube = np.ndarray[tuple[int, int, int], np.dtype[np.float32]]
 IntMatrix32 = np.ndarray[tuple[int, int], np.dtype[np.int32]]
 IntMatrix = np.ndarray[tuple[int, int], np.dtype[np.int64]]
 

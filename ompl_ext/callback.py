@@ -107,7 +107,16 @@ class CallbackSearch:
             scalar[[at.GOAL_X, at.GOAL_Y]] = target
         nothing = np.zeros((1, 1), np.float32)
         return Problem(
-            np.zeros(1), self._control.bounds, np.zeros((1, 2)), np.zeros(1), nothing, nothing, scalar, option
+            parameters=np.zeros(1),
+            controls=self._control.bounds,
+            limits=np.zeros((1, 2)),
+            discs=np.zeros((1, 3)),
+            field=nothing,
+            togo=nothing,
+            pose_togo=np.zeros(1, np.float32),
+            goal_limits=np.zeros((1, 3)),
+            scalar=scalar,
+            option=option,
         )
 
     def count(self, which: int) -> int:

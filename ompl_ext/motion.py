@@ -18,6 +18,8 @@ HELD_STEPS = 100  # of the motions with one control each, at its bounds or zero
 CORNERS = 3  # controls of which all lowest, highest and zero values are combined; of more only random ones
 ON_BOUND = 1 / 3  # share of the random controls on each bound
 CACHED = 16  # vehicles
+EDGE_DURATIONS = (0.5, 1.0)  # of most vehicles (s)
+SLOW_RESPONSE = 1.2  # time to the top speed (s) from which on edges are longer
 
 _cache: OrderedDict[tuple[object, ...], Motion] = OrderedDict()
 
@@ -39,7 +41,7 @@ class Motion:
     controls: Matrix
 
     def extreme_twists(self, length: float) -> tuple[Matrix, Ints]:
-        """Twists (n, 3), and their numbers, that are extreme in some direction, of which time-optimal motions are composed.
+        """Twists (n, 3) that are extreme in some direction, and their numbers: time-optimal motions consist of these.
 
         A turning rate counts as the speed of a point `length` m away.  Of almost equal twists the slowest is taken.
         """
@@ -80,6 +82,29 @@ def motion_of(vehicle: Vehicle) -> Motion:
         if len(_cache) > CACHED:
             _cache.popitem(last=False)
     return _cache[key]
+
+
+def edge_durations(vehicle: Vehicle) -> tuple[float, float]:
+    """Shortest and longest edge (s) that suit a vehicle: longer ones if it accelerates slowly.
+
+    A slow vehicle hardly moves in a short edge, and a tree of such edges does not get anywhere.
+    """
+    response = _response_time(vehicle)
+    if response <= SLOW_RESPONSE:
+        return EDGE_DURATIONS
+    return EDGE_DURATIONS[0] * response, 1.5 * EDGE_DURATIONS[1] * response
+
+
+def _response_time(vehicle: Vehicle) -> float:
+    """Time to the top speed at the acceleration from standstill (s); 0 for a vehicle without a speed."""
+    if not vehicle.rest:
+        return 0.0
+    advance, state, k = kernels(vehicle).advance, np.zeros(len(vehicle.state)), vehicle.rest_indices[0]
+    largest, after = 0.0, np.zeros(len(vehicle.state))
+    for control in _corners(vehicle.control_bounds, np.random.default_rng(0)):
+        advance(state, np.ascontiguousarray(control), vehicle.parameter_array, STEP, after)
+        largest = max(largest, abs(float(after[k])) / STEP)
+    return vehicle.top_speed / largest if largest > 0.0 else 0.0
 
 
 def _simulate(vehicle: Vehicle) -> Motion:
@@ -125,8 +150,7 @@ def _rollout(vehicle: Vehicle, controls: list[Floats], steps: int) -> tuple[Matr
     state, before, after, held = np.zeros(len(vehicle.state)), [], [], []
     bounded = np.flatnonzero(np.isfinite(limits).any(axis=1))
     low, high = limits[bounded].T
-    for control in controls:
-        control = np.ascontiguousarray(control)
+    for control in map(np.ascontiguousarray, controls):
         for _ in range(steps):
             following = np.empty_like(state)
             advance(state, control, parameters, STEP, following)
@@ -136,6 +160,8 @@ def _rollout(vehicle: Vehicle, controls: list[Floats], steps: int) -> tuple[Matr
             after.append(following)
             held.append(control)
             state = following
-    count = len(before)
-    return tuple(np.array(rows).reshape(count, -1 if count else width) for rows, width in (
-        (before, len(state)), (after, len(state)), (held, len(vehicle.controls))))
+    widths = len(state), len(state), len(vehicle.controls)
+    first, second, third = (
+        np.array(rows).reshape(-1, width) for rows, width in zip((before, after, held), widths, strict=True)
+    )
+    return first, second, third

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Matrix, Matrix32
+from ompl_ext.arrays import Cube, Floats, Ints, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.kernels.penetration import fill_penetration
 from ompl_ext.kernels.posetogo import PosePath
-from ompl_ext.kernels.riccati import Stages, solve
+from ompl_ext.kernels.riccati import Stages, memory, solve
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.query import Goal, Safety
@@ -27,7 +28,7 @@ from ompl_ext.vehicle import Vehicle
 SHORTEST, LONGEST, INTERVAL = 0.02, 0.2, 0.1  # of an interval, and of those of a first guess (s)
 CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
 CHANGE = 1e-5  # of numerical derivatives
-STIFFNESS = 1e4  # of the penalties (1/m^2, s)
+STIFFNESS = 1e4  # of the penalties (1/m^2, s), as long as that of the model is less
 SOFT, HARD, HARDENING = 30.0, 3e5, 5.0  # first and last stiffness of the model, and the factor between rounds
 SMOOTHNESS = 2e-3  # s for a control that differs by its range from those before and after it
 EVENNESS = 1.0  # 1/s for a duration that differs from those before and after it
@@ -35,7 +36,7 @@ WITHIN_LIMITS = 1e-3  # share of a component's range, at most of 1, by which it 
 INSIDE = 0.6  # share of the goal's tolerances that is aimed for
 CONVERGED = 1e-3  # share of the time that an iteration must save
 MAX_ITERATIONS, LAST_ITERATIONS = 8, 30  # of a round, of the last one
-TRUST = 1e-2  # damping of the states over that of the controls
+TRUST = 3.0  # damping of the states over that of the controls
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,16 @@ class Guess:
         return float(self.durations.sum())
 
 
+class Near(NamedTuple):
+    """Discs that lack clearance (k,): state, number, lack (m), and slope of the field there along x and y."""
+
+    state: Ints
+    disc: Ints
+    lack: Floats
+    slope_x: Floats
+    slope_y: Floats
+
+
 class Polish:
     """Local optimisation for a problem of the planner; it keeps its memory between trajectories."""
 
@@ -63,7 +74,7 @@ class Polish:
         self._bounds = np.vstack([vehicle.control_bounds, (SHORTEST, LONGEST)])
         self._block = np.zeros(self._kernels.block)
         limits = problem.limits
-        self.iterations = 0
+        self.iterations, self.urgency = 0, 1.0
         self._limited = np.flatnonzero(np.isfinite(limits).any(axis=1))
 
     def improve(self, guess: Guess, margin: float, stiffness: float = SOFT) -> Guess:
@@ -81,22 +92,17 @@ class Polish:
     def _round(self, current: Guess, margin: float, stiffness: float, damping: float) -> tuple[Guess, float]:
         """Iterations at one stiffness of the model; also the damping that was found good."""
         n, nx, m = len(current.durations), len(self._vehicle.state), len(self._bounds)
-        size = max(nx + 2, m + 4)
-        memory = (
-            np.zeros((n, m, nx)), np.zeros((n, m)), np.zeros((n, nx, nx + 1)), np.zeros((7, size, size)),
-            np.zeros((nx, nx)), np.zeros(nx),
-        )  # fmt: skip
-        dx, du = np.zeros((n + 1, nx)), np.zeros((n, m))
+        work = memory(n, nx, m)
         merit, self.terms = self._merit(current, margin, stiffness)
-        stages = self._stages(current, margin)
+        stages = self._stages(current, margin, max(STIFFNESS, stiffness))
         for _ in range(MAX_ITERATIONS if stiffness < HARD else LAST_ITERATIONS):
             self.iterations += 1
             damped = stages._replace(q_matrix=stages.q_matrix + TRUST * damping * np.eye(nx))
-            if not solve(damped, damping, stiffness, *memory, dx, du):
+            if not solve(damped, damping, stiffness, work):
                 damping *= 10.0
                 continue
-            inputs = np.clip(np.column_stack([current.controls, current.durations]) + du, *self._bounds.T)
-            tried = Guess(current.states + dx, inputs[:, :-1], inputs[:, -1])
+            inputs = np.clip(np.column_stack([current.controls, current.durations]) + work.du, *self._bounds.T)
+            tried = Guess(current.states + work.dx, inputs[:, :-1], inputs[:, -1])
             found, terms = self._merit(tried, margin, stiffness)
             if found >= merit:
                 damping *= 10.0
@@ -105,10 +111,10 @@ class Polish:
             damping = max(0.2 * damping, 1e-6)
             if saved < CONVERGED * merit:
                 break
-            stages = self._stages(current, margin)
+            stages = self._stages(current, margin, max(STIFFNESS, stiffness))
         return current, min(damping, 1e3)
 
-    def _step(self, guess: Guess, derivatives: bool) -> tuple[Matrix, np.ndarray]:
+    def _step(self, guess: Guess, derivatives: bool) -> tuple[Matrix, Cube]:
         """States (n, nx) after each interval, and their derivatives by state, control and duration."""
         n, nx = len(guess.durations), len(self._vehicle.state)
         nu, parameters = len(self._vehicle.controls), self._problem.parameters
@@ -124,11 +130,17 @@ class Polish:
     def _merit(self, guess: Guess, margin: float, stiffness: float) -> tuple[float, tuple[float, ...]]:
         after, _ = self._step(guess, False)
         defect = float(((after - guess.states[1:]) ** 2).sum())
-        inside, _, _ = self._clearance(guess, margin)
-        penalty = float((inside**2).sum()) + float((self._beyond_limits(guess.states)[0] ** 2).sum())
+        penalty = float((self._clearance(guess, margin).lack ** 2).sum()) + float(
+            (self._beyond_limits(guess.states)[0] ** 2).sum()
+        )
         miss = float((self._miss(guess.states[-1])[0] ** 2).sum())
         rough = self._roughness(guess)
-        cost = guess.time + 0.5 * STIFFNESS * (penalty + miss) + 0.5 * stiffness * defect + rough
+        cost = (
+            self.urgency * guess.time
+            + 0.5 * max(STIFFNESS, stiffness) * (penalty + miss)
+            + 0.5 * stiffness * defect
+            + rough
+        )
         return cost, (guess.time, defect, penalty, miss, rough)
 
     def _roughness(self, guess: Guess) -> float:
@@ -136,21 +148,21 @@ class Polish:
         jumps = np.diff(guess.controls / span, axis=0)
         return float(0.5 * SMOOTHNESS * (jumps**2).sum() + 0.5 * EVENNESS * (np.diff(guess.durations) ** 2).sum())
 
-    def _stages(self, guess: Guess, margin: float) -> Stages:
-        """Quadratic problem around a trajectory."""
+    def _stages(self, guess: Guess, margin: float, stiffness: float) -> Stages:
+        """Quadratic problem around a trajectory; `stiffness` is that of the penalties."""
         n, nx, m = len(guess.durations), len(self._vehicle.state), len(self._bounds)
         after, jacobian = self._step(guess, True)
         nu = m - 1
         b = np.concatenate([jacobian[:, :, nx : nx + nu], jacobian[:, :, -1:]], axis=2)
         q_matrix, q = np.zeros((n + 1, nx, nx)), np.zeros((n + 1, nx))
-        self._add_clearance(guess, margin, q_matrix, q)
+        self._add_clearance(self._clearance(guess, margin), guess, stiffness, q_matrix, q)
         excess, sign = self._beyond_limits(guess.states)
         for column, k in enumerate(self._limited):
-            q[:, k] += STIFFNESS * excess[:, column] * sign[:, column]
-            q_matrix[:, k, k] += STIFFNESS * (excess[:, column] > 0.0)
+            q[:, k] += stiffness * excess[:, column] * sign[:, column]
+            q_matrix[:, k, k] += stiffness * (excess[:, column] > 0.0)
         residual, gradient = self._miss(guess.states[-1])
-        q[-1] += STIFFNESS * residual @ gradient
-        q_matrix[-1] += STIFFNESS * gradient.T @ gradient
+        q[-1] += stiffness * residual @ gradient
+        q_matrix[-1] += stiffness * gradient.T @ gradient
         inputs = np.column_stack([guess.controls, guess.durations])
         span = np.append(self._bounds[:-1, 1] - self._bounds[:-1, 0], 1.0)
         weight = np.append(np.full(nu, SMOOTHNESS), EVENNESS) / span**2
@@ -158,7 +170,7 @@ class Polish:
         r = np.zeros((n, m))
         r[:-1] -= weight * jumps
         r[1:] += weight * jumps
-        r[:, -1] += 1.0  # the time
+        r[:, -1] += self.urgency
         r_matrix = np.zeros((n, m, m))
         r_matrix[:, range(m), range(m)] = 2.0 * weight
         return Stages(
@@ -203,26 +215,35 @@ class Polish:
                 rows.append(row)
         return np.array(residuals), np.array(rows).reshape(len(rows), nx)
 
-    def _clearance(self, guess: Guess, margin: float) -> tuple[Matrix, Matrix, Matrix]:
-        """Lack of clearance (n + 1, discs) of each disc of the footprint, and the field's slopes there (m, 1, 1)."""
+    def _clearance(self, guess: Guess, margin: float) -> Near:
+        """Discs of the footprint that lack clearance, of the states that are not far from all obstacles."""
         scalar, field, states = self._problem.scalar, self._signed, guess.states
-        x, y = states[:, self._pose[0], None], states[:, self._pose[1], None]
-        c, s = self._direction(states)
+        x, y, required = states[:, self._pose[0]], states[:, self._pose[1]], margin + self._delta(guess)
+        column = ((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]).astype(np.int64)
+        row = ((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]).astype(np.int64)
+        around = field[row.clip(0, field.shape[0] - 1), column.clip(0, field.shape[1] - 1)]
+        near = np.flatnonzero(around < scalar[at.REACH] + required)
+        c, s = self._direction(states[near])
         ahead, aside, radius = self._problem.discs.T
-        u = (x + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5
-        v = (y + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5
+        u = (x[near, None] + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5
+        v = (y[near, None] + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5
         u, v = np.clip(u, 0.0, field.shape[1] - 1.001), np.clip(v, 0.0, field.shape[0] - 1.001)
-        column, row = u.astype(np.int64), v.astype(np.int64)
-        u, v = u - column, v - row
-        f00, f01 = field[row, column], field[row, column + 1]
-        f10, f11 = field[row + 1, column], field[row + 1, column + 1]
+        columns, rows = u.astype(np.int64), v.astype(np.int64)
+        u, v = u - columns, v - rows
+        first = rows * field.shape[1] + columns
+        flat, width = field.reshape(-1), field.shape[1]
+        f00, f01, f10, f11 = (flat[first + k] for k in (0, 1, width, width + 1))
         value = (f00 * (1 - u) + f01 * u) * (1 - v) + (f10 * (1 - u) + f11 * u) * v
-        required = margin + radius + self._delta(guess)[:, None]
-        inverse = scalar[at.GRID_INVERSE]
-        return (
-            np.maximum(required - value, 0.0),
-            ((f01 - f00) * (1 - v) + (f11 - f10) * v) * inverse,
-            ((f10 - f00) * (1 - u) + (f11 - f01) * u) * inverse,
+        lack = np.maximum(required[near, None] + radius - value, 0.0)
+        pose, disc = np.nonzero(lack)
+        u, v = u[pose, disc], v[pose, disc]
+        f00, f01, f10, f11 = (corner[pose, disc] for corner in (f00, f01, f10, f11))
+        return Near(
+            near[pose],
+            disc,
+            lack[pose, disc],
+            ((f01 - f00) * (1 - v) + (f11 - f10) * v) * scalar[at.GRID_INVERSE],
+            ((f10 - f00) * (1 - u) + (f11 - f01) * u) * scalar[at.GRID_INVERSE],
         )
 
     def _direction(self, states: Matrix) -> tuple[Matrix, Matrix]:
@@ -238,20 +259,19 @@ class Polish:
         delta: Floats = np.where(inside, self.safety.clearance(speed, times), 0.0)
         return delta
 
-    def _add_clearance(self, guess: Guess, margin: float, q_matrix: np.ndarray, q: Matrix) -> None:
-        lack, slope_x, slope_y = self._clearance(guess, margin)
-        rows, discs = np.nonzero(lack)
-        if len(rows) == 0:
+    def _add_clearance(self, near: Near, guess: Guess, stiffness: float, q_matrix: Cube, q: Matrix) -> None:
+        if len(near.state) == 0:
             return
-        c, s = (part[rows, 0] for part in self._direction(guess.states))
-        ahead, aside, _ = self._problem.discs[discs].T
-        gx, gy = slope_x[rows, discs], slope_y[rows, discs]
-        gradient = np.zeros((len(rows), len(self._vehicle.state)))
-        gradient[:, self._pose[0]], gradient[:, self._pose[1]] = gx, gy
+        c, s = (part[near.state, 0] for part in self._direction(guess.states))
+        ahead, aside, _ = self._problem.discs[near.disc].T
+        gradient = np.zeros((len(near.state), len(self._vehicle.state)))
+        gradient[:, self._pose[0]], gradient[:, self._pose[1]] = near.slope_x, near.slope_y
         if self._pose[2] >= 0:
-            gradient[:, self._pose[2]] = -gx * (ahead * s + aside * c) + gy * (ahead * c - aside * s)
-        np.add.at(q, rows, -STIFFNESS * lack[rows, discs, None] * gradient)
-        np.add.at(q_matrix, rows, STIFFNESS * gradient[:, :, None] * gradient[:, None, :])
+            gradient[:, self._pose[2]] = -near.slope_x * (ahead * s + aside * c) + near.slope_y * (
+                ahead * c - aside * s
+            )
+        np.add.at(q, near.state, -stiffness * near.lack[:, None] * gradient)
+        np.add.at(q_matrix, near.state, stiffness * gradient[:, :, None] * gradient[:, None, :])
 
 
 def resampled(guess: Guess, interval: float) -> Guess:

@@ -251,7 +251,7 @@ def _with_pose_cost_to_go(
 ) -> Problem:
     """Problem with the cost-to-go of poses."""
     found = pose_cost_to_go_of(vehicle, workspace, goal, settings.cell)
-    problem.option[[at.POSE_HEADINGS, at.POSE_ROWS, at.POSE_COLUMNS]] = found.headings, found.rows, found.columns
+    problem.option[[at.POSE_HEADINGS, at.POSE_ROWS, at.POSE_COLUMNS]] = found.shape
     problem.scalar[[at.POSE_X, at.POSE_Y, at.POSE_INVERSE]] = *found.origin, 1 / found.cell
     problem.scalar[[at.POSE_BEYOND, at.POSE_HEADING]] = found.beyond, goal.heading
     return problem._replace(pose_togo=found.seconds)

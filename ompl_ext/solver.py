@@ -54,6 +54,7 @@ POLISH_EVERY = 512  # iterations
 POLISH_GAIN = 0.005  # s by which the best plan must be better than the last time
 CLEARANCES = (0.7, 1.5, 3.0)  # cells of the clearance field that optimised plans aim for, in turn
 REPEATED_STIFFNESS = 1e3  # of the model, for a plan that obeys it already
+PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
 @dataclass(frozen=True)
@@ -270,13 +271,11 @@ class DirtSolver:
 
     def _add_polished(self) -> None:
         """Improve the best plan, or at first one along the cost-to-go of poses, and add it to the tree."""
-        began, best = time.perf_counter(), self._tree.best[0]
-        guesses = [self._guided_guess()] if self._polished.attempts == 0 else []
+        began = time.perf_counter()
+        if self._polished.attempts == 0:
+            self._add_improved(self._guided_guess(), PATIENCE)
         if self._tree.count[at.BEST] >= 0:
-            guesses.append(self._guess_of_plan())
-        for guess in guesses:
-            if guess is not None and guess.time > 0.0:
-                self._add_improved(guess)
+            self._add_improved(self._guess_of_plan(), 1.0)
         cost = float(self._tree.best[0])
         self._polished = _Polished(self._polished.attempts + 1, cost, time.perf_counter() - began)
 
@@ -297,11 +296,13 @@ class DirtSolver:
         held = np.minimum(np.searchsorted(ends, 0.5 * (times[:-1] + times[1:])), len(ends) - 1)
         return resampled(Guess(trajectory, controls[held], np.diff(times)), INTERVAL)
 
-    def _add_improved(self, guess: Guess) -> None:
+    def _add_improved(self, guess: Guess | None, urgency: float) -> None:
         """Improve a guess and add it as edges from the root, with more and more clearance until all of it passes."""
         assert self._polish is not None
         assert self.goal is not None
-        self._polish.goal, self._polish.safety = self.goal, self.safety
+        if guess is None or guess.time == 0.0:
+            return
+        self._polish.goal, self._polish.safety, self._polish.urgency = self.goal, self.safety, urgency
         cell, stiffness = 1.0 / float(self._problem.scalar[at.GRID_INVERSE]), SOFT
         for factor in CLEARANCES:
             guess = self._polish.improve(guess, factor * cell, stiffness)

@@ -99,7 +99,9 @@ def plan_task(
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()
-    dirt = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
+    dirt = DirtSolver(
+        vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task, vehicle)
+    )
     spare = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
@@ -194,6 +196,10 @@ def _distance_to_goal(task: Task, vehicle: Vehicle, plan: Plan) -> str:
     x, y, heading = pose_of(plan.states[-1], vehicle)
     distance = math.dist((x, y), goal.center) - goal.radius
     place = f"{distance:.3g} m from the goal region" if distance > 0.0 else "in the goal region"
+    for name, (low, high) in goal.limits.items():
+        value = float(plan.states[-1][vehicle.index(name)])
+        if not low <= value <= high:
+            place += f", {name} {value:.3g}, of which {low:g} to {high:g} are allowed"
     if goal.heading is None or goal.heading_tolerance is None:
         return place
     off = math.degrees(abs(math.remainder(heading - goal.heading, math.tau)))

@@ -101,7 +101,7 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
         "planner": task.planning.planner,
         "seed": result.seed,
         "iterations": result.progress.iterations,
-        "settings": {**asdict(settings_of(task)), **_planning(task)},
+        "settings": {**asdict(settings_of(task, vehicle)), **_planning(task)},
         "from": _previous(origin.previous),
         "goal": {"center": list(task.goal.center), "radius": task.goal.radius, "reached": plan.reaches_goal},
         "cost": plan.cost,

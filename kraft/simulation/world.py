@@ -141,9 +141,12 @@ class World:
 
     @property
     def in_goal(self) -> bool:
-        """Whether the true pose is within the goal region, including the heading if the goal has one."""
+        """Whether the car is in the goal region: position, and heading and speed `v` if the goal bounds them."""
         (x, y, theta), goal = self._planar(self._body), self._goal
         if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
+            return False
+        low, high = goal.limits.get("v", (-math.inf, math.inf))
+        if not low <= self.speed <= high:
             return False
         if goal.heading is None or goal.heading_tolerance is None:
             return True

@@ -83,7 +83,8 @@ Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
 def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> bool:
     """Sample the workspace uniformly, or the goal with the probability of the goal bias, and a heading.
 
-    The heading is that of the goal if the goal is sampled and has one, and uniform otherwise.  Returns whether the visit explores: whether it adds any free candidates instead of the best one.
+    The heading is that of the goal if the goal is sampled and has one, else uniform.  Returns whether the visit
+    explores: whether it adds any free candidates instead of the best one.
     """
     scalar, weight = problem.scalar, problem.scalar[HEADING_WEIGHT]
     at_goal = uniform(tree.random) < scalar[GOAL_BIAS]

@@ -355,7 +355,9 @@ def at_rest(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
     """Whether the vehicle is at standstill at a sample."""
     resting = True
     for k in RESTING:
-        resting = resting and (k < 0 or abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED])
+        resting = resting and (
+            k < 0 or abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
+        )
     return resting
 
 
@@ -480,5 +482,7 @@ advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOAT
 pose = compiled(
     _pose,
     folder=FOLDER,
-    signature=types.float64(types.float32[:, ::1], types.float64[:, ::1], _FLOATS, types.float64, types.float64, types.float64),
+    signature=types.float64(
+        types.float32[:, ::1], types.float64[:, ::1], _FLOATS, types.float64, types.float64, types.float64
+    ),
 )

@@ -10,7 +10,7 @@ from ompl_ext.jit import compiled
 
 @compiled
 def fill_penetration(field: Matrix32, cell: float, signed: Matrix32) -> None:
-    """Set `signed` to the field where that is positive, else to minus the way to such a cell along its neighbours (m)."""
+    """Set `signed` to the field where that is positive, else to minus the length of a way to such a cell (m)."""
     rows, columns = field.shape
     for row in range(rows):
         for column in range(columns):

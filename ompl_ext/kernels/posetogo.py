@@ -16,10 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Floats32, IntMatrix32, Ints, Ints32, Matrix, Matrix32
-from ompl_ext.jit import compiled, inlined
+from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix32, Ints, Ints32, Matrix, Matrix32
+from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.clearance import pose_slack
+from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    GRID_INVERSE,
+    GRID_X,
+    GRID_Y,
     POSE_BEYOND,
     POSE_COLUMNS,
     POSE_HEADING,
@@ -54,13 +58,11 @@ class PoseCostToGo(NamedTuple):
     seconds: Floats32
     origin: tuple[float, float]
     cell: float
-    headings: int
-    rows: int
-    columns: int
-    beyond: float
-    exact: Floats32
-    pose: Matrix32
-    after: IntMatrix32
+    shape: tuple[int, int, int]
+    beyond: float  # what is added to the geodesic cost-to-go outside the grid (s)
+    exact: Floats32  # without CAUTION, UNKNOWN where no motion was found
+    pose: Matrix32  # the exact pose of each cell
+    after: IntMatrix32  # the cell that follows each one towards the goal, and the motion to it
     motions: Matrix
     frame: Floats
 
@@ -126,16 +128,38 @@ def pose_cost_to_go(
     motions = _motions(twists, cell, headings)
     width = float(motions[:, 3].min())
     buckets = np.full(math.ceil((motions[:, 3].max() + reversal) / width) + 2, -1, np.int32)
-    seconds = np.full(count, UNKNOWN, np.float32)
-    pose, link, after = np.zeros((count, 4), np.float32), np.full((count, 2), -1, np.int32), np.full((count, 2), -1, np.int32)
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
-    frame = np.array([origin[0], origin[1], 1.0 / cell, rows, columns, headings, goal[2], allowance])
-    region = np.array([*goal, goal_radius, goal_tolerance])
-    _search(seconds, pose, link, after, buckets, width, motions, reversal, region, frame, maps)
-    exact = seconds.copy()
-    _fill(seconds.reshape(headings, rows, columns))
-    seconds *= CAUTION
-    return PoseCostToGo(seconds, origin, cell, headings, rows, columns, 0.0, exact, pose[:, :3], after, motions, frame)
+    table = _Table(
+        seconds=np.full(count, UNKNOWN, np.float32),
+        pose=np.zeros((count, 4), np.float32),
+        link=np.full((count, 2), -1, np.int32),
+        after=np.full((count, 2), -1, np.int32),
+        buckets=buckets,
+        frame=np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance]),
+    )
+    _search(table, width, motions, reversal, np.array([*goal, goal_radius, goal_tolerance]), maps)
+    filled = np.empty_like(table.seconds)
+    shape = headings, rows, columns
+    _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
+    beyond = 0.0 if fits else _beyond(filled.reshape(shape), origin, cell, maps, geodesic)
+    return PoseCostToGo(
+        filled, origin, cell, shape, beyond, table.seconds, table.pose[:, :3], table.after, motions, table.frame
+    )
+
+
+def _beyond(seconds: Floats32Cube, origin: tuple[float, float], cell: float, maps: Maps, geodesic: Matrix32) -> float:
+    """What to add to the geodesic cost-to-go outside the grid: the least that is to add at its border (s)."""
+    rows, columns = seconds.shape[1:]
+    row, column = np.mgrid[0:rows, 0:columns]
+    border = (row == 0) | (row == rows - 1) | (column == 0) | (column == columns - 1)
+    places = [origin[k] + cell * index[border] for k, index in enumerate((column, row))]
+    i, j = (
+        ((place - maps.scalar[low]) * maps.scalar[GRID_INVERSE]).astype(np.int64).clip(0, size - 1)
+        for place, low, size in zip(places[::-1], (GRID_Y, GRID_X), geodesic.shape, strict=True)
+    )
+    added = seconds.min(axis=0)[border] - geodesic[i, j]
+    inside = geodesic[i, j] < UNREACHABLE
+    return max(float(added[inside].min()), 0.0) if inside.any() else 0.0
 
 
 def _motions(twists: Matrix, cell: float, headings: int) -> Matrix:
@@ -150,16 +174,16 @@ def _motions(twists: Matrix, cell: float, headings: int) -> Matrix:
 def _cell_of(x: float, y: float, theta: float, frame: Floats) -> int:
     """Index of a pose's cell, -1 outside the grid."""
     rows, columns, headings = int(frame[3]), int(frame[4]), int(frame[5])
-    column = int(math.floor((x - frame[0]) * frame[2] + 0.5))
-    row = int(math.floor((y - frame[1]) * frame[2] + 0.5))
+    column = math.floor((x - frame[0]) * frame[2] + 0.5)
+    row = math.floor((y - frame[1]) * frame[2] + 0.5)
     if not (0 <= column < columns and 0 <= row < rows):
         return -1
-    k = int(math.floor((theta - frame[6]) * (headings / (2.0 * math.pi)) + 0.5)) % headings
+    k = math.floor((theta - frame[6]) * (headings / (2.0 * math.pi)) + 0.5) % headings
     return (k * rows + row) * columns + column
 
 
 @inlined
-def _link(link: Ints32, buckets: Ints32, cell: int, bucket: int) -> None:
+def _link(link: IntMatrix32, buckets: Ints32, cell: int, bucket: int) -> None:
     head = buckets[bucket]
     link[cell, 0], link[cell, 1] = head, -2 - bucket
     if head >= 0:
@@ -168,7 +192,7 @@ def _link(link: Ints32, buckets: Ints32, cell: int, bucket: int) -> None:
 
 
 @inlined
-def _unlink(link: Ints32, buckets: Ints32, cell: int) -> None:
+def _unlink(link: IntMatrix32, buckets: Ints32, cell: int) -> None:
     after, before = link[cell, 0], link[cell, 1]
     if before <= -2:
         buckets[-2 - before] = after
@@ -187,77 +211,87 @@ def _is_free(maps: Maps, x: float, y: float, theta: float, allowance: float) -> 
     return pose_slack(maps, x, y, cos(theta), sin(theta), -allowance) >= 0.0
 
 
-@compiled
-def _search(
-    seconds: Floats32,
-    pose: Matrix32,
-    link: Ints32,
-    after: IntMatrix32,
-    buckets: Ints32,
-    width: float,
-    motions: Matrix,
-    reversal: float,
-    region: Floats,
-    frame: Floats,
-    maps: Maps,
-) -> None:
-    """Dijkstra's search with buckets of `width` s, backwards from the goal region.
+class _Table(NamedTuple):
+    """Arrays of a search: per cell, and the buckets of open cells."""
 
-    `after` (cells, 2) receives the cell that follows each one towards the goal and the motion to it.
-    """
-    open_cells = 0
+    seconds: Floats32
+    pose: Matrix32  # x, y, heading, speed ahead of the motion from there
+    link: IntMatrix32  # next and previous cell of the same bucket
+    after: IntMatrix32  # the cell that follows towards the goal, and the motion to it
+    buckets: Ints32
+    frame: Floats
+
+
+@part
+def _open(table: _Table, cell: int, bucket: int, x: float, y: float, theta: float, way: float) -> None:
+    """Set a cell's pose and add it to a bucket."""
+    table.pose[cell, 0], table.pose[cell, 1], table.pose[cell, 2], table.pose[cell, 3] = x, y, theta, way
+    _link(table.link, table.buckets, cell, bucket)
+
+
+@part
+def _open_goal(table: _Table, region: Floats, maps: Maps) -> int:
+    """Open the cells whose centres are free and in the goal region, and that of its centre; their number."""
+    count, frame = 0, table.frame
     bins, side = int(frame[5]), 1.0 / frame[2]
-    around = int(math.ceil(region[3] / side))
-    for k in range(-1, bins):
-        theta = region[2] + 2.0 * math.pi * max(k, 0) / bins
+    around = math.ceil(region[3] / side)
+    for k in range(bins):
+        theta = region[2] + 2.0 * math.pi * k / bins
         if cos(theta - region[2]) < cos(min(region[4], math.pi)):
             continue
         for i in range(-around, around + 1):
             for j in range(-around, around + 1):
                 x, y = region[0] + i * side, region[1] + j * side
-                if (k >= 0 or i != 0 or j != 0) and math.hypot(x - region[0], y - region[1]) > region[3]:
+                if k + abs(i) + abs(j) > 0 and math.hypot(i * side, j * side) > region[3]:
                     continue
                 cell = _cell_of(x, y, theta, frame)
-                if cell >= 0 and seconds[cell] > 0.0 and _is_free(maps, x, y, theta, frame[7]):
-                    seconds[cell] = 0.0
-                    pose[cell, 0], pose[cell, 1], pose[cell, 2], pose[cell, 3] = x, y, theta, 0.0
-                    _link(link, buckets, cell, 0)
-                    open_cells += 1
-    current = 0
+                if cell >= 0 and table.seconds[cell] > 0.0 and _is_free(maps, x, y, theta, frame[7]):
+                    table.seconds[cell] = 0.0
+                    _open(table, cell, 0, x, y, theta, 0.0)
+                    count += 1
+    return count
+
+
+@part
+def _expand(table: _Table, cell: int, width: float, motions: Matrix, reversal: float, maps: Maps) -> int:
+    """Open the cells from which a motion leads to the pose of `cell`; change of the number of open cells."""
+    opened, frame = 0, table.frame
+    x, y, theta, way = table.pose[cell, 0], table.pose[cell, 1], table.pose[cell, 2], table.pose[cell, 3]
+    for m in range(len(motions)):
+        ahead, aside, turning, time = motions[m, 0], motions[m, 1], motions[m, 2], motions[m, 3]
+        cost = table.seconds[cell] + time + (reversal if way * ahead < 0.0 else 0.0)
+        turn = turning * time
+        middle, chord = theta - 0.5 * turn, time * (1.0 - turn * turn / 24.0)
+        c, s = cos(middle), sin(middle)
+        px, py = x - chord * (ahead * c - aside * s), y - chord * (ahead * s + aside * c)
+        other = _cell_of(px, py, theta - turn, frame)
+        if other < 0 or table.seconds[other] <= cost + 1e-6 or not _is_free(maps, px, py, theta - turn, frame[7]):
+            continue
+        if table.seconds[other] < UNKNOWN:
+            if table.link[other, 1] == -1:
+                continue  # finished in the same bucket
+            _unlink(table.link, table.buckets, other)
+        else:
+            opened += 1
+        table.seconds[other] = cost
+        table.after[other, 0], table.after[other, 1] = cell, m
+        bucket = int(cost / width) % len(table.buckets)
+        _open(table, other, bucket, px, py, theta - turn, ahead if ahead != 0.0 else way)
+    return opened
+
+
+@compiled
+def _search(table: _Table, width: float, motions: Matrix, reversal: float, region: Floats, maps: Maps) -> None:
+    """Dijkstra's search with buckets of `width` s, backwards from the goal region."""
+    open_cells, current = _open_goal(table, region, maps), 0
     while open_cells > 0:
-        cell = buckets[current % len(buckets)]
+        cell = table.buckets[current % len(table.buckets)]
         if cell < 0:
             current += 1
             continue
-        _unlink(link, buckets, cell)
-        link[cell, 1] = -1
-        open_cells -= 1
-        x, y, theta, way = pose[cell, 0], pose[cell, 1], pose[cell, 2], pose[cell, 3]
-        for m in range(len(motions)):
-            ahead, aside, turning, time = motions[m, 0], motions[m, 1], motions[m, 2], motions[m, 3]
-            cost = seconds[cell] + time
-            if way * ahead < 0.0:
-                cost += reversal
-            turn = turning * time
-            middle, chord = theta - 0.5 * turn, time * (1.0 - turn * turn / 24.0)
-            c, s = cos(middle), sin(middle)
-            px, py = x - chord * (ahead * c - aside * s), y - chord * (ahead * s + aside * c)
-            other = _cell_of(px, py, theta - turn, frame)
-            if other < 0 or seconds[other] <= cost + 1e-6:
-                continue
-            if not _is_free(maps, px, py, theta - turn, frame[7]):
-                continue
-            if seconds[other] < UNKNOWN:
-                if link[other, 1] == -1:
-                    continue  # finished in the same bucket
-                _unlink(link, buckets, other)
-            else:
-                open_cells += 1
-            seconds[other] = cost
-            pose[other, 0], pose[other, 1], pose[other, 2] = px, py, theta - turn
-            pose[other, 3] = ahead if ahead != 0.0 else way
-            after[other, 0], after[other, 1] = cell, m
-            _link(link, buckets, other, int(cost / width) % len(buckets))
+        _unlink(table.link, table.buckets, cell)
+        table.link[cell, 1] = -1
+        open_cells += _expand(table, cell, width, motions, reversal, maps) - 1
 
 
 @compiled
@@ -282,34 +316,35 @@ def _nearest_reached(x: float, y: float, theta: float, seconds: Floats32, frame:
     return chosen
 
 
-@compiled
-def _fill(table: Floats32) -> None:
-    """Set cells that were not reached to the least value around them, or else to the largest of all."""
+@part
+def _least_around(table: Floats32Cube, k: int, row: int, column: int) -> float:
+    """Least value of a cell and those around it, `UNKNOWN` without one."""
     bins, rows, columns = table.shape
+    least = UNKNOWN
+    for r in range(max(row - 1, 0), min(row + 2, rows)):
+        for c in range(max(column - 1, 0), min(column + 2, columns)):
+            for t in range(-1, 2):
+                least = min(least, table[(k + t) % bins, r, c])
+    return least
+
+
+@compiled
+def _fill(found: Floats32Cube, filled: Floats32Cube, factor: float) -> None:
+    """Multiply by a factor; cells that were not reached get the least value around them, or else the largest of all."""
+    bins, rows, columns = found.shape
     largest = 0.0
     for k in range(bins):
         for row in range(rows):
             for column in range(columns):
-                if table[k, row, column] < UNKNOWN:
-                    largest = max(largest, table[k, row, column])
+                if found[k, row, column] < UNKNOWN:
+                    largest = max(largest, found[k, row, column])
     for k in range(bins):
         for row in range(rows):
             for column in range(columns):
-                if table[k, row, column] < UNKNOWN:
-                    continue
-                best = UNKNOWN
-                for r in range(max(row - 1, 0), min(row + 2, rows)):
-                    for c in range(max(column - 1, 0), min(column + 2, columns)):
-                        for t in range(-1, 2):
-                            value = table[(k + t) % bins, r, c]
-                            if 0.0 <= value < best:
-                                best = value
-                table[k, row, column] = -1.0 - (best if best < UNKNOWN else largest)  # negative until all are known
-    for k in range(bins):
-        for row in range(rows):
-            for column in range(columns):
-                if table[k, row, column] < 0.0:
-                    table[k, row, column] = -1.0 - table[k, row, column]
+                value = found[k, row, column]
+                if value >= UNKNOWN:
+                    value = min(_least_around(found, k, row, column), largest)
+                filled[k, row, column] = factor * value
 
 
 @inlined
@@ -325,7 +360,7 @@ def seconds_to_goal_pose(problem: Problem, x: float, y: float, theta: float, geo
     if not (0.0 <= u < columns - 1 and 0.0 <= v < rows - 1):
         return geodesic + scalar[POSE_BEYOND]
     w = (theta - scalar[POSE_HEADING]) * (bins / (2.0 * math.pi))
-    column, row, k = int(u), int(v), int(math.floor(w))
+    column, row, k = int(u), int(v), math.floor(w)
     u, v, w = u - column, v - row, w - k
     first, second = ((k % bins) * rows + row) * columns + column, (((k + 1) % bins) * rows + row) * columns + column
     low = table[first] * (1.0 - u) + table[first + 1] * u
