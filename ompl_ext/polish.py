@@ -28,8 +28,8 @@ from ompl_ext.vehicle import Vehicle
 SHORTEST, LONGEST, INTERVAL = 0.02, 0.2, 0.1  # of an interval, and of those of a first guess (s)
 CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
 CHANGE = 1e-5  # of numerical derivatives
-STIFFNESS = 1e4  # of the penalties (1/m^2, s), as long as that of the model is less
-SOFT, HARD, HARDENING = 30.0, 3e5, 5.0  # first and last stiffness of the model, and the factor between rounds
+PENALTY, LAST_PENALTY = 1e4, 3e5  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
+SOFT, HARD, HARDENING = 30.0, 1e7, 6.0  # first and last stiffness of the model, and the factor between rounds
 SMOOTHNESS = 2e-3  # s for a control that differs by its range from those before and after it
 EVENNESS = 1.0  # 1/s for a duration that differs from those before and after it
 WITHIN_LIMITS = 1e-3  # share of a component's range, at most of 1, by which it is to stay within its limits
@@ -93,8 +93,9 @@ class Polish:
         """Iterations at one stiffness of the model; also the damping that was found good."""
         n, nx, m = len(current.durations), len(self._vehicle.state), len(self._bounds)
         work = memory(n, nx, m)
-        merit, self.terms = self._merit(current, margin, stiffness)
-        stages = self._stages(current, margin, max(STIFFNESS, stiffness))
+        near = self._clearance(current, margin)
+        merit, self.terms = self._merit(current, near, stiffness)
+        stages = self._stages(current, near, _penalty(stiffness))
         for _ in range(MAX_ITERATIONS if stiffness < HARD else LAST_ITERATIONS):
             self.iterations += 1
             damped = stages._replace(q_matrix=stages.q_matrix + TRUST * damping * np.eye(nx))
@@ -103,7 +104,8 @@ class Polish:
                 continue
             inputs = np.clip(np.column_stack([current.controls, current.durations]) + work.du, *self._bounds.T)
             tried = Guess(current.states + work.dx, inputs[:, :-1], inputs[:, -1])
-            found, terms = self._merit(tried, margin, stiffness)
+            near = self._clearance(tried, margin)
+            found, terms = self._merit(tried, near, stiffness)
             if found >= merit:
                 damping *= 10.0
                 continue
@@ -111,7 +113,7 @@ class Polish:
             damping = max(0.2 * damping, 1e-6)
             if saved < CONVERGED * merit:
                 break
-            stages = self._stages(current, margin, max(STIFFNESS, stiffness))
+            stages = self._stages(current, near, _penalty(stiffness))
         return current, min(damping, 1e3)
 
     def _step(self, guess: Guess, derivatives: bool) -> tuple[Matrix, Cube]:
@@ -127,19 +129,14 @@ class Polish:
         )  # fmt: skip
         return after, jacobian
 
-    def _merit(self, guess: Guess, margin: float, stiffness: float) -> tuple[float, tuple[float, ...]]:
+    def _merit(self, guess: Guess, near: Near, stiffness: float) -> tuple[float, tuple[float, ...]]:
         after, _ = self._step(guess, False)
         defect = float(((after - guess.states[1:]) ** 2).sum())
-        penalty = float((self._clearance(guess, margin).lack ** 2).sum()) + float(
-            (self._beyond_limits(guess.states)[0] ** 2).sum()
-        )
+        penalty = float((near.lack**2).sum()) + float((self._beyond_limits(guess.states)[0] ** 2).sum())
         miss = float((self._miss(guess.states[-1])[0] ** 2).sum())
         rough = self._roughness(guess)
         cost = (
-            self.urgency * guess.time
-            + 0.5 * max(STIFFNESS, stiffness) * (penalty + miss)
-            + 0.5 * stiffness * defect
-            + rough
+            self.urgency * guess.time + 0.5 * _penalty(stiffness) * (penalty + miss) + 0.5 * stiffness * defect + rough
         )
         return cost, (guess.time, defect, penalty, miss, rough)
 
@@ -148,14 +145,14 @@ class Polish:
         jumps = np.diff(guess.controls / span, axis=0)
         return float(0.5 * SMOOTHNESS * (jumps**2).sum() + 0.5 * EVENNESS * (np.diff(guess.durations) ** 2).sum())
 
-    def _stages(self, guess: Guess, margin: float, stiffness: float) -> Stages:
+    def _stages(self, guess: Guess, near: Near, stiffness: float) -> Stages:
         """Quadratic problem around a trajectory; `stiffness` is that of the penalties."""
         n, nx, m = len(guess.durations), len(self._vehicle.state), len(self._bounds)
         after, jacobian = self._step(guess, True)
         nu = m - 1
         b = np.concatenate([jacobian[:, :, nx : nx + nu], jacobian[:, :, -1:]], axis=2)
         q_matrix, q = np.zeros((n + 1, nx, nx)), np.zeros((n + 1, nx))
-        self._add_clearance(self._clearance(guess, margin), guess, stiffness, q_matrix, q)
+        self._add_clearance(near, guess, stiffness, q_matrix, q)
         excess, sign = self._beyond_limits(guess.states)
         for column, k in enumerate(self._limited):
             q[:, k] += stiffness * excess[:, column] * sign[:, column]
@@ -272,6 +269,11 @@ class Polish:
             )
         np.add.at(q, near.state, -stiffness * near.lack[:, None] * gradient)
         np.add.at(q_matrix, near.state, stiffness * gradient[:, :, None] * gradient[:, None, :])
+
+
+def _penalty(stiffness: float) -> float:
+    """Stiffness of the penalties at a stiffness of the model."""
+    return min(max(stiffness, PENALTY), LAST_PENALTY)
 
 
 def resampled(guess: Guess, interval: float) -> Guess:

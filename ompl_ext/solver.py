@@ -311,7 +311,7 @@ class DirtSolver:
             self._reserve(len(guess.durations))
             self._run_kernel(edges, 0)
             self._tree.count[at.RETAINED] = retained
-            if edges.node[-1] >= 0:
+            if edges.node[-1] >= 0 and self._tree.link[edges.node[-1], at.AT_GOAL] == 1:
                 return
             stiffness = REPEATED_STIFFNESS
 
