@@ -18,6 +18,7 @@ TOPICS = (
     "planner",
     "peers",
     "scaling",
+    "goals",
     "callbacks",
     "startup",
     "safety",

@@ -19,7 +19,7 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.kernels.penetration import fill_penetration
 from ompl_ext.kernels.posetogo import PosePath
-from ompl_ext.kernels.riccati import Stages, memory, solve
+from ompl_ext.kernels.riccati import Stages, compile_solver, memory, solve
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.query import Goal, Safety
@@ -27,6 +27,7 @@ from ompl_ext.vehicle import Vehicle
 
 SHORTEST, LONGEST, INTERVAL = 0.02, 0.2, 0.1  # of an interval, and of those of a first guess (s)
 CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
+SUBSTEPS = 4  # of the integration of an interval
 CHANGE = 1e-5  # of numerical derivatives
 PENALTY, LAST_PENALTY = 1e4, 3e5  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
 SOFT, HARD, HARDENING = 30.0, 1e7, 6.0  # first and last stiffness of the model, and the factor between rounds
@@ -70,6 +71,7 @@ class Polish:
         self._vehicle, self._problem, self.goal, self.safety = vehicle, problem, goal, safety
         self._kernels, self._signed = step_kernels(vehicle), np.empty_like(problem.field)
         fill_penetration(problem.field, 1.0 / problem.scalar[at.GRID_INVERSE], self._signed)
+        compile_solver()
         self._pose = [vehicle.index(name) for name in ("x", "y", "theta")]
         self._bounds = np.vstack([vehicle.control_bounds, (SHORTEST, LONGEST)])
         self._block = np.zeros(self._kernels.block)
@@ -116,21 +118,26 @@ class Polish:
             stages = self._stages(current, near, _penalty(stiffness))
         return current, min(damping, 1e3)
 
-    def _step(self, guess: Guess, derivatives: bool) -> tuple[Matrix, Cube]:
-        """States (n, nx) after each interval, and their derivatives by state, control and duration."""
-        n, nx = len(guess.durations), len(self._vehicle.state)
-        nu, parameters = len(self._vehicle.controls), self._problem.parameters
+    def _step(self, guess: Guess, derivatives: bool) -> tuple[Matrix, Cube, Cube]:
+        """States (n, nx) after each interval, and their derivatives by the state and by control and duration."""
+        n, nx, nu = len(guess.durations), len(self._vehicle.state), len(self._vehicle.controls)
+        parameters = self._problem.parameters
         count = nx + nu + len(parameters) + 1 if derivatives else 0
-        after, jacobian = np.empty((n, nx)), np.zeros((n, nx, count))
         states, controls = np.ascontiguousarray(guess.states[:-1]), np.ascontiguousarray(guess.controls)
-        self._kernels.linearise(
-            states, controls, parameters, np.ascontiguousarray(guess.durations), np.full(count, CHANGE), self._block,
-            after, jacobian,
-        )  # fmt: skip
-        return after, jacobian
+        step, change = np.ascontiguousarray(guess.durations / SUBSTEPS), np.full(count, CHANGE)
+        by_state, by_input = np.tile(np.eye(nx), (n, 1, 1)), np.zeros((n, nx, nu + 1))
+        for _ in range(SUBSTEPS):
+            after, jacobian = np.empty((n, nx)), np.zeros((n, nx, count))
+            self._kernels.linearise(states, controls, parameters, step, change, self._block, after, jacobian)
+            if derivatives:
+                a, b = jacobian[:, :, :nx], jacobian[:, :, [*range(nx, nx + nu), count - 1]]
+                b[:, :, -1] /= SUBSTEPS
+                by_state, by_input = a @ by_state, a @ by_input + b
+            states = after
+        return states, by_state, by_input
 
     def _merit(self, guess: Guess, near: Near, stiffness: float) -> tuple[float, tuple[float, ...]]:
-        after, _ = self._step(guess, False)
+        after, _, _ = self._step(guess, False)
         defect = float(((after - guess.states[1:]) ** 2).sum())
         penalty = float((near.lack**2).sum()) + float((self._beyond_limits(guess.states)[0] ** 2).sum())
         miss = float((self._miss(guess.states[-1])[0] ** 2).sum())
@@ -148,9 +155,8 @@ class Polish:
     def _stages(self, guess: Guess, near: Near, stiffness: float) -> Stages:
         """Quadratic problem around a trajectory; `stiffness` is that of the penalties."""
         n, nx, m = len(guess.durations), len(self._vehicle.state), len(self._bounds)
-        after, jacobian = self._step(guess, True)
+        after, by_state, by_input = self._step(guess, True)
         nu = m - 1
-        b = np.concatenate([jacobian[:, :, nx : nx + nu], jacobian[:, :, -1:]], axis=2)
         q_matrix, q = np.zeros((n + 1, nx, nx)), np.zeros((n + 1, nx))
         self._add_clearance(near, guess, stiffness, q_matrix, q)
         excess, sign = self._beyond_limits(guess.states)
@@ -171,7 +177,7 @@ class Polish:
         r_matrix = np.zeros((n, m, m))
         r_matrix[:, range(m), range(m)] = 2.0 * weight
         return Stages(
-            np.ascontiguousarray(jacobian[:, :, :nx]), np.ascontiguousarray(b), after - guess.states[1:], q_matrix, q,
+            np.ascontiguousarray(by_state), np.ascontiguousarray(by_input), after - guess.states[1:], q_matrix, q,
             r_matrix, r, self._bounds[:, 0] - inputs, self._bounds[:, 1] - inputs,
         )  # fmt: skip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -173,6 +173,7 @@ def make_problem(
     Without a goal there is no cost-to-go: edges and SAFETY can be checked, a tree cannot grow.
     """
     precise = goal is not None and vehicle.index("theta") >= 0 and goal.has_heading
+    settings = settings_for(settings, vehicle, goal)
     discs = _tight_cover(vehicle.footprint) if precise else cover(vehicle.footprint, settings.discs).discs
     reach = vehicle.footprint.reach
     field, seconds = _field(workspace, reach, settings.cell), np.zeros((1, 1), np.float32)
@@ -222,6 +223,13 @@ def make_problem(
     return problem
 
 
+def settings_for(settings: Settings, vehicle: Vehicle, goal: Goal | None) -> Settings:
+    """Settings with a finer clearance field if the goal has a heading: manoeuvring is done in narrow places."""
+    if goal is None or vehicle.index("theta") < 0 or not goal.has_heading:
+        return settings
+    return replace(settings, cell=min(settings.cell, FINE_CELL))
+
+
 def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings) -> None:
     """Write the goal region, and how edges near it are treated, into a problem's arrays."""
     scalar, option, limits = problem.scalar, problem.option, problem.goal_limits
@@ -257,6 +265,7 @@ def _with_pose_cost_to_go(
     return problem._replace(pose_togo=found.seconds)
 
 
+FINE_CELL = 0.01  # of the clearance field if the goal has a heading (m)
 SHORT = 0.1  # share of the shortest edge that an edge near the goal lasts at least
 COARSEST = 0.3  # cell of the cost-to-go of poses as a share of the footprint's width
 

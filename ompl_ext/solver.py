@@ -41,6 +41,7 @@ from ompl_ext.query import (
     make_problem,
     pose_cost_to_go_of,
     remaining_edges,
+    settings_for,
 )
 from ompl_ext.retainment import RetainableEdges, retainable_edges
 from ompl_ext.vehicle import Vehicle
@@ -282,7 +283,8 @@ class DirtSolver:
     def _guided_guess(self) -> Guess | None:
         """Guess along the path of poses from the root."""
         assert self.goal is not None
-        found = pose_cost_to_go_of(self.vehicle, self.workspace, self.goal, self.settings.cell)
+        cell = settings_for(self.settings, self.vehicle, self.goal).cell
+        found = pose_cost_to_go_of(self.vehicle, self.workspace, self.goal, cell)
         root = self._tree.state[0].copy()
         path = found.path_from(*(float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta")))
         return guess_along(path, self.vehicle, root) if path is not None and len(path.times) > 1 else None

@@ -17,6 +17,8 @@ from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.kernels.clearance import clearance_field
 from ompl_ext.kernels.costtogo import cost_to_go
+from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
+from ompl_ext.kernels.riccati import compile_solver
 from ompl_ext.kernels.specialise import is_cached, kernels
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal
@@ -86,9 +88,11 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
 
 
 def compile_maps() -> None:
-    """Compile the kernels of the clearance field and of the cost-to-go."""
+    """Compile the kernels of the clearance field, the cost-to-go and local optimisation."""
     field = clearance_field(Workspace(((0.0, 1.0), (0.0, 1.0)), (box((1.0, 1.0), (0.1, 0.1)),)), 0.1)
-    cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0)
+    seconds = cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0).seconds
+    compile_pose_cost_to_go(field.values, seconds)
+    compile_solver()
     _maps_marker().touch()
 
 

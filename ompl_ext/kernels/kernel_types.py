@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numba
 import numpy as np
 
-from ompl_ext.arrays import Cube, Floats, Floats32, IntMatrix, Ints, Ints32, Matrix, Matrix32, Words
+from ompl_ext.arrays import Floats, Floats32, IntMatrix, Ints, Ints32, Matrix, Matrix32, Words
 
 LANE_WIDTH = 32  # lanes that the arrays hold, the upper bound of the blossom number
 Q_DIM = 4  # components of a configuration in the tree's metric: x, y, weighted cosine and sine of the heading
@@ -147,17 +147,16 @@ _types: Any = numba.types  # numba has no types
 _typeof: Any = numba.typeof
 
 
-def numba_type(tuple_class: type) -> Any:
-    """Type in numba of a named tuple of arrays."""
+def _numba_type(tuple_class: type) -> Any:
     kinds = {
         Floats: (1, "f8"), Floats32: (1, "f4"), Ints: (1, "i8"), Ints32: (1, "i4"), Words: (1, "u8"),
-        Matrix: (2, "f8"), Matrix32: (2, "f4"), IntMatrix: (2, "i8"), Cube: (3, "f8"),
+        Matrix: (2, "f8"), Matrix32: (2, "f4"), IntMatrix: (2, "i8"),
     }  # fmt: skip
     hints = [kinds[kind] for kind in get_type_hints(tuple_class).values()]
     return _types.NamedTuple([_typeof(np.empty((1,) * ndim, dtype=dtype)) for ndim, dtype in hints], tuple_class)
 
 
-PROBLEM = numba_type(Problem)
-LANES = numba_type(Lanes)
-TREE = numba_type(Tree)
-RETAINED_EDGES = numba_type(Retained)
+PROBLEM = _numba_type(Problem)
+LANES = _numba_type(Lanes)
+TREE = _numba_type(Tree)
+RETAINED_EDGES = _numba_type(Retained)

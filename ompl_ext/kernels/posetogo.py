@@ -33,6 +33,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     POSE_X,
     POSE_Y,
     REACH,
+    SCALARS,
     X_HIGH,
     X_LOW,
     Y_HIGH,
@@ -40,6 +41,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Maps,
     Problem,
 )
+from ompl_ext.kernels.penetration import fill_penetration
 from ompl_ext.trigonometry import cos, sin
 
 MAX_CELLS = 1_000_000
@@ -145,6 +147,17 @@ def pose_cost_to_go(
     return PoseCostToGo(
         filled, origin, cell, shape, beyond, table.seconds, table.pose[:, :3], table.after, motions, table.frame
     )
+
+
+def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
+    """Compile the kernels of this module and of `penetration`, or load them from the cache."""
+    scalar = np.zeros(SCALARS)
+    scalar[[X_HIGH, Y_HIGH, GRID_INVERSE, REACH]] = 0.1, 0.1, 1.0, 0.1
+    maps = Maps(np.zeros((1, 3)), field, scalar)
+    bounds, twists = ((0.0, 0.1), (0.0, 0.1)), np.array([[1.0, 0.0, 1.0]])
+    found = pose_cost_to_go(maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic)
+    found.path_from(0.05, 0.05, 0.0)
+    fill_penetration(field, 1.0, np.empty_like(field))
 
 
 def _beyond(seconds: Floats32Cube, origin: tuple[float, float], cell: float, maps: Maps, geodesic: Matrix32) -> float:

@@ -10,14 +10,12 @@ programming, 2014).
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from ompl_ext.arrays import Cube, Floats, Matrix
 from ompl_ext.jit import compiled, inlined, part
-from ompl_ext.kernels.kernel_types import numba_type
 
 
 class Stages(NamedTuple):
@@ -52,6 +50,23 @@ class Memory(NamedTuple):
     factor: Matrix  # (s, s) and `right` (s, s) with s > nx, m: linear equations
     right: Matrix
     clamped: Floats  # (m,) 1 where a control is on its bound
+
+
+def compile_solver() -> None:
+    """Compile `solve`, or load it from the cache."""
+    n, nx, m = 1, 1, 1
+    empty = Stages(
+        a=np.zeros((n, nx, nx)),
+        b=np.zeros((n, nx, m)),
+        c=np.zeros((n, nx)),
+        q_matrix=np.zeros((n + 1, nx, nx)),
+        q=np.zeros((n + 1, nx)),
+        r_matrix=np.zeros((n, m, m)),
+        r=np.zeros((n, m)),
+        low=np.zeros((n, m)),
+        high=np.zeros((n, m)),
+    )
+    solve(empty, 1.0, 1.0, memory(n, nx, m))
 
 
 def memory(n: int, nx: int, m: int) -> Memory:
@@ -280,7 +295,9 @@ def _roll_out(stages: Stages, work: Memory) -> None:
             dx[stage + 1, i] = total
 
 
-def _solve(stages: Stages, damping: float, stiffness: float, work: Memory) -> bool:
+@compiled
+def solve(stages: Stages, damping: float, stiffness: float, work: Memory) -> bool:
+    """Solve for `dx` and `du` of the memory; false if a stage is not convex at this damping of the controls."""
     n, nx, _ = stages.b.shape
     for i in range(nx):
         work.slope[i, 0] = stages.q[n, i]
@@ -295,10 +312,3 @@ def _solve(stages: Stages, damping: float, stiffness: float, work: Memory) -> bo
         _update_costs(stages, work, stage)
     _roll_out(stages, work)
     return True
-
-
-_types: Any = numba.types  # numba has no types
-solve = compiled(
-    _solve, signature=_types.boolean(numba_type(Stages), _types.float64, _types.float64, numba_type(Memory))
-)
-"""Solve for `dx` and `du` of the memory; false if a stage is not convex at this damping of the controls."""
