@@ -77,7 +77,8 @@ class Problem:
                 state = rk4(self.model, state, control[None], np.array([duration / FINER]))
                 states.append(state)
         body = Body(self.solids, self.vehicle.footprint)
-        return self.goal.contains(self.vehicle, state[0]) and not body.any_collision(np.concatenate(states)[:, :3])
+        free = not body.any_collision(np.concatenate(states)[:, :3])
+        return free and self.goal.contains(self.vehicle, state[0])
 
 
 def turning_round() -> Problem:
@@ -138,7 +139,7 @@ def run(effort: Effort) -> Report:
         for problem in dynobench(Path(folder)):
             rows += measured(problem, max(1, min(seeds, 20)), GOOD_WITHIN)
     notes = [
-        "Parking and turning round: `mushr` that drives backwards as fast as ahead, within 5 cm and 5 degrees, at rest.",
+        "Parking, turning round: `mushr` that drives backwards as fast as ahead; within 5 cm and 5 degrees, at rest.",
         f"Problems of dynobench are read from the folder in {FOLDER}: within 2 cm and 2 degrees.",
         "A plan holds if an independent integration of its controls is free and ends in the goal.",
     ]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import callbacks, peers, planner, safety, scaling, startup, sysid, world
+from benchmarks import callbacks, goals, peers, planner, safety, scaling, startup, sysid, world
 from benchmarks.__main__ import main
 from benchmarks.effort import SMOKE
 from benchmarks.exact import Body, Disc, Rectangle, Star
@@ -49,6 +49,13 @@ def test_peers_write_a_database_with_runs_and_progress(tmp_path: Path) -> None:
     assert runs == (8,)
     assert 8 < best[0] < 13
     assert best[1] >= 2
+
+
+def test_goals_are_turned_round_to_and_parked_at() -> None:
+    report = quantities(goals.run(replace(SMOKE, seeds=1)))
+    assert report["turning round: set-up"] > 0
+    assert "parking, 1.3 lengths: first solution" in report
+    assert report["turning round: plans that hold after 0.2 s"] in (0.0, 100.0)
 
 
 def test_scaling_times_windows_of_both_sizes_and_keeps_no_memory() -> None:
