@@ -20,6 +20,7 @@ TOPICS = (
     "peers",
     "scaling",
     "maps",
+    "goals",
     "callbacks",
     "startup",
     "safety",

@@ -21,6 +21,8 @@ Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 Matrix32 = np.ndarray[tuple[int, int], np.dtype[np.float32]]
 Words16 = npt.NDArray[np.uint16]
 Words16Matrix = np.ndarray[tuple[int, int], np.dtype[np.uint16]]
+Cube = np.ndarray[tuple[int, int, int], np.dtype[np.float64]]
+Floats32Cube = np.ndarray[tuple[int, int, int], np.dtype[np.float32]]
 IntMatrix32 = np.ndarray[tuple[int, int], np.dtype[np.int32]]
 IntMatrix = np.ndarray[tuple[int, int], np.dtype[np.int64]]
 

@@ -107,16 +107,18 @@ class CallbackSearch:
             scalar[[at.GOAL_X, at.GOAL_Y]] = target
         nothing, no_tile, no_squares = (np.zeros((1, 1), kind) for kind in (np.float32, np.int32, np.uint16))
         return Problem(
-            np.zeros(1),
-            self._control.bounds,
-            np.zeros((1, 2)),
-            np.zeros(1),
-            nothing,
-            nothing,
-            no_tile,
-            no_squares,
-            scalar,
-            option,
+            parameters=np.zeros(1),
+            controls=self._control.bounds,
+            limits=np.zeros((1, 2)),
+            discs=np.zeros((1, 3)),
+            field=nothing,
+            togo=nothing,
+            tile=no_tile,
+            squares=no_squares,
+            pose_togo=np.zeros(1, np.float32),
+            goal_limits=np.zeros((1, 3)),
+            scalar=scalar,
+            option=option,
         )
 
     def count(self, which: int) -> int:

@@ -65,6 +65,8 @@ def plan_with_ompl(
     setup = simple_setup(vehicle, workspace, start, goal, safety, STEP, (settings.shortest, settings.longest))
     si = setup.getSpaceInformation()
     planner = planner_class(si)
+    if name == "rrt":
+        planner.setIntermediateStates(goal.has_heading or bool(goal.limits))  # a small goal lies within edges, too
     setup.setPlanner(planner)
     setup.setup()
     checks, began = [0], time.perf_counter()

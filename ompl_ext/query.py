@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix, Matrix32
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.clearance import ClearanceField, cover, fields, memory_of_fields
+from ompl_ext.kernels.clearance import ClearanceField, cover, fields, memory_of_fields, tight_cover
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.fine_field import FineField
-from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Problem, Retained
+from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Maps, Problem, Retained
+from ompl_ext.kernels.posetogo import PoseCostToGo, pose_cost_to_go
+from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -24,12 +26,44 @@ CACHED_MAPS = 8  # maps of the latest queries that a process keeps: those of the
 
 @dataclass(frozen=True)
 class Goal:
-    """Goal region: a position, a radius (m) and, optionally, a heading with a tolerance (rad)."""
+    """Goal region: a position, a radius (m) and, optionally, a heading with a tolerance (rad).
+
+    `limits` bound further components of the state there, by name: lowest and highest value (SI).
+    """
 
     center: tuple[float, float]
     radius: float
     heading: float = 0.0
     tolerance: float = math.pi
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def has_heading(self) -> bool:
+        """Whether the goal bounds the heading."""
+        return self.tolerance < math.pi
+
+    def contains(self, vehicle: Vehicle, state: Floats) -> bool:
+        """Whether a state (nx,) of a vehicle is in the region."""
+        x, y, theta = (vehicle.index(name) for name in ("x", "y", "theta"))
+        if math.hypot(state[x] - self.center[0], state[y] - self.center[1]) >= self.radius:
+            return False
+        if self.has_heading and theta >= 0 and math.cos(state[theta] - self.heading) < math.cos(self.tolerance):
+            return False
+        return all(low <= state[vehicle.index(name)] <= high for name, (low, high) in self.limits.items())
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Check that the goal bounds components that the vehicle has.
+
+        Raises:
+            ValueError: a name is not a component, or is one that center, radius and heading bound; or low > high.
+        """
+        others = [name for name in vehicle.state if name not in ("x", "y", "theta")]
+        for name, (low, high) in self.limits.items():
+            if name not in others:
+                has = f"has {', '.join(others)} besides its pose" if others else "has no component besides its pose"
+                raise ValueError(f"goal: limits name {name!r}; {vehicle.name} {has}")
+            if not low <= high:
+                raise ValueError(f"goal: the limits of {name} are {low} to {high}")
 
 
 @dataclass(frozen=True)
@@ -93,6 +127,10 @@ class Settings:
     resolution: float = 0.01
     discs: int = 4
     cell: float = 0.02
+    pose_cost_to_go: bool | None = None
+    """whether the cost-to-go knows the heading; by default it does if the goal has one"""
+    polish: bool | None = None
+    """whether plans are improved by local optimisation; by default they are if the goal has a heading"""
 
     def __post_init__(self) -> None:
         """Check that the kernels' arrays can hold the settings.
@@ -135,16 +173,20 @@ def make_problem(
 
     Without a goal there is no cost-to-go: edges and SAFETY can be checked, a tree cannot grow.
     """
-    discs = cover(vehicle.footprint, settings.discs)
+    precise = goal is not None and vehicle.index("theta") >= 0 and goal.has_heading
+    settings = settings_for(settings, vehicle, goal)
+    discs = _tight_cover(vehicle.footprint) if precise else cover(vehicle.footprint, settings.discs).discs
     reach = vehicle.footprint.reach
     delta = _largest_delta(vehicle, safety)
-    field, fine = _fields(workspace, vehicle.footprint, discs.radius, settings.cell, delta)
+    smallest = float(discs[:, 2].min())
+    field, fine = _fields(workspace, vehicle.footprint, smallest, settings.cell, delta)
     seconds = np.zeros((1, 1), np.float32)
     if goal is not None:
+        goal.check(vehicle)
         seconds = _seconds(
             workspace,
             vehicle.footprint,
-            discs.radius,
+            smallest,
             settings.cell,
             delta,
             goal.center,
@@ -161,7 +203,7 @@ def make_problem(
     scalar[[at.CYCLE, at.DELTA, at.DELTA_PER_SPEED]] = safety.cycle, safety.delta, safety.delta_per_speed
     scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = safety.delta_per_time, safety.delta_horizon
     scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
-    scalar[[at.REACH, at.DISC_RADIUS, at.LENGTH]] = reach, discs.radius, vehicle.footprint.length
+    scalar[[at.REACH, at.LENGTH, at.TOP_SPEED]] = reach, vehicle.footprint.length, vehicle.top_speed
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell
     if fine is not None:
         x, y, c, s, spacing = fine.lattice
@@ -172,26 +214,136 @@ def make_problem(
         settings.exploration,
         settings.beyond,
     )
-    if goal is not None:
-        scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
-        scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
-        scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.tolerance < math.pi else -2.0
     option = np.zeros(OPTIONS, np.int64)
     option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
     option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
     option[[at.BLOSSOM, at.INSERTIONS]] = settings.blossom, settings.insertions
     option[[at.CHILD_EXTENSION, at.REQUIRE_SAFETY]] = settings.child_extension, safety.enabled
-    return Problem(
+    problem = Problem(
         parameters=vehicle.parameter_array,
         controls=vehicle.control_bounds,
         limits=limits,
-        discs=discs.centres,
+        discs=discs,
         field=field.values,
         togo=seconds,
         tile=np.full((1, 1), -1, np.int32) if fine is None else fine.tile,
         squares=np.zeros((1, 1), np.uint16) if fine is None else fine.squares,
+        pose_togo=np.zeros(0, np.float32),
+        goal_limits=np.zeros((len(vehicle.state), 3)),
         scalar=scalar,
         option=option,
+    )
+    if goal is None:
+        return problem
+    _set_goal(problem, goal, vehicle, settings)
+    if settings.pose_cost_to_go if settings.pose_cost_to_go is not None else precise:
+        problem = _with_pose_cost_to_go(problem, vehicle, workspace, goal, settings)
+    return problem
+
+
+def settings_for(settings: Settings, vehicle: Vehicle, goal: Goal | None) -> Settings:
+    """Settings with a finer clearance field if the goal has a heading: manoeuvring is done in narrow places."""
+    if goal is None or vehicle.index("theta") < 0 or not goal.has_heading:
+        return settings
+    return replace(settings, cell=min(settings.cell, FINE_CELL))
+
+
+def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings) -> None:
+    """Write the goal region, and how edges near it are treated, into a problem's arrays."""
+    scalar, option, limits = problem.scalar, problem.option, problem.goal_limits
+    scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
+    scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
+    scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.has_heading else -2.0
+    scalar[at.GOAL_NEAR] = goal.radius + settings.longest * vehicle.top_speed
+    scalar[at.SHORTEST_NEAR_GOAL] = SHORT * settings.shortest
+    passes = settings.shortest * vehicle.top_speed > 2 * goal.radius
+    option[at.GOAL_HEADING], option[at.GOAL_LIMITS] = goal.has_heading, bool(goal.limits)
+    option[at.CUT_AT_GOAL] = goal.has_heading or bool(goal.limits) or passes
+    limits[:, 0], limits[:, 1] = -math.inf, math.inf
+    for name, (low, high) in goal.limits.items():
+        k, rate = vehicle.index(name), motion_of(vehicle).rate[vehicle.index(name)]
+        limits[k] = low, high, 1.0 / rate if rate > 0.0 else 0.0
+        if k == vehicle.rest_indices[0]:
+            scalar[[at.BRAKING, at.GOAL_SPEED]] = rate, max(abs(low), abs(high))
+
+
+def pose_cost_to_go_of(vehicle: Vehicle, workspace: Workspace, goal: Goal, cell: float) -> PoseCostToGo:
+    """Cost-to-go of poses, computed once for a vehicle, a map and a goal; kernels only read it."""
+    return _pose_seconds(_Vehicle(vehicle), workspace, cell, goal.center, goal.radius, goal.heading, goal.tolerance)
+
+
+def _with_pose_cost_to_go(
+    problem: Problem, vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings
+) -> Problem:
+    """Problem with the cost-to-go of poses."""
+    found = pose_cost_to_go_of(vehicle, workspace, goal, settings.cell)
+    problem.option[[at.POSE_HEADINGS, at.POSE_ROWS, at.POSE_COLUMNS]] = found.shape
+    problem.scalar[[at.POSE_X, at.POSE_Y, at.POSE_INVERSE]] = *found.origin, 1 / found.cell
+    problem.scalar[[at.POSE_BEYOND, at.POSE_HEADING]] = found.beyond, goal.heading
+    return problem._replace(pose_togo=found.seconds)
+
+
+FINE_CELL = 0.01  # of the clearance field if the goal has a heading (m)
+SHORT = 0.1  # share of the shortest edge that an edge near the goal lasts at least
+COARSEST = 0.3  # cell of the cost-to-go of poses as a share of the footprint's width
+
+
+class _Vehicle:
+    """Vehicle as the key of a cache: what its motion depends on."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        parts = vehicle.parameter_array, vehicle.control_bounds, vehicle.state_limits
+        self._key = (vehicle.hash, id(vehicle.derivative), vehicle.footprint, *(part.tobytes() for part in parts))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Vehicle) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(CACHED_MAPS)
+def _tight_cover(footprint: Footprint) -> Matrix:
+    return tight_cover(footprint, EXCESS * footprint.width)
+
+
+EXCESS = 0.03  # of the discs over the footprint where a heading is asked for, as a share of its width
+
+
+@lru_cache(CACHED_MAPS)
+def _pose_seconds(
+    key: _Vehicle,
+    workspace: Workspace,
+    cell: float,
+    center: tuple[float, float],
+    radius: float,
+    heading: float,
+    tolerance: float,
+) -> PoseCostToGo:
+    """Cost-to-go of poses; kernels only read it."""
+    vehicle = key.vehicle
+    footprint, motion = vehicle.footprint, motion_of(vehicle)
+    discs = _tight_cover(footprint)
+    smallest = float(discs[:, 2].min())
+    field, _ = _fields(workspace, footprint, smallest, cell, 0.0)
+    scalar = np.zeros(SCALARS)
+    scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
+    scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE, at.REACH]] = *field.origin, 1 / field.cell, footprint.reach
+    maps = Maps(discs, field.values, np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16), scalar)
+    speed = vehicle.rest_indices[0] if vehicle.rest_indices else -1
+    reversal = vehicle.top_speed / motion.rate[speed] if speed >= 0 and motion.rate[speed] > 0 else 0.0
+    geodesic = _seconds(workspace, footprint, smallest, cell, 0.0, center, radius, vehicle.top_speed)
+    return pose_cost_to_go(
+        maps,
+        workspace.bounds,
+        (*center, heading),
+        radius,
+        tolerance,
+        motion.extreme_twists(footprint.reach)[0],
+        reversal,
+        (cell, COARSEST * footprint.width),
+        geodesic,
     )
 
 

@@ -34,7 +34,18 @@ from ompl_ext.kernels.tree_memory import (  # fmt: skip
 from ompl_ext.obstacles import Workspace
 from ompl_ext.partner import Partner, rank
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
-from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, make_lanes, make_problem, remaining_edges
+from ompl_ext.polish import INTERVAL, SOFT, Guess, Polish, guess_along, resampled
+from ompl_ext.query import (
+    Goal,
+    Safety,
+    Settings,
+    edges_to_retain,
+    make_lanes,
+    make_problem,
+    pose_cost_to_go_of,
+    remaining_edges,
+    settings_for,
+)
 from ompl_ext.retainment import RetainableEdges, retainable_edges
 from ompl_ext.vehicle import Vehicle
 
@@ -45,6 +56,22 @@ LONGEST_ROUND = 1024  # iterations of each thread between two exchanges of the b
 ROUNDS_TO_PRUNING = 4
 PARTNER_SEEDS = 2**32  # difference between the seeds of the trees of one query
 LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
+
+
+POLISH_EVERY = 512  # iterations
+POLISH_GAIN = 0.005  # s by which the best plan must be better than the last time
+CLEARANCES = (0.7, 1.5, 3.0)  # cells of the clearance field that optimised plans aim for, in turn
+REPEATED_STIFFNESS = 1e3  # of the model, for a plan that obeys it already
+PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
+
+
+@dataclass(frozen=True)
+class _Polished:
+    """Plans that were optimised so far: how many, the cost of the best and the time that the last one took (s)."""
+
+    attempts: int = 0
+    cost: float = math.inf
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -123,6 +150,8 @@ class DirtSolver:
         self._no_edges = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
         self._retained_nodes = self._no_edges.node
         self._progress = Progress()
+        self._polish = self._make_polish()
+        self._polished = _Polished()
 
     @property
     def problem(self) -> Problem:
@@ -161,7 +190,7 @@ class DirtSolver:
         for number, partner in enumerate(self._partners, 1):
             partner.clear(self._capacity, generator(seed + number * PARTNER_SEEDS))
         self._rounds = 0
-        self._progress = Progress()
+        self._progress, self._polished = Progress(), _Polished()
 
     def add_root(self, state: Floats) -> float:
         """Add a start state; returns its spare clearance as `start` does."""
@@ -235,6 +264,8 @@ class DirtSolver:
         chunk, elapsed = FIRST_CHUNK, 0.0
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
             count = min(chunk, left, PRUNE_EVERY - int(self._tree.count[at.ITERATIONS]) % PRUNE_EVERY)
+            if self._polish is not None:
+                count = min(count, POLISH_EVERY - int(self._tree.count[at.ITERATIONS]) % POLISH_EVERY)
             if iterations is None:
                 self._reserve(count * max(EXPLORATION_INSERTIONS, self.settings.insertions))
             elapsed_before, before = elapsed, int(self._tree.count[at.ITERATIONS])
@@ -242,6 +273,10 @@ class DirtSolver:
             left -= int(self._tree.count[at.ITERATIONS]) - before
             elapsed = time.perf_counter() - began
             self._update_progress(base + elapsed)
+            if self._polishes_now(None if seconds is None else seconds - elapsed):
+                self._add_polished()
+                elapsed = time.perf_counter() - began
+                self._update_progress(base + elapsed)
             if self._tree.count[at.FULL] or self._prunes_now():
                 prune(self._tree)
                 memory = len(self._tree.state)
@@ -319,6 +354,70 @@ class DirtSolver:
 
     def _run_partner(self, partner: Partner, retained: at.Retained, iterations: int) -> None:
         self._kernels.grow(partner.tree, self._problem, partner.work, partner.brake, partner.q, retained, iterations)
+
+    def _make_polish(self) -> Polish | None:
+        """Local optimisation, if the settings ask for it and durations are free."""
+        wanted = self.settings.polish
+        if self.goal is None or self.settings.quantum > 0.0 or self.vehicle.index("theta") < 0:
+            return None
+        if wanted is None:
+            wanted = self.goal.has_heading
+        return Polish(self.vehicle, self._problem, self.goal, self.safety) if wanted else None
+
+    def _polishes_now(self, left: float | None) -> bool:
+        """Whether to improve the plan: at fixed iterations, if it is another one than last time and time is left."""
+        if self._polish is None or self._tree.count[at.ITERATIONS] % POLISH_EVERY != 0:
+            return False
+        if self._polished.attempts > 0 and self._tree.best[0] >= self._polished.cost - POLISH_GAIN:
+            return False
+        return left is None or left > self._polished.seconds
+
+    def _add_polished(self) -> None:
+        """Improve the best plan, or at first one along the cost-to-go of poses, and add it to the tree."""
+        began = time.perf_counter()
+        if self._polished.attempts == 0:
+            self._add_improved(self._guided_guess(), PATIENCE)
+        if self._tree.count[at.BEST] >= 0:
+            self._add_improved(self._guess_of_plan(), 1.0)
+        cost = float(self._tree.best[0])
+        self._polished = _Polished(self._polished.attempts + 1, cost, time.perf_counter() - began)
+
+    def _guided_guess(self) -> Guess | None:
+        """Guess along the path of poses from the root."""
+        assert self.goal is not None
+        cell = settings_for(self.settings, self.vehicle, self.goal).cell
+        found = pose_cost_to_go_of(self.vehicle, self.workspace, self.goal, cell)
+        root = self._tree.state[0].copy()
+        path = found.path_from(*(float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta")))
+        return guess_along(path, self.vehicle, root) if path is not None and len(path.times) > 1 else None
+
+    def _guess_of_plan(self) -> Guess:
+        """Guess of the best plan."""
+        nu, path = len(self.vehicle.controls), path_to(self._tree, int(self._tree.count[at.BEST]))
+        controls, durations = self._tree.edge[path[1:], :nu], self._tree.edge[path[1:], nu]
+        times, trajectory = self._trajectory(self._tree.state[path[0]], controls, durations)
+        ends = np.cumsum(durations)
+        held = np.minimum(np.searchsorted(ends, 0.5 * (times[:-1] + times[1:])), len(ends) - 1)
+        return resampled(Guess(trajectory, controls[held], np.diff(times)), INTERVAL)
+
+    def _add_improved(self, guess: Guess | None, urgency: float) -> None:
+        """Improve a guess and add it as edges from the root, with more and more clearance until all of it passes."""
+        assert self._polish is not None
+        assert self.goal is not None
+        if guess is None or guess.time == 0.0:
+            return
+        self._polish.goal, self._polish.safety, self._polish.urgency = self.goal, self.safety, urgency
+        cell, stiffness = 1.0 / float(self._problem.scalar[at.GRID_INVERSE]), SOFT
+        for factor in CLEARANCES:
+            guess = self._polish.improve(guess, factor * cell, stiffness)
+            edges = edges_to_retain(list(range(-1, len(guess.durations) - 1)), guess.controls, guess.durations)
+            retained = int(self._tree.count[at.RETAINED])
+            self._reserve(len(guess.durations))
+            self._run_kernel(edges, 0)
+            self._tree.count[at.RETAINED] = retained
+            if edges.node[-1] >= 0 and self._tree.link[edges.node[-1], at.AT_GOAL] == 1:
+                return
+            stiffness = REPEATED_STIFFNESS
 
     def _reserve(self, nodes: int) -> None:
         """Reserve memory for so many more nodes, as far as `max_nodes` allows."""
@@ -444,14 +543,15 @@ class DirtSolver:
         field, _, _, discs, scalar = self._maps
         distance = np.full(len(poses), math.inf)
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        for offset in discs:
-            row = (poses[:, 1] + offset * s - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
-            column = (poses[:, 0] + offset * c - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
+        for ahead, aside, radius in discs:
+            row = (poses[:, 1] + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
+            column = (poses[:, 0] + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
             inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)
             value = field[inside].astype(float)
             if scalar[at.FINE_INVERSE] > 0.0:
-                raise_to_fine(self._problem, poses[:, 0] + offset * c, poses[:, 1] + offset * s, value)
-            distance = np.minimum(distance, value - scalar[at.DISC_RADIUS])
+                x, y = poses[:, 0] + ahead * c - aside * s, poses[:, 1] + ahead * s + aside * c
+                raise_to_fine(self._problem, x, y, value)
+            distance = np.minimum(distance, value - radius)
         return distance
 
     def least_distance(self, poses: Matrix) -> float:

@@ -89,11 +89,17 @@ class SimpleSetup(oc.SimpleSetup):
 
 
 class PlanarGoal(ob.GoalRegion):
-    """Goal region of `ompl_ext.query.Goal`: a disc and, optionally, a heading."""
+    """Goal region of `ompl_ext.query.Goal`: a disc and, optionally, a heading and limits of other components.
+
+    Raises:
+        ValueError: the goal bounds a component that the vehicle does not have.
+    """
 
     def __init__(self, si: oc.SpaceInformation, vehicle: Vehicle, goal: Goal) -> None:
+        goal.check(vehicle)
         super().__init__(si)
         self.goal = goal
+        self._limits = [(vehicle.index(name), low, high) for name, (low, high) in goal.limits.items()]
         self._x, self._y, self._theta = (vehicle.index(name) for name in ("x", "y", "theta"))
         self._center = goal.center
         self._has_heading = self._theta >= 0 and goal.tolerance < math.pi
@@ -101,10 +107,12 @@ class PlanarGoal(ob.GoalRegion):
         self.setThreshold(goal.radius)
 
     def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
-        """Distance to the centre (m); above the radius if the heading is outside its tolerance."""
+        """Distance to the centre (m); above the radius if the heading or a component is outside its limits."""
         x, y = self._center
         distance = math.hypot(state[self._x] - x, state[self._y] - y)
         if self._has_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
+            return max(distance, 1.001 * self.goal.radius)
+        if any(not low <= state[k] <= high for k, low, high in self._limits):
             return max(distance, 1.001 * self.goal.radius)
         return distance
 

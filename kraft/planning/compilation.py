@@ -18,6 +18,8 @@ from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.kernels.clearance import cover, fields
 from ompl_ext.kernels.costtogo import cost_to_go
+from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
+from ompl_ext.kernels.riccati import compile_solver
 from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, step_kernels
 from ompl_ext.obstacles import OccupancyGrid, Workspace, box
 from ompl_ext.query import Goal
@@ -95,13 +97,15 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
 
 
 def compile_maps() -> None:
-    """Compile the kernels of the clearance fields, of the cost-to-go and of exact clearances."""
+    """Compile the kernels of the clearance fields, the costs-to-go, exact clearances and local optimisation."""
     body = Footprint(0.2, 0.2)
     cells = OccupancyGrid(np.eye(4, dtype=bool), 0.1, (0.0, 0.0, 0.0))
     world = Workspace(((0.0, 1.0), (0.0, 1.0)), (cells, box((1.0, 1.0), (0.1, 0.1))))
-    field, _ = fields(world, body, cover(body).radius, 0.05)
+    field, _ = fields(world, body, float(cover(body).discs[:, 2].min()), 0.05)
     for most_in_order in (field.values.size, 0):
-        cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0, most_in_order=most_in_order)
+        seconds = cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0, most_in_order=most_in_order).seconds
+    compile_pose_cost_to_go(field.values, seconds)
+    compile_solver()
     exact = ExactClearance(world, body)
     exact.distance(0.5, 0.1)
     exact.lower_bounds(np.zeros((1, 3)))

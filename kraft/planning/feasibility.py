@@ -16,23 +16,26 @@ from kraft.planning.workspace import (
     workspace_of,
 )
 from kraft.scenario import OccupancyMap, Task
+from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import costtogo
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.memory import available_memory, in_words
+from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import make_problem, memory_of_maps
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)
+REACH_ALLOWANCE: Final = 0.02  # share of the range of a component, as seen in simulated motions
 UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
 
 
 def memory_needed(task: Task, vehicle: Vehicle) -> int:
     """Memory (bytes) that the distance fields of a task need at most."""
-    return memory_of_maps(vehicle, workspace_of(task, vehicle), safety_of_task(task), settings_of(task))
+    return memory_of_maps(vehicle, workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle))
 
 
 def check_memory_of_maps(task: Task, vehicle: Vehicle) -> None:
@@ -82,8 +85,30 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         problem = f"the goal's centre {hit}"
         expected = "expected a free place"
         problems.append(task.source.diagnostic("goal.center", problem, expected, code=Code.GEOMETRY))
+    problems += _goal_limit_problems(task, vehicle)
     if problems:
         raise InputError(problems)
+
+
+def _goal_limit_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:
+    """Limits of the goal on components that the vehicle does not have, or that exclude what it can reach."""
+    problems = []
+    others = [name for name in vehicle.state if name not in ("x", "y", "theta")]
+    for name, (low, high) in task.goal.limits.items():
+        key = ("goal", "limits", name)
+        if name not in others:
+            has = suggestion(name, others, none=f"expected no limits: {vehicle.name} has no component besides its pose")
+            problem = f"{vehicle.name} has no component {name!r} besides its pose"
+            problems.append(task.source.diagnostic(key, problem, has, code=Code.UNKNOWN))
+            continue
+        motion, k = motion_of(vehicle), vehicle.index(name)
+        least, most = float(motion.low[k]), float(motion.high[k])
+        allowance = REACH_ALLOWANCE * (most - least)
+        if high < least - allowance or low > most + allowance:
+            problem = f"{low:g} to {high:g} excludes what {vehicle.name} can reach, {least:.3g} to {most:.3g}"
+            expected = "expected limits that overlap with it"
+            problems.append(task.source.diagnostic(key, problem, expected))
+    return problems
 
 
 def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[float, float, float]) -> str | None:
@@ -107,7 +132,9 @@ def check_reachable(task: Task, vehicle: Vehicle) -> None:
     Raises:
         Unreachable: at the goal, if there is none.
     """
-    problem = make_problem(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task))
+    problem = make_problem(
+        vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task, vehicle)
+    )
     if not reachable(problem, task.start.x, task.start.y):
         expected = "expected a goal that the vehicle can get to"
         raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected, code=Code.GEOMETRY)])

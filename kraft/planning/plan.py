@@ -108,7 +108,7 @@ def plan_task(
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()
-    workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task)
+    workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
     dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
     spare = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
@@ -208,6 +208,10 @@ def _distance_to_goal(task: Task, vehicle: Vehicle, plan: Plan) -> str:
     x, y, heading = pose_of(plan.states[-1], vehicle)
     distance = math.dist((x, y), goal.center) - goal.radius
     place = f"{distance:.3g} m from the goal region" if distance > 0.0 else "in the goal region"
+    for name, (low, high) in goal.limits.items():
+        value = float(plan.states[-1][vehicle.index(name)])
+        if not low <= value <= high:
+            place += f", {name} {value:.3g}, of which {low:g} to {high:g} are allowed"
     if goal.heading is None or goal.heading_tolerance is None:
         return place
     off = math.degrees(abs(math.remainder(heading - goal.heading, math.tau)))

@@ -102,9 +102,9 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
         "seed": result.seed,
         **({"threads": result.threads} if result.threads > 1 else {}),
         "iterations": result.progress.iterations,
-        "settings": {**asdict(settings_of(task)), **_planning(task)},
+        "settings": {**asdict(settings_of(task, vehicle)), **_planning(task)},
         "from": _previous(origin.previous),
-        "goal": {"center": list(task.goal.center), "radius": task.goal.radius, "reached": plan.reaches_goal},
+        "goal": _goal(task, plan),
         "cost": plan.cost,
         "cost_to_go": plan.cost_to_go,
         "durations": plan.durations.tolist(),
@@ -150,6 +150,16 @@ def _indented(value: Any, indent: str) -> str:
     if isinstance(value, list) and value and isinstance(value[0], list):
         return "[\n" + ",\n".join(inner + json.dumps(row, allow_nan=False) for row in value) + f"\n{indent}]"
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def _goal(task: Task, plan: Plan) -> dict[str, Any]:
+    goal = task.goal
+    content: dict[str, Any] = {"center": list(goal.center), "radius": goal.radius, "reached": plan.reaches_goal}
+    if goal.heading is not None:
+        content |= {"heading": goal.heading, "heading_tolerance": goal.heading_tolerance}
+    if goal.limits:
+        content["limits"] = {name: list(interval) for name, interval in goal.limits.items()}
+    return content
 
 
 def _planning(task: Task) -> dict[str, Any]:
@@ -237,6 +247,12 @@ class PlannedGoal(StrictModel):
     """[x, y] of the centre, m"""
     radius: object = None
     """distance from the centre that counts as arrived, m"""
+    heading: object = None
+    """heading there, rad"""
+    heading_tolerance: object = None
+    """deviation from the heading that counts as arrived, rad"""
+    limits: object = None
+    """lowest and highest value there of further components of the state"""
     reached: bool
     """whether the plan ends in the goal region"""
 

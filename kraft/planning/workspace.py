@@ -13,6 +13,7 @@ from kraft.scenario import Bounds, Box, Circle, Obstacle, OccupancyMap, Polygon,
 from kraft.vehicles.load import load_vehicle
 from ompl_ext import obstacles as planar
 from ompl_ext.arrays import Floats
+from ompl_ext.motion import edge_durations
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.vehicle import Vehicle
@@ -55,8 +56,8 @@ def goal_of(task: Task) -> Goal:
     """Goal region; without a heading every heading is accepted."""
     goal = task.goal
     if goal.heading is None or goal.heading_tolerance is None:
-        return Goal(goal.center, goal.radius)
-    return Goal(goal.center, goal.radius, goal.heading, goal.heading_tolerance)
+        return Goal(goal.center, goal.radius, limits=goal.limits)
+    return Goal(goal.center, goal.radius, goal.heading, goal.heading_tolerance, goal.limits)
 
 
 def safety_of_task(task: Task) -> Safety:
@@ -70,10 +71,10 @@ def safety_of_task(task: Task) -> Safety:
     )
 
 
-def settings_of(task: Task) -> Settings:
+def settings_of(task: Task, vehicle: Vehicle) -> Settings:
     """Settings of the planner; those that a scenario does not have keep their defaults."""
     planning = task.planning
-    shortest, longest = planning.edge_duration
+    shortest, longest = planning.edge_duration or edge_durations(vehicle)
     return Settings(
         blossom=planning.blossom,
         child_extension=planning.child_extension,
@@ -81,7 +82,7 @@ def settings_of(task: Task) -> Settings:
         goal_bias=planning.goal_bias,
         shortest=shortest,
         longest=longest,
-        steps=planning.steps,
+        steps=planning.steps_of(longest),
     )
 
 

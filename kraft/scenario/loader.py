@@ -179,6 +179,6 @@ def _start(start: StartFile) -> Start:
 
 def _goal(goal: GoalFile) -> Goal:
     if goal.heading_deg is None or goal.heading_tolerance_deg is None:
-        return Goal(goal.center, goal.radius)
+        return Goal(goal.center, goal.radius, limits=goal.limits)
     heading, tolerance = math.radians(goal.heading_deg), math.radians(goal.heading_tolerance_deg)
-    return Goal(goal.center, goal.radius, heading, tolerance)
+    return Goal(goal.center, goal.radius, heading, tolerance, goal.limits)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
 from kraft.config.source import Source
@@ -24,7 +25,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Goal:
-    """Goal region: a disc, and optionally a heading; angles in rad.
+    """Goal region: a disc, and optionally a heading and limits of other components of the state; SI units.
 
     ``heading`` and ``heading_tolerance`` are both given or both None.
     """
@@ -33,6 +34,7 @@ class Goal:
     radius: float
     heading: float | None = None
     heading_tolerance: float | None = None
+    limits: Mapping[str, Vec2] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

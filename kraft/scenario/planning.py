@@ -22,6 +22,7 @@ PLANNERS: Final[dict[str, str]] = {
 
 STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MOST_STEPS`)
 DEFAULT_ITERATIONS: Final = 20_000
+EDGE_DURATION: Final = (0.5, 1.0)
 
 Duration = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
@@ -53,8 +54,8 @@ class Planning(StrictModel):
     """planning budget in iterations, repeatable; 20000 unless `time` is given"""
     time: Duration | None = None
     """planning budget in wall-clock time, not repeatable, s"""
-    edge_duration: tuple[Duration, Duration] = (0.5, 1.0)
-    """shortest and longest duration of one tree edge, s"""
+    edge_duration: tuple[Duration, Duration] | None = None
+    """shortest and longest duration of one tree edge, s; 0.5 and 1, or longer for a vehicle that accelerates slowly"""
     integration_step: Duration = 0.1
     """longest step of the integrator, s; the longest edge takes ten steps or more"""
     blossom: Annotated[int, Field(ge=1, le=32)] = 32
@@ -70,14 +71,14 @@ class Planning(StrictModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        shortest, longest = self.edge_duration
+        shortest, longest = self.edge_duration or EDGE_DURATION
         if shortest > longest:
             problem = f"the shortest duration {shortest:g} is longer than the longest {longest:g}"
             raise refuse(problem, "expected [shortest, longest]", ("edge_duration",))
         if self.integration_step > shortest:
             problem = f"is {self.integration_step:g}, longer than the shortest edge"
             raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
-        if self.steps > STEPS_MAX:
+        if self.steps_of(longest) > STEPS_MAX:
             expected = f"expected a step with which the longest edge takes at most {STEPS_MAX} steps"
             raise refuse(f"is {self.integration_step:g}", expected, ("integration_step",), Code.CONFLICT)
         if self.iterations is not None and self.time is not None:
@@ -95,10 +96,9 @@ class Planning(StrictModel):
         except InputError as error:
             raise InputError(replace(d, file=d.path, path="", argument=True) for d in error.diagnostics) from None
 
-    @property
-    def steps(self) -> int:
-        """Integration steps of an edge."""
-        return max(10, math.ceil(self.edge_duration[1] / self.integration_step - 1e-9))
+    def steps_of(self, longest: float) -> int:
+        """Integration steps of an edge of which the longest takes `longest` s."""
+        return max(10, math.ceil(longest / self.integration_step - 1e-9))
 
     @property
     def iteration_budget(self) -> int | None:

@@ -17,6 +17,7 @@ from kraft.scenario.trial import Sensing, Trial
 from kraft.scenario.truth import Truth, misordered
 
 VERTICES_MAX = 1000
+Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 
@@ -154,6 +155,8 @@ class GoalFile(StrictModel):
     """heading on arrival, degrees from +x"""
     heading_tolerance_deg: Annotated[float, Field(gt=0, le=180)] | None = None
     """deviation from that heading, to either side, that counts as arrived, degrees"""
+    limits: dict[str, tuple[Component, Component]] = Field(default_factory=dict)
+    """lowest and highest value on arrival of further components of the vehicle's state, {v: [-0.05, 0.05]}, SI units"""
 
     @model_validator(mode="after")
     def _both_or_none(self) -> Self:
@@ -162,6 +165,10 @@ class GoalFile(StrictModel):
             if self.heading_deg is None:
                 given, other = other, given
             raise refuse(f"is given without {other}", "expected both or none", (given,), Code.CONFLICT)
+        for name, (low, high) in self.limits.items():
+            if low >= high:
+                problem = f"the interval [{low:g}, {high:g}] is empty or inverted"
+                raise refuse(problem, "expected [low, high] with low < high", ("limits", name))
         return self
 
 
@@ -179,7 +186,7 @@ class ScenarioFile(StrictModel):
     start: StartFile
     """{x, y, heading_deg, speed}"""
     goal: GoalFile
-    """{center: [x, y], radius}"""
+    """{center: [x, y], radius, heading_deg, heading_tolerance_deg, limits}"""
     vehicle: str = "mushr"
     """a vehicle's name, the path of its YAML file, module:attribute or file.py:attribute"""
     planning: Planning = Planning()

@@ -136,9 +136,9 @@ class ModelWorld:
 
     @property
     def in_goal(self) -> bool:
-        """Whether the true pose is within the goal region, including the heading if the goal has one."""
+        """Whether the true state is in the goal region."""
         x, y, theta = self._state[self._pose].tolist()
-        return is_in_goal(self._scenario.goal, x, y, theta)
+        return is_in_goal(self._scenario.goal, x, y, theta, self.components)
 
     @cached_property
     def model(self) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any, Final
 
@@ -180,8 +180,8 @@ class World:
 
     @property
     def in_goal(self) -> bool:
-        """Whether the true pose is within the goal region, including the heading if the goal has one."""
-        return is_in_goal(self._goal, *self._planar(self._body))
+        """Whether the robot is in the goal region: position, and what else the goal bounds."""
+        return is_in_goal(self._goal, *self._planar(self._body), {"v": self.speed, **self.components})
 
     @property
     def depth_in_floor(self) -> float:
@@ -221,9 +221,14 @@ def _compiled(scenario: Scenario, robot: SimulatedRobot) -> Any:
     return build(scenario, FloorFrame.of(truth.tilt), TIMESTEP, partial(robot.add, gap=truth.vehicle), grip=robot.grip)
 
 
-def is_in_goal(goal: Goal, x: float, y: float, theta: float) -> bool:
-    """Whether a pose (m, rad) is within a goal region, including the heading if the goal has one."""
+def is_in_goal(goal: Goal, x: float, y: float, theta: float, components: Mapping[str, float]) -> bool:
+    """Whether a pose (m, rad) and other components by name are within a goal region, as far as it bounds them.
+
+    Limits of components that the world does not know are not checked.
+    """
     if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
+        return False
+    if not all(low <= components.get(name, low) <= high for name, (low, high) in goal.limits.items()):
         return False
     if goal.heading is None or goal.heading_tolerance is None:
         return True

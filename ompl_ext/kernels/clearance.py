@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Floats32
+from ompl_ext.arrays import Floats, Floats32, Matrix
 from ompl_ext.jit import inlined
 from ompl_ext.kernels.distance import lower_to_shapes
 from ompl_ext.kernels.fine_field import TILE, VERTICES, FineField, Lattice, fine_distance, fine_field
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
-    DISC_RADIUS,
     FINE_INVERSE,
     GRID_INVERSE,
     GRID_X,
@@ -61,12 +60,43 @@ class DiscCover(NamedTuple):
     centres: Floats
     radius: float
 
+    @property
+    def discs(self) -> Matrix:
+        """Centres in the body frame and radii, shape (n, 3)."""
+        count = len(self.centres)
+        return np.column_stack([self.centres, np.zeros(count), np.full(count, self.radius)])
+
 
 def cover(footprint: Footprint, discs: int = 4) -> DiscCover:
     """Cover of the footprint by equal discs, one for each slice of equal length."""
     slice_length = footprint.length / discs
     centres: Floats = footprint.offset + (np.arange(discs, dtype=float) + 0.5) * slice_length - footprint.length / 2
     return DiscCover(centres, math.hypot(slice_length / 2, footprint.width / 2))
+
+
+def tight_cover(footprint: Footprint, excess: float) -> Matrix:
+    """Discs (n, 3) of centres and radii whose union contains the footprint and exceeds it by at most `excess` m.
+
+    The discs are small along the border only: what is inside it may be covered by larger ones.
+    """
+    half = np.array([footprint.length / 2, footprint.width / 2])
+    found: list[tuple[float, float, float]] = []
+    while True:
+        side = min(excess / (math.sqrt(2.0) - 1.0), half.min())  # half a cell's side
+        across = math.ceil(half.min() / side)
+        along = math.ceil(half.max() / (half.min() / across))
+        nx, ny = (along, across) if half[0] >= half[1] else (across, along)
+        cells = [(i, k) for i in range(nx) for k in range(ny)]
+        border = [(i, k) for i, k in cells if min(i, k, nx - 1 - i, ny - 1 - k) == 0]
+        cell = half / (nx, ny)
+        found += [
+            (footprint.offset - half[0] + (2 * i + 1) * cell[0], (2 * k + 1) * cell[1] - half[1], math.hypot(*cell))
+            for i, k in border
+        ]
+        if len(border) == len(cells):
+            return np.array(found)
+        excess += 2 * cell.min()
+        half = half - 2 * cell
 
 
 def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> ClearanceField:
@@ -217,12 +247,12 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
         return slack
     slack = math.inf
     for k in range(len(problem.discs)):
-        d = problem.discs[k]
-        px, py = x + d * c, y + d * s
+        ahead, aside, radius = problem.discs[k, 0], problem.discs[k, 1], problem.discs[k, 2]
+        px, py = x + ahead * c - aside * s, y + ahead * s + aside * c
         value = field[int((py - oy) * inverse), int((px - ox) * inverse)]
-        spare = value - scalar[DISC_RADIUS] - required
+        spare = value - radius - required
         if spare < 0.0 and scalar[FINE_INVERSE] > 0.0:
-            spare = max(spare, fine_distance(problem, px, py) - scalar[DISC_RADIUS] - required)
+            spare = max(spare, fine_distance(problem, px, py) - radius - required)
         slack = min(slack, spare)
         if slack < 0.0:
             return slack

@@ -21,12 +21,16 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CLOSEST,
     CONTROL_BOUND_BIAS,
     COST,
+    CUT_AT_GOAL,
     CYCLE,
     EDGES,
     EXPLORATION,
     FIRST_ITERATION,
     FULL,
     GOAL_BIAS,
+    GOAL_COS,
+    GOAL_HEADING,
+    GOAL_SIN,
     GOAL_X,
     GOAL_Y,
     HEADING_WEIGHT,
@@ -43,6 +47,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     RESOLUTION,
     RETAINED,
     SHORTEST,
+    SHORTEST_NEAR_GOAL,
     SIZE,
     STEPS,
     TOGO,
@@ -68,6 +73,7 @@ DEVIATION_LENGTH, DEVIATION_SPEED = 0.3, 0.2  # with which errors of heading (m/
 LARGEST_CORRECTION = 0.4  # share of a control's range, or of the duration
 CORRECTION_ROUNDS = 4
 CORRECTION_TRIES = 4  # lanes that are tried if SAFETY refuses those that end nearer to the target
+NEAR_GOAL = 2.0  # longest edges of cost-to-go within which edges may be shorter
 Propagate = Callable[[Floats, int, Problem, Lanes], None]
 Check = Callable[[int, float, Problem, Lanes], float]
 Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
@@ -75,18 +81,22 @@ Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
 
 @part
 def sample_configuration(tree: Tree, problem: Problem, q: Floats) -> bool:
-    """Sample the workspace uniformly, or the goal with the probability of the goal bias, and a uniform heading.
+    """Sample the workspace uniformly, or the goal with the probability of the goal bias, and a heading.
 
-    Returns whether the visit explores: whether it adds any free candidates instead of the best one.
+    The heading is that of the goal if the goal is sampled and has one, else uniform.  Returns whether the visit
+    explores: whether it adds any free candidates instead of the best one.
     """
     scalar, weight = problem.scalar, problem.scalar[HEADING_WEIGHT]
-    if uniform(tree.random) < scalar[GOAL_BIAS]:
+    at_goal = uniform(tree.random) < scalar[GOAL_BIAS]
+    if at_goal:
         q[0], q[1] = scalar[GOAL_X], scalar[GOAL_Y]
     else:
         q[0] = scalar[X_LOW] + uniform(tree.random) * (scalar[X_HIGH] - scalar[X_LOW])
         q[1] = scalar[Y_LOW] + uniform(tree.random) * (scalar[Y_HIGH] - scalar[Y_LOW])
     heading = 2.0 * math.pi * uniform(tree.random)
     q[2], q[3] = weight * cos(heading), weight * sin(heading)
+    if at_goal and problem.option[GOAL_HEADING] == 1:
+        q[2], q[3] = weight * scalar[GOAL_COS], weight * scalar[GOAL_SIN]
     return uniform(tree.random) < scalar[EXPLORATION]
 
 
@@ -101,10 +111,15 @@ def set_duration(problem: Problem, work: Lanes, lane: int, duration: float) -> N
 
 
 @part
-def sample_edges(tree: Tree, problem: Problem, work: Lanes, lanes: int) -> None:
-    """Sample the controls and durations of a blossom; a share of the controls is on a bound, as time-optimal ones."""
+def sample_edges(tree: Tree, node: int, problem: Problem, work: Lanes, lanes: int) -> None:
+    """Sample the controls and durations of a blossom; a share of the controls is on a bound, as time-optimal ones.
+
+    Near a goal that an edge may pass edges may be shorter than elsewhere.
+    """
     bias = problem.scalar[CONTROL_BOUND_BIAS]
     shortest, longest = problem.scalar[SHORTEST], problem.scalar[LONGEST]
+    if problem.option[CUT_AT_GOAL] == 1 and tree.value[node, TOGO] < NEAR_GOAL * longest:
+        shortest = problem.scalar[SHORTEST_NEAR_GOAL]
     for i in range(lanes):
         set_duration(problem, work, i, shortest + uniform(tree.random) * (longest - shortest))
         for k in range(len(problem.controls)):
@@ -241,7 +256,7 @@ def visit(
     exploring = exploring and tree.link[node, VISITS] > 0
     tree.link[node, VISITS] += 1
     lanes, start = problem.option[BLOSSOM], tree.value[node, COST]
-    sample_edges(tree, problem, work, lanes)  # l. 11
+    sample_edges(tree, node, problem, work, lanes)  # l. 11
     propagate(tree.state[node], lanes, problem, work)  # l. 12
     tree.count[EDGES] += lanes
     lane = int64(-1)

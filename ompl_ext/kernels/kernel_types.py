@@ -34,11 +34,13 @@ class Problem(NamedTuple):
     parameters: Floats  # of the vehicle
     controls: Matrix  # (nu, 2) bounds
     limits: Matrix  # (nx, 2) state limits, the workspace bounds of x and y among them
-    discs: Floats  # centres of the covering discs along the body axis (m)
+    discs: Matrix  # (n, 3) centres in the body frame and radii of the discs that cover the footprint (m)
     field: Matrix32  # (rows, columns) lower bound of the distance to obstacles (m)
     togo: Matrix32  # (rows, columns) geodesic cost-to-go at the same cells' centres (s)
     tile: IntMatrix32  # (rows, columns) number of each tile of the fine field, -1 where none is stored
     squares: Words16Matrix  # (tiles, vertices) squared distances of the fine field, in squared spacings
+    pose_togo: Floats32  # cost-to-go of poses, flat, headings x rows x columns (s); see `ompl_ext.kernels.posetogo`
+    goal_limits: Matrix  # (nx, 3) bounds of each component in the goal, and least time per unit to change it (s)
     scalar: Floats
     option: Ints
 
@@ -46,7 +48,7 @@ class Problem(NamedTuple):
 class Maps(NamedTuple):
     """Part of a problem that determines whether a pose is free."""
 
-    discs: Floats
+    discs: Matrix
     field: Matrix32
     tile: IntMatrix32
     squares: Words16Matrix
@@ -58,7 +60,7 @@ SHORTEST, LONGEST, QUANTUM = 0, 1, 2  # edge durations; multiples of QUANTUM if 
 HEADING_WEIGHT, RESOLUTION = 3, 4  # of the tree's metric (m)
 CYCLE, DELTA, DELTA_PER_SPEED = 5, 6, 7  # planning cycle (s); clearance DELTA + DELTA_PER_SPEED |v| at first (m, s)
 REST_SPEED, BRAKE_STEP = 8, 9  # speed of standstill (SI); integration step of a manoeuvre (s)
-REACH, DISC_RADIUS, LENGTH = 10, 11, 12  # of the footprint (m)
+REACH, LENGTH = 10, 12  # of the footprint (m)
 GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
 X_LOW, X_HIGH, Y_LOW, Y_HIGH = 16, 17, 18, 19  # workspace bounds (m)
 GOAL_BIAS, CONTROL_BOUND_BIAS = (
@@ -77,12 +79,21 @@ GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
 DELTA_PER_TIME, DELTA_HORIZON = 29, 30  # clearance added per second since the begin of the query, for so long (m/s, s)
 FINE_X, FINE_Y, FINE_COS, FINE_SIN = 31, 32, 33, 34  # frame of the fine field (m)
 FINE_INVERSE = 35  # 1 / spacing of the fine field (1/m), 0 without one
-SCALARS = 36
+POSE_X, POSE_Y, POSE_INVERSE, POSE_BEYOND = 36, 37, 38, 39  # first centre (m) and 1 / cell of pose_togo; see `posetogo`
+TOP_SPEED, BRAKING = 40, 41  # of the vehicle (m/s, m/s^2); BRAKING is 0 if the goal does not bound the speed
+GOAL_SPEED = 42  # largest speed in the goal (m/s)
+GOAL_NEAR = 43  # distance from the goal's centre beyond which no edge that begins there reaches the goal (m)
+SHORTEST_NEAR_GOAL = 44  # duration of the shortest edge from nodes that are near a goal that CUT_AT_GOAL (s)
+POSE_HEADING = 45  # heading of the first layer of pose_togo (rad)
+SCALARS = 46
 
 # Indices of Problem.option
 STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre
 BLOSSOM, INSERTIONS, CHILD_EXTENSION, REQUIRE_SAFETY = 2, 3, 4, 5
-OPTIONS = 6
+POSE_HEADINGS, POSE_ROWS, POSE_COLUMNS = 6, 7, 8  # shape of pose_togo; 0 headings without it
+CUT_AT_GOAL = 9  # whether an edge that passes through the goal ends there
+GOAL_HEADING, GOAL_LIMITS = 10, 11  # whether the goal has a heading, and bounds of other components
+OPTIONS = 12
 
 
 class Lanes(NamedTuple):

@@ -19,6 +19,8 @@ from ompl_ext.kernels.costtogo import UNREACHABLE, seconds_to_goal
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKE_STEP,
     BRAKE_STEPS,
+    BRAKING,
+    CUT_AT_GOAL,
     CYCLE,
     DELTA,
     DELTA_HORIZON,
@@ -26,8 +28,11 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     DELTA_PER_TIME,
     FULL,
     GOAL_COS,
+    GOAL_LIMITS,
+    GOAL_NEAR,
     GOAL_RADIUS,
     GOAL_SIN,
+    GOAL_SPEED,
     GOAL_TOLERANCE,
     GOAL_X,
     GOAL_Y,
@@ -35,11 +40,13 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     LANE_WIDTH,
     LANES,
     LENGTH,
+    POSE_HEADINGS,
     PROBLEM,
     REACH,
     REST_SPEED,
     RETAINED_EDGES,
     STEPS,
+    TOP_SPEED,
     TREE,
     Lanes,
     Maps,
@@ -47,6 +54,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Retained,
     Tree,
 )
+from ompl_ext.kernels.posetogo import seconds_to_goal_pose
 from ompl_ext.kernels.runge_kutta import runge_kutta_4
 from ompl_ext.kernels.specialise import vehicle_being_compiled, vehicle_cache_folder
 from ompl_ext.kernels.unroll import per_component, store_components, total_of_components
@@ -62,6 +70,7 @@ NI = len(VEHICLE.inputs) or NU
 X, Y, THETA = (VEHICLE.index(name) for name in ("x", "y", "theta"))
 REST = VEHICLE.rest_indices
 SPEED = REST[0] if REST else -1
+RESTING = REST or (-1,)  # numba cannot iterate over an empty tuple
 MANOEUVRES = len(VEHICLE.manoeuvres)
 WIDTH = LANE_WIDTH
 AT_INPUT = NX * WIDTH  # the working block: state, input, step, deviation, outside, cosine and sine of the heading
@@ -166,11 +175,60 @@ def turn_lanes(block: Floats, lanes: int) -> None:
 
 
 @inlined
-def in_goal(scalar: Floats, x: float, y: float, c: float, s: float) -> bool:
-    """Whether a pose is inside the goal region: position within the radius and heading within the tolerance."""
+def is_near_goal(scalar: Floats, x: float, y: float, distance: float) -> bool:
+    """Whether a position is less than `distance` m from the goal's centre."""
     dx, dy = x - scalar[GOAL_X], y - scalar[GOAL_Y]
-    heading = c * scalar[GOAL_COS] + s * scalar[GOAL_SIN] >= scalar[GOAL_TOLERANCE]
-    return dx * dx + dy * dy < scalar[GOAL_RADIUS] * scalar[GOAL_RADIUS] and heading
+    return dx * dx + dy * dy < distance * distance
+
+
+@inlined
+def in_goal(problem: Problem, states: Floats, at: int, lane: int) -> bool:
+    """Whether a lane's state, at an index of `states`, is in the goal region: position, heading and bounds."""
+    scalar, limits = problem.scalar, problem.goal_limits
+    if not is_near_goal(scalar, states[at + X * WIDTH + lane], states[at + Y * WIDTH + lane], scalar[GOAL_RADIUS]):
+        return False
+    if THETA >= 0:
+        theta = states[at + THETA * WIDTH + lane]
+        if cos(theta) * scalar[GOAL_COS] + sin(theta) * scalar[GOAL_SIN] < scalar[GOAL_TOLERANCE]:
+            return False
+    if problem.option[GOAL_LIMITS] == 1:
+        for k in range(NX):
+            value = states[at + k * WIDTH + lane]
+            if not limits[k, 0] <= value <= limits[k, 1]:
+                return False
+    return True
+
+
+@inlined
+def with_braking(scalar: Floats, seconds: float, speed: float) -> float:
+    """Least time for as far as the top speed gets in `seconds`, at least the braking distance, ending at GOAL_SPEED."""
+    rate, top = scalar[BRAKING], scalar[TOP_SPEED]
+    speed = min(speed, top)
+    last = scalar[GOAL_SPEED]
+    distance = max(seconds * top, (speed * speed - last * last) / (2.0 * rate))
+    peak = min(math.sqrt(rate * distance + 0.5 * (speed * speed + last * last)), top)
+    last = min(last, peak)
+    even = distance - (2.0 * peak * peak - speed * speed - last * last) / (2.0 * rate)
+    return (2.0 * peak - speed - last) / rate + max(even, 0.0) / top
+
+
+@inlined
+def cost_to_go(problem: Problem, block: Floats, lane: int) -> float:
+    """Cost-to-go of a lane's state (s): the largest of the bounds that the goal asks for."""
+    scalar, limits = problem.scalar, problem.goal_limits
+    x, y = block[X * WIDTH + lane], block[Y * WIDTH + lane]
+    seconds = seconds_to_goal(problem, x, y)
+    if seconds >= UNREACHABLE:
+        return seconds
+    if THETA >= 0 and problem.option[POSE_HEADINGS] > 0:
+        seconds = max(seconds, seconds_to_goal_pose(problem, x, y, block[THETA * WIDTH + lane], seconds))
+    if problem.option[GOAL_LIMITS] == 1:
+        if SPEED >= 0 and scalar[BRAKING] > 0.0:
+            seconds = with_braking(scalar, seconds, abs(block[SPEED * WIDTH + lane]))
+        for k in range(NX):
+            value = block[k * WIDTH + lane]
+            seconds = max(seconds, limits[k, 2] * max(limits[k, 0] - value, value - limits[k, 1], 0.0))
+    return seconds
 
 
 @part
@@ -198,8 +256,33 @@ def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None
         work.end[3 * WIDTH + i] = scalar[HEADING_WEIGHT] * s
         inside = work.block[AT_OUTSIDE + i] == 0.0  # guarantees that (x, y) is on the grids
         work.slack[i] = 0.0 if inside else -1.0
-        work.togo[i] = seconds_to_goal(problem, x, y) if inside else UNREACHABLE
-        work.at_goal[i] = 1 if inside and in_goal(scalar, x, y, c, s) else 0
+        work.togo[i] = cost_to_go(problem, work.block, i) if inside else UNREACHABLE
+        work.at_goal[i] = 1 if inside and in_goal(problem, work.block, int64(0), i) else 0
+
+
+@part
+def cut_at_goal(lanes: int, problem: Problem, work: Lanes) -> bool:
+    """Shorten the edges that pass through the goal to their first sample in it; whether there are any."""
+    found = False
+    for i in range(lanes):
+        steps = work.steps[i]
+        for step in range(1, steps):
+            if in_goal(problem, work.trajectory, step * NX * WIDTH, i):
+                dirt.set_duration(problem, work, i, work.duration[i] * step / steps)
+                found = True
+                break
+    return found
+
+
+@part
+def propagate_to_goal(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None:
+    """Integrate candidate edges as `propagate`; where that may matter, edges that pass through the goal end in it."""
+    propagate(source, lanes, problem, work)
+    scalar = problem.scalar
+    if problem.option[CUT_AT_GOAL] == 0 or not is_near_goal(scalar, source[X], source[Y], scalar[GOAL_NEAR]):
+        return
+    if cut_at_goal(lanes, problem, work):
+        propagate(source, lanes, problem, work)
 
 
 @inlined
@@ -271,8 +354,10 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
 def at_rest(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
     """Whether the vehicle is at standstill at a sample."""
     resting = True
-    for k in REST:
-        resting = resting and abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
+    for k in RESTING:
+        resting = resting and (
+            k < 0 or abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
+        )
     return resting
 
 
@@ -356,7 +441,7 @@ def _grow(
 ) -> None:
     dirt.retain(tree, problem, work, brake, retained, propagate, check, safe)
     for _ in range(iterations):
-        dirt.visit(tree, problem, work, brake, q, propagate, check, safe)
+        dirt.visit(tree, problem, work, brake, q, propagate_to_goal, check, safe)
         if tree.count[FULL] == 1:
             return
 
@@ -394,7 +479,7 @@ def _pose(
     field: Matrix32,
     tile: IntMatrix32,
     squares: Words16Matrix,
-    discs: Floats,
+    discs: Matrix,
     scalar: Floats,
     x: float,
     y: float,
@@ -425,7 +510,7 @@ pose = compiled(
         types.float32[:, ::1],
         types.int32[:, ::1],
         types.uint16[:, ::1],
-        _FLOATS,
+        types.float64[:, ::1],
         _FLOATS,
         types.float64,
         types.float64,

@@ -78,10 +78,10 @@ def pinned(workspace: Workspace, footprint: Footprint = FOOTPRINT, goal: Goal = 
 
 def bounds_at(dirt: DirtSolver, points: np.ndarray) -> np.ndarray:
     """Lower bounds (n,) of the distances of points by the fields of a solver."""
-    discs, radius = dirt.problem.discs, cover(dirt.vehicle.footprint, len(dirt.problem.discs)).radius
-    assert len(discs) == 1, "one disc around the body frame"
-    poses = np.column_stack([points - (discs[0], 0.0), np.zeros(len(points))])
-    return dirt.clearances(poses) + radius
+    ((ahead, aside, radius),) = dirt.problem.discs  # one disc
+    poses = np.column_stack([points - (ahead, aside), np.zeros(len(points))])
+    bounds: np.ndarray = dirt.clearances(poses) + radius
+    return bounds
 
 
 POST = Footprint(0.2, 0.2)

@@ -431,3 +431,30 @@ def test_no_object_is_leaked_at_exit() -> None:
         [sys.executable, "-c", script, str(ROOT), str(TESTS)], capture_output=True, text=True, check=True
     )
     assert "leaked" not in done.stderr
+
+
+def test_limits_of_the_goal_keep_a_state_out_of_the_region() -> None:
+    goal = Goal((1.0, 5.0), 0.25, limits={"v": (0.0, 0.2)})
+    setup = simple_setup(BENCHMARK, TURNS, TURNS_START, goal)
+    region, state = setup.getGoal(), setup.getSpaceInformation().allocState()
+    for k, value in enumerate((1.0, 5.0, 0.0, 0.1)):
+        state[k] = value
+    assert region.isSatisfied(state)
+    state[3] = 0.3
+    assert not region.isSatisfied(state)
+    assert region.distanceGoal(state) > goal.radius
+    with pytest.raises(ValueError, match="omega"):
+        simple_setup(BENCHMARK, TURNS, TURNS_START, Goal((1.0, 5.0), 0.25, limits={"omega": (0.0, 0.2)}))
+
+
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_a_heading_and_limits_hold_where_the_path_ends(callbacks: bool) -> None:
+    goal = Goal((1.0, 0.6), 0.3, math.pi / 2, math.radians(40), {"v": (0.0, 0.5)})
+    setup = simple_setup(BENCHMARK, TURNS, TURNS_START, goal)
+    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
+    setup.setPlanner(planner)
+    setup.solve(3.0 if callbacks else 0.5)
+    assert setup.haveExactSolutionPath()
+    path = setup.getSolutionPath()
+    end = path.getState(path.getStateCount() - 1)
+    assert goal.contains(BENCHMARK, np.array([end[k] for k in range(4)]))

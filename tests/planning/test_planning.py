@@ -169,6 +169,9 @@ def test_a_plan_of_another_vehicle_is_refused(solved: PlanResult) -> None:
         ("start: {x: 0.5, y: 0.5", "start: {x: 3.2, y: 0.5", "6:8 start geometry", "obstacles[1]"),
         ("start: {x: 0.5, y: 0.5", "start: {x: 0.1, y: 0.5", "6:8 start geometry", "out of bounds"),
         ("heading_deg: 0}", "heading_deg: 0, speed: 3}", "6:48 start.speed value", "mushr"),
+        ("radius: 0.3", "radius: 0.3, limits: {omega: [0, 1]}", "7:47 goal.limits.omega unknown", "mushr"),
+        ("radius: 0.3", "radius: 0.3, limits: {theta: [0, 1]}", "7:47 goal.limits.theta unknown", "mushr"),
+        ("radius: 0.3", "radius: 0.3, limits: {v: [2, 3]}", "7:43 goal.limits.v value", "mushr"),
         ("center: [3, 3]", "center: [2.2, 2]", "7:16 goal.center geometry", "'pillar'"),
     ],
 )  # fmt: skip

@@ -17,6 +17,7 @@ from benchmarks import (
     callbacks,
     changes,
     estimated,
+    goals,
     maps,
     peers,
     planner,
@@ -74,6 +75,13 @@ def test_peers_write_a_database_with_runs_and_progress(tmp_path: Path) -> None:
     assert runs == (8,)
     assert 8 < best[0] < 13
     assert best[1] >= 2
+
+
+def test_goals_are_turned_round_to_and_parked_at() -> None:
+    report = quantities(goals.run(replace(SMOKE, seeds=1)))
+    assert report["turning round: set-up"] > 0
+    assert "parking, 1.3 lengths: first solution" in report
+    assert report["turning round: plans that hold after 0.2 s"] in (0.0, 100.0)
 
 
 def test_scaling_times_windows_of_both_sizes_and_keeps_no_memory() -> None:

@@ -160,7 +160,7 @@ class PoseFilter:
 
         `cross_covariance` (n, 3) is of the state with the expected pose, `innovation` (3, 3) that of the innovation.
         """
-        gain: Matrix = np.linalg.solve(innovation, cross_covariance.T).T
+        gain = np.asarray(np.linalg.solve(innovation, cross_covariance.T).T)
         return gain, covariance - gain @ cross_covariance.T
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:

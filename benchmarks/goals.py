@@ -1,0 +1,171 @@
+"""Goals with a heading and at rest: turning round, parking, and problems of dynobench with known good solutions."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.effort import Effort
+from benchmarks.exact import Body, Rectangle
+from benchmarks.models import Model, model_of, rk4
+from benchmarks.report import Report, Row, Target, row
+from kraft.vehicles.mushr import MUSHR
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.obstacles import Workspace, box
+from ompl_ext.plan import Plan
+from ompl_ext.query import Goal, Safety, Settings
+from ompl_ext.solver import DirtSolver
+from ompl_ext.trigonometry import cos, sin
+from ompl_ext.vehicle import Footprint, Vehicle, derivative
+
+FOLDER = "KRAFT_DYNOBENCH"  # environment variable: a folder with NAME_0.yaml and reference_NAME_0.yaml
+FOUND_WITHIN, GOOD_WITHIN = 0.2, 1.0  # s
+NEAR_BEST = 1.05  # of the best known cost
+FINER = 20  # steps of the independent integration in each edge
+FIRST = 0.1  # s until the first solution
+AT_REST = {"v": (-0.05, 0.05)}
+
+
+@derivative
+def _unicycle(x, u, p):  # type: ignore[no-untyped-def]
+    return u[0] * cos(x[2]), u[0] * sin(x[2]), u[1]
+
+
+UNICYCLE = Vehicle(  # dynobench's first-order unicycle
+    name="unicycle1",
+    derivative=_unicycle,
+    state=("x", "y", "theta"),
+    controls={"v": (-0.5, 0.5), "omega": (-0.5, 0.5)},
+    footprint=Footprint(0.5, 0.25),
+    top_speed=0.5,
+    rest=(),
+)
+REVERSING = replace(MUSHR, controls={"throttle": (-1.0, 1.0), "steering": MUSHR.controls["steering"]})
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Start, goal and rectangles; `best` is the best known cost (s), None if unknown."""
+
+    name: str
+    vehicle: Vehicle
+    model: Model
+    bounds: tuple[tuple[float, float], tuple[float, float]]
+    solids: tuple[Rectangle, ...]
+    start: Floats
+    goal: Goal
+    safety: Safety
+    best: float | None = None
+
+    def solver(self) -> DirtSolver:
+        """Solver with its maps."""
+        obstacles = tuple(box(solid.center, solid.size, solid.yaw) for solid in self.solids)
+        return DirtSolver(self.vehicle, Workspace(self.bounds, obstacles), self.goal, self.safety, Settings())
+
+    def holds(self, plan: Plan) -> bool:
+        """Whether an independent integration of the plan is free and ends in the goal."""
+        state, states = self.start[None], [self.start[None]]
+        for control, duration in zip(plan.controls, plan.durations, strict=True):
+            for _ in range(FINER):
+                state = rk4(self.model, state, control[None], np.array([duration / FINER]))
+                states.append(state)
+        body = Body(self.solids, self.vehicle.footprint)
+        free = not body.any_collision(np.concatenate(states)[:, :3])
+        return free and self.goal.contains(self.vehicle, state[0])
+
+
+def turning_round() -> Problem:
+    """Turn round on the spot in a room of 2 m by 2 m."""
+    goal = Goal((1.0, 1.0), 0.05, math.pi, math.radians(5), AT_REST)
+    bounds, start = ((0.0, 2.0), (0.0, 2.0)), np.array([1.0, 1.0, 0.0, 0.0])
+    return Problem("turning round", REVERSING, model_of(REVERSING), bounds, fence(bounds), start, goal, Safety())
+
+
+def parking(lengths: float) -> Problem:
+    """Park between two cars; the gap is that many car lengths long."""
+    size = REVERSING.footprint.length, REVERSING.footprint.width
+    gap, x, y = lengths * size[0], 1.6, 0.2
+    cars = tuple(Rectangle((x + side * (gap + size[0]) / 2, y), size, 0.0) for side in (-1, 1))
+    goal, bounds = Goal((x, y), 0.05, 0.0, math.radians(5), AT_REST), ((0.0, 3.2), (0.0, 1.4))
+    start, name = np.array([0.6, 0.7, 0.0, 0.0]), f"parking, {lengths:g} lengths"
+    return Problem(name, REVERSING, model_of(REVERSING), bounds, fence(bounds) + cars, start, goal, Safety())
+
+
+def fence(bounds: tuple[tuple[float, float], tuple[float, float]], thick: float = 0.4) -> tuple[Rectangle, ...]:
+    """Walls around the bounds."""
+    (x0, x1), (y0, y1) = bounds
+    across, along = (x1 - x0 + 2 * thick, thick), (thick, y1 - y0)
+    return (
+        Rectangle(((x0 + x1) / 2, y0 - thick / 2), across, 0.0),
+        Rectangle(((x0 + x1) / 2, y1 + thick / 2), across, 0.0),
+        Rectangle((x0 - thick / 2, (y0 + y1) / 2), along, 0.0),
+        Rectangle((x1 + thick / 2, (y0 + y1) / 2), along, 0.0),
+    )
+
+
+def dynobench(folder: Path) -> list[Problem]:
+    """Problems of a folder for the first-order unicycle; goals within 2 cm and 2 degrees."""
+
+    def model(x: Matrix, u: Matrix) -> Matrix:
+        return np.column_stack([u[:, 0] * np.cos(x[:, 2]), u[:, 0] * np.sin(x[:, 2]), u[:, 1]])
+
+    problems = []
+    for path in sorted(folder.glob("[!r]*_0.yaml")):
+        content, best = yaml.safe_load(path.read_text()), folder / f"reference_{path.name}"
+        robot, place = content["robots"][0], content["environment"]
+        bounds = ((place["min"][0], place["max"][0]), (place["min"][1], place["max"][1]))
+        solids = tuple(Rectangle(tuple(one["center"]), tuple(one["size"]), 0.0) for one in place["obstacles"])
+        x, y, theta = map(float, robot["goal"])
+        goal, safety = Goal((x, y), 0.02, theta, math.radians(2)), Safety(enabled=False, cycle=0.0)
+        cost = float(yaml.safe_load(best.read_text())["cost"])
+        start = np.array(robot["start"], dtype=float)
+        problems.append(Problem(content["name"], UNICYCLE, model, bounds, solids, start, goal, safety, cost))
+    return problems
+
+
+def run(effort: Effort) -> Report:
+    """Measure every problem."""
+    seeds = max(1, effort.seeds // 5) if effort.seeds < 100 else 50
+    problems = [turning_round(), *(parking(lengths) for lengths in (1.3, 2.0))]
+    rows = [each for problem in problems for each in measured(problem, seeds, FOUND_WITHIN)]
+    if folder := os.environ.get(FOLDER):
+        for problem in dynobench(Path(folder)):
+            rows += measured(problem, max(1, min(seeds, 20)), GOOD_WITHIN)
+    notes = [
+        "Parking, turning round: `mushr` that drives backwards as fast as ahead; within 5 cm and 5 degrees, at rest.",
+        f"Problems of dynobench are read from the folder in {FOLDER}: within 2 cm and 2 degrees.",
+        "A plan holds if an independent integration of its controls is free and ends in the goal.",
+    ]
+    return Report("goals", rows, notes=notes)
+
+
+def measured(problem: Problem, seeds: int, seconds: float) -> list[Row]:
+    """Rows of one problem: set-up, first solutions, costs, and how many plans hold."""
+    began = time.perf_counter()
+    solver = problem.solver()
+    set_up = time.perf_counter() - began
+    firsts, costs, held = [], [], []
+    for seed in range(seeds):
+        solver.start(problem.start, seed)
+        progress = solver.grow(seconds=seconds)
+        plan = solver.plan()
+        first = progress.first_solution
+        firsts.append(1e3 * first[0] if first else math.inf)
+        costs.append(progress.history[-1][1] if progress.history else math.inf)
+        held.append(100.0 if plan is not None and plan.reaches_goal and problem.holds(plan) else 0.0)
+    label: Callable[[str], str] = lambda what: f"{problem.name}: {what}"  # noqa: E731
+    cost = Target(NEAR_BEST * problem.best) if problem.best else None
+    limit = FIRST if problem.best else FOUND_WITHIN
+    return [
+        row(label("set-up"), "ms", [1e3 * set_up]),
+        row(label("first solution"), "ms", firsts, Target(1e3 * limit)),
+        row(label(f"cost after {seconds:g} s"), "s", costs, cost),
+        row(label(f"plans that hold after {seconds:g} s"), "%", held, Target(100.0, most=False, of="worst")),
+    ]

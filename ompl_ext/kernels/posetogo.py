@@ -1,0 +1,384 @@
+"""Cost-to-go of poses: least time from a position with a heading to the goal, for a vehicle that turns as it can.
+
+A search backwards from the goal over short motions at the vehicle's extreme body velocities, in a grid over x, y and
+heading.  As in hybrid A* (Dolgov et al., Path planning for autonomous vehicles in unknown semi-structured environments,
+2010) a cell keeps the exact pose by which it was reached first, so that motions do not round to the grid.  It
+disregards accelerations, apart from a time for each change between ahead and astern.
+
+The grid covers the bounds, or a square around the goal on large maps; beyond it the geodesic cost-to-go plus
+POSE_BEYOND applies.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix32, Ints, Ints32, Matrix, Matrix32
+from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.kernels.clearance import pose_slack
+from ompl_ext.kernels.costtogo import UNREACHABLE
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    GRID_INVERSE,
+    GRID_X,
+    GRID_Y,
+    POSE_BEYOND,
+    POSE_COLUMNS,
+    POSE_HEADING,
+    POSE_HEADINGS,
+    POSE_INVERSE,
+    POSE_ROWS,
+    POSE_X,
+    POSE_Y,
+    REACH,
+    SCALARS,
+    X_HIGH,
+    X_LOW,
+    Y_HIGH,
+    Y_LOW,
+    Maps,
+    Problem,
+)
+from ompl_ext.kernels.penetration import fill_penetration
+from ompl_ext.trigonometry import cos, sin
+
+MAX_CELLS = 1_000_000
+STRIDE = 1.1  # cells, or bins of the heading, of a motion
+CAUTION = 0.8  # factor that makes up for restricted motions, which overestimate
+HEADINGS = (36, 240)  # fewest and most bins of the heading
+ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because another one in the cell may not
+DEVIATION_PENALTY = 0.05  # share of the cost-to-go that counts for a cell of deviation
+NEARBY = 2  # cells around a pose of which one must have been reached
+UNKNOWN = 1e9  # seconds
+
+
+class PoseCostToGo(NamedTuple):
+    """Cost-to-go `seconds[heading, row, column]` at poses; `origin` is the position of row 0, column 0."""
+
+    seconds: Floats32
+    origin: tuple[float, float]
+    cell: float
+    shape: tuple[int, int, int]
+    beyond: float  # what is added to the geodesic cost-to-go outside the grid (s)
+    exact: Floats32  # without CAUTION, UNKNOWN where no motion was found
+    pose: Matrix32  # the exact pose of each cell
+    after: IntMatrix32  # the cell that follows each one towards the goal, and the motion to it
+    motions: Matrix
+    frame: Floats
+
+    def path_from(self, x: float, y: float, theta: float) -> PosePath | None:
+        """Motions from a pose near (x, y, theta) to the goal; None if none was found near it."""
+        cell = _nearest_reached(x, y, theta, self.exact, self.frame, self.pose)
+        if cell < 0:
+            return None
+        poses, numbers = [self.pose[cell]], []
+        while self.after[cell, 0] >= 0:
+            numbers.append(int(self.after[cell, 1]))
+            cell = int(self.after[cell, 0])
+            poses.append(self.pose[cell])
+        chosen = np.array(numbers, np.int64)
+        return PosePath(np.array(poses, dtype=float), chosen, self.motions[chosen, 3])
+
+
+class PosePath(NamedTuple):
+    """Poses (n + 1, 3), headings continuous, and between them the number of the twist (n,) and its time (n,), s."""
+
+    poses: Matrix
+    twist: Ints
+    times: Floats
+
+
+def pose_cost_to_go(
+    maps: Maps,
+    bounds: tuple[tuple[float, float], tuple[float, float]],
+    goal: tuple[float, float, float],
+    goal_radius: float,
+    goal_tolerance: float,
+    twists: Matrix,
+    reversal: float,
+    cells: tuple[float, float],
+    geodesic: Matrix32,
+) -> PoseCostToGo:
+    """Cost-to-go of the poses from which the vehicle can get to the goal region.
+
+    Args:
+        maps: discs of the footprint and clearance field.
+        bounds: of the workspace (m).
+        goal: centre (m) and heading (rad).
+        goal_radius: of the region (m).
+        goal_tolerance: of the heading (rad).
+        twists: body velocities (n, 3) of the motions: ahead, to the left (m/s), turning rate (rad/s).
+        reversal: time that a change between ahead and astern costs (s).
+        cells: smallest and largest side of a cell (m).
+        geodesic: cost-to-go of positions on the cells of the clearance field (s).
+    """
+    area = (bounds[0][1] - bounds[0][0]) * (bounds[1][1] - bounds[1][0])
+    curvature = np.abs(twists[:, 2]).max() / np.hypot(twists[:, 0], twists[:, 1]).max()
+    cell = (2.0 * math.pi * area / (MAX_CELLS * curvature)) ** (1.0 / 3.0)
+    cell = min(max(cell, cells[0]), cells[1])
+    headings = min(max(math.ceil(2.0 * math.pi / (cell * curvature)), HEADINGS[0]), HEADINGS[1])
+    fits = area * headings / cell**2 <= 1.01 * MAX_CELLS
+    half = math.inf if fits else 0.5 * cell * math.sqrt(MAX_CELLS / headings)
+    before = [math.ceil(min(c - low, half) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
+    columns, rows = (
+        before[k] + math.ceil(min(bounds[k][1] - goal[k], half) / cell) + 2 for k in range(2)
+    )  # the goal is in the centre of a cell
+    origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
+    count = headings * rows * columns
+    motions = _motions(twists, cell, headings)
+    width = float(motions[:, 3].min())
+    buckets = np.full(math.ceil((motions[:, 3].max() + reversal) / width) + 2, -1, np.int32)
+    allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
+    table = _Table(
+        seconds=np.full(count, UNKNOWN, np.float32),
+        pose=np.zeros((count, 4), np.float32),
+        link=np.full((count, 2), -1, np.int32),
+        after=np.full((count, 2), -1, np.int32),
+        buckets=buckets,
+        frame=np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance]),
+    )
+    _search(table, width, motions, reversal, np.array([*goal, goal_radius, goal_tolerance]), maps)
+    filled = np.empty_like(table.seconds)
+    shape = headings, rows, columns
+    _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
+    beyond = 0.0 if fits else _beyond(filled.reshape(shape), origin, cell, maps, geodesic)
+    return PoseCostToGo(
+        filled, origin, cell, shape, beyond, table.seconds, table.pose[:, :3], table.after, motions, table.frame
+    )
+
+
+def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
+    """Compile the kernels of this module and of `penetration`, or load them from the cache."""
+    scalar = np.zeros(SCALARS)
+    scalar[[X_HIGH, Y_HIGH, GRID_INVERSE, REACH]] = 0.1, 0.1, 1.0, 0.1
+    maps = Maps(np.zeros((1, 3)), field, np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16), scalar)
+    bounds, twists = ((0.0, 0.1), (0.0, 0.1)), np.array([[1.0, 0.0, 1.0]])
+    found = pose_cost_to_go(maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic)
+    found.path_from(0.05, 0.05, 0.0)
+    fill_penetration(field, 1.0, np.empty_like(field))
+
+
+def _beyond(seconds: Floats32Cube, origin: tuple[float, float], cell: float, maps: Maps, geodesic: Matrix32) -> float:
+    """What to add to the geodesic cost-to-go outside the grid: the least that is to add at its border (s)."""
+    rows, columns = seconds.shape[1:]
+    row, column = np.mgrid[0:rows, 0:columns]
+    border = (row == 0) | (row == rows - 1) | (column == 0) | (column == columns - 1)
+    places = [origin[k] + cell * index[border] for k, index in enumerate((column, row))]
+    i, j = (
+        ((place - maps.scalar[low]) * maps.scalar[GRID_INVERSE]).astype(np.int64).clip(0, size - 1)
+        for place, low, size in zip(places[::-1], (GRID_Y, GRID_X), geodesic.shape, strict=True)
+    )
+    added = seconds.min(axis=0)[border] - geodesic[i, j]
+    inside = geodesic[i, j] < UNREACHABLE
+    return max(float(added[inside].min()), 0.0) if inside.any() else 0.0
+
+
+def _motions(twists: Matrix, cell: float, headings: int) -> Matrix:
+    """Motions (n, 4): the twists with the time in which each leaves a cell or a bin of the heading."""
+    speed, turning = np.hypot(twists[:, 0], twists[:, 1]), np.abs(twists[:, 2])
+    with np.errstate(divide="ignore"):
+        time = np.minimum(STRIDE * cell / speed, STRIDE * 2.0 * math.pi / headings / turning)
+    return np.column_stack([twists, time])
+
+
+@inlined
+def _cell_of(x: float, y: float, theta: float, frame: Floats) -> int:
+    """Index of a pose's cell, -1 outside the grid."""
+    rows, columns, headings = int(frame[3]), int(frame[4]), int(frame[5])
+    column = math.floor((x - frame[0]) * frame[2] + 0.5)
+    row = math.floor((y - frame[1]) * frame[2] + 0.5)
+    if not (0 <= column < columns and 0 <= row < rows):
+        return -1
+    k = math.floor((theta - frame[6]) * (headings / (2.0 * math.pi)) + 0.5) % headings
+    return (k * rows + row) * columns + column
+
+
+@inlined
+def _link(link: IntMatrix32, buckets: Ints32, cell: int, bucket: int) -> None:
+    head = buckets[bucket]
+    link[cell, 0], link[cell, 1] = head, -2 - bucket
+    if head >= 0:
+        link[head, 1] = cell
+    buckets[bucket] = cell
+
+
+@inlined
+def _unlink(link: IntMatrix32, buckets: Ints32, cell: int) -> None:
+    after, before = link[cell, 0], link[cell, 1]
+    if before <= -2:
+        buckets[-2 - before] = after
+    else:
+        link[before, 0] = after
+    if after >= 0:
+        link[after, 1] = before
+
+
+@inlined
+def _is_free(maps: Maps, x: float, y: float, theta: float, allowance: float) -> bool:
+    """Whether a pose is free, or may be if it is moved within its cell."""
+    scalar = maps.scalar
+    if not (scalar[X_LOW] <= x <= scalar[X_HIGH] and scalar[Y_LOW] <= y <= scalar[Y_HIGH]):
+        return False
+    return pose_slack(maps, x, y, cos(theta), sin(theta), -allowance) >= 0.0
+
+
+class _Table(NamedTuple):
+    """Arrays of a search: per cell, and the buckets of open cells."""
+
+    seconds: Floats32
+    pose: Matrix32  # x, y, heading, speed ahead of the motion from there
+    link: IntMatrix32  # next and previous cell of the same bucket
+    after: IntMatrix32  # the cell that follows towards the goal, and the motion to it
+    buckets: Ints32
+    frame: Floats
+
+
+@part
+def _open(table: _Table, cell: int, bucket: int, x: float, y: float, theta: float, way: float) -> None:
+    """Set a cell's pose and add it to a bucket."""
+    table.pose[cell, 0], table.pose[cell, 1], table.pose[cell, 2], table.pose[cell, 3] = x, y, theta, way
+    _link(table.link, table.buckets, cell, bucket)
+
+
+@part
+def _open_goal(table: _Table, region: Floats, maps: Maps) -> int:
+    """Open the cells whose centres are free and in the goal region, and that of its centre; their number."""
+    count, frame = 0, table.frame
+    bins, side = int(frame[5]), 1.0 / frame[2]
+    around = math.ceil(region[3] / side)
+    for k in range(bins):
+        theta = region[2] + 2.0 * math.pi * k / bins
+        if cos(theta - region[2]) < cos(min(region[4], math.pi)):
+            continue
+        for i in range(-around, around + 1):
+            for j in range(-around, around + 1):
+                x, y = region[0] + i * side, region[1] + j * side
+                if k + abs(i) + abs(j) > 0 and math.hypot(i * side, j * side) > region[3]:
+                    continue
+                cell = _cell_of(x, y, theta, frame)
+                if cell >= 0 and table.seconds[cell] > 0.0 and _is_free(maps, x, y, theta, frame[7]):
+                    table.seconds[cell] = 0.0
+                    _open(table, cell, 0, x, y, theta, 0.0)
+                    count += 1
+    return count
+
+
+@part
+def _expand(table: _Table, cell: int, width: float, motions: Matrix, reversal: float, maps: Maps) -> int:
+    """Open the cells from which a motion leads to the pose of `cell`; change of the number of open cells."""
+    opened, frame = 0, table.frame
+    x, y, theta, way = table.pose[cell, 0], table.pose[cell, 1], table.pose[cell, 2], table.pose[cell, 3]
+    for m in range(len(motions)):
+        ahead, aside, turning, time = motions[m, 0], motions[m, 1], motions[m, 2], motions[m, 3]
+        cost = table.seconds[cell] + time + (reversal if way * ahead < 0.0 else 0.0)
+        turn = turning * time
+        middle, chord = theta - 0.5 * turn, time * (1.0 - turn * turn / 24.0)
+        c, s = cos(middle), sin(middle)
+        px, py = x - chord * (ahead * c - aside * s), y - chord * (ahead * s + aside * c)
+        other = _cell_of(px, py, theta - turn, frame)
+        if other < 0 or table.seconds[other] <= cost + 1e-6 or not _is_free(maps, px, py, theta - turn, frame[7]):
+            continue
+        if table.seconds[other] < UNKNOWN:
+            if table.link[other, 1] == -1:
+                continue  # finished in the same bucket
+            _unlink(table.link, table.buckets, other)
+        else:
+            opened += 1
+        table.seconds[other] = cost
+        table.after[other, 0], table.after[other, 1] = cell, m
+        bucket = int(cost / width) % len(table.buckets)
+        _open(table, other, bucket, px, py, theta - turn, ahead if ahead != 0.0 else way)
+    return opened
+
+
+@compiled
+def _search(table: _Table, width: float, motions: Matrix, reversal: float, region: Floats, maps: Maps) -> None:
+    """Dijkstra's search with buckets of `width` s, backwards from the goal region."""
+    open_cells, current = _open_goal(table, region, maps), 0
+    while open_cells > 0:
+        cell = table.buckets[current % len(table.buckets)]
+        if cell < 0:
+            current += 1
+            continue
+        _unlink(table.link, table.buckets, cell)
+        table.link[cell, 1] = -1
+        open_cells += _expand(table, cell, width, motions, reversal, maps) - 1
+
+
+@compiled
+def _nearest_reached(x: float, y: float, theta: float, seconds: Floats32, frame: Floats, pose: Matrix32) -> int:
+    """Reached cell with a pose near (x, y, theta), the one with the least cost-to-go and deviation; -1 without one."""
+    rows, columns, bins = int(frame[3]), int(frame[4]), int(frame[5])
+    middle, best, chosen = _cell_of(x, y, theta, frame), math.inf, -1
+    if middle < 0:
+        return -1
+    column, row, k = middle % columns, (middle // columns) % rows, middle // (columns * rows)
+    for t in range(-NEARBY, NEARBY + 1):
+        for r in range(max(row - NEARBY, 0), min(row + NEARBY + 1, rows)):
+            for c in range(max(column - NEARBY, 0), min(column + NEARBY + 1, columns)):
+                cell = (((k + t) % bins) * rows + r) * columns + c
+                if seconds[cell] < UNKNOWN:
+                    away = math.hypot(pose[cell, 0] - x, pose[cell, 1] - y) * frame[2]
+                    turned = (pose[cell, 2] - theta) * bins / (2.0 * math.pi)
+                    away += abs(turned - bins * math.floor(turned / bins + 0.5))
+                    cost = seconds[cell] * (1.0 + DEVIATION_PENALTY * away)
+                    if cost < best:
+                        best, chosen = cost, cell
+    return chosen
+
+
+@part
+def _least_around(table: Floats32Cube, k: int, row: int, column: int) -> float:
+    """Least value of a cell and those around it, `UNKNOWN` without one."""
+    bins, rows, columns = table.shape
+    least = UNKNOWN
+    for r in range(max(row - 1, 0), min(row + 2, rows)):
+        for c in range(max(column - 1, 0), min(column + 2, columns)):
+            for t in range(-1, 2):
+                least = min(least, table[(k + t) % bins, r, c])
+    return least
+
+
+@compiled
+def _fill(found: Floats32Cube, filled: Floats32Cube, factor: float) -> None:
+    """Multiply by a factor; cells that were not reached get the least value around them, or else the largest of all."""
+    bins, rows, columns = found.shape
+    largest = 0.0
+    for k in range(bins):
+        for row in range(rows):
+            for column in range(columns):
+                if found[k, row, column] < UNKNOWN:
+                    largest = max(largest, found[k, row, column])
+    for k in range(bins):
+        for row in range(rows):
+            for column in range(columns):
+                value = found[k, row, column]
+                if value >= UNKNOWN:
+                    value = min(_least_around(found, k, row, column), largest)
+                filled[k, row, column] = factor * value
+
+
+@inlined
+def seconds_to_goal_pose(problem: Problem, x: float, y: float, theta: float, geodesic: float) -> float:
+    """Trilinear interpolation of the cost-to-go at a pose (s); `geodesic` is the cost-to-go of its position."""
+    table, scalar = problem.pose_togo, problem.scalar
+    bins, rows, columns = (
+        problem.option[POSE_HEADINGS],
+        problem.option[POSE_ROWS],
+        problem.option[POSE_COLUMNS],
+    )
+    u, v = (x - scalar[POSE_X]) * scalar[POSE_INVERSE], (y - scalar[POSE_Y]) * scalar[POSE_INVERSE]
+    if not (0.0 <= u < columns - 1 and 0.0 <= v < rows - 1):
+        return geodesic + scalar[POSE_BEYOND]
+    w = (theta - scalar[POSE_HEADING]) * (bins / (2.0 * math.pi))
+    column, row, k = int(u), int(v), math.floor(w)
+    u, v, w = u - column, v - row, w - k
+    first, second = ((k % bins) * rows + row) * columns + column, (((k + 1) % bins) * rows + row) * columns + column
+    low = table[first] * (1.0 - u) + table[first + 1] * u
+    high = table[first + columns] * (1.0 - u) + table[first + columns + 1] * u
+    here = low * (1.0 - v) + high * v
+    low = table[second] * (1.0 - u) + table[second + 1] * u
+    high = table[second + columns] * (1.0 - u) + table[second + columns + 1] * u
+    return here * (1.0 - w) + (low * (1.0 - v) + high * v) * w

@@ -1,0 +1,191 @@
+"""Goals with a heading and with limits of further components are reached, and the plans obey the model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.kernels import NO_SAFETY, ROVER, integrate, rover_rate
+
+from ompl_ext.exact import ExactClearance
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.clearance import tight_cover
+from ompl_ext.kernels.riccati import Stages, memory, solve
+from ompl_ext.motion import motion_of
+from ompl_ext.obstacles import Workspace, box
+from ompl_ext.plan import Plan
+from ompl_ext.query import Goal, Settings, make_problem, pose_cost_to_go_of
+from ompl_ext.solver import DirtSolver
+from ompl_ext.vehicle import Footprint
+from ompl_ext.verification import verify
+
+ROOM = Workspace(((0.0, 3.0), (0.0, 3.0)), (box((1.5, 1.6), (0.2, 2.0)),))
+START = np.array([0.6, 2.2, 0.0, 0.0, 0.0])
+AT_REST = {"v": (-0.05, 0.05), "omega": (-0.05, 0.05)}
+GOAL = Goal((2.4, 2.2), 0.03, math.pi / 2, math.radians(3), AT_REST)
+RNG = np.random.default_rng(5)
+
+
+def rover_plan(goal: Goal = GOAL, settings: Settings | None = None, iterations: int = 1024, seed: int = 1) -> Plan:
+    dirt = DirtSolver(ROVER, ROOM, goal, NO_SAFETY, settings)
+    dirt.start(START, seed)
+    dirt.grow(iterations=iterations)
+    plan = dirt.plan()
+    assert plan is not None
+    assert not verify(dirt, plan).problems
+    return plan
+
+
+@pytest.fixture(scope="module")
+def parked() -> Plan:
+    return rover_plan()
+
+
+def test_an_independent_integration_of_the_plan_ends_in_the_goal(parked: Plan) -> None:
+    state, exact = START, ExactClearance(ROOM, ROVER.footprint)
+    for control, duration in zip(parked.controls, parked.durations, strict=True):
+        states = integrate(rover_rate, state, control, float(duration), 50)
+        assert min(exact.distance(*pose) for pose in states[::5, :3]) > 0.0
+        state = states[-1]
+    assert math.dist(state[:2], GOAL.center) <= GOAL.radius
+    assert abs(math.remainder(state[2] - GOAL.heading, math.tau)) <= GOAL.tolerance
+    assert np.all(np.abs(state[3:]) <= 0.05)
+    assert np.all((parked.controls >= [-2, -4]) & (parked.controls <= [2, 4]))
+
+
+def test_the_same_seed_gives_the_same_plan_to_the_last_bit(parked: Plan) -> None:
+    again = rover_plan()
+    assert np.array_equal(again.controls, parked.controls)
+    assert np.array_equal(again.trajectory, parked.trajectory)
+
+
+def test_local_optimisation_can_be_switched_off_and_saves_time(parked: Plan) -> None:
+    without = rover_plan(settings=Settings(polish=False))
+    assert not without.reaches_goal or without.cost > parked.cost
+    assert DirtSolver(ROVER, ROOM, GOAL, NO_SAFETY, Settings(polish=False))._polish is None
+
+
+def test_a_goal_without_heading_and_limits_needs_neither_guide_nor_optimisation() -> None:
+    dirt = DirtSolver(ROVER, ROOM, Goal((2.4, 2.2), 0.3), NO_SAFETY)
+    assert dirt.problem.option[at.POSE_HEADINGS] == 0
+    assert dirt.problem.option[at.CUT_AT_GOAL] == 0
+    assert dirt._polish is None
+
+
+@pytest.mark.parametrize(("name", "change"), [("v", 0.2), ("omega", -0.2)])
+def test_limits_are_part_of_what_a_goal_contains(name: str, change: float) -> None:
+    state = np.array([*GOAL.center, GOAL.heading, 0.0, 0.0])
+    assert GOAL.contains(ROVER, state)
+    state[ROVER.index(name)] += change
+    assert not GOAL.contains(ROVER, state)
+    assert replace(GOAL, limits={}).contains(ROVER, state)
+
+
+@pytest.mark.parametrize("name", ["speed", "x", "theta"])
+def test_limits_of_what_is_no_component_besides_the_pose_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        make_problem(ROVER, ROOM, replace(GOAL, limits={name: (0.0, 1.0)}), NO_SAFETY, Settings())
+
+
+def test_an_edge_that_passes_a_small_goal_ends_in_it() -> None:
+    goal = Goal((0.9, 2.5), 0.04)  # every edge of a rover at full speed moves by much more
+    dirt = DirtSolver(ROVER, ROOM, goal, NO_SAFETY)
+    assert dirt.problem.option[at.CUT_AT_GOAL] == 1
+    dirt.start(np.array([0.9, 0.6, math.pi / 2, 0.9, 0.0]), 0)
+    dirt.grow(iterations=3000)
+    plan = dirt.plan()
+    assert plan is not None
+    assert plan.reaches_goal
+    assert math.dist(plan.trajectory[-1][:2], goal.center) < goal.radius
+
+
+def test_the_cost_to_go_of_poses_knows_turning_and_reversing() -> None:
+    room = Workspace(((0.0, 3.0), (0.0, 3.0)))
+    goal = Goal((1.5, 1.5), 0.03, 0.0, math.radians(3))
+    found = pose_cost_to_go_of(ROVER, room, goal, 0.01)
+
+    def seconds(x: float, y: float, theta: float) -> float:
+        path = found.path_from(x, y, theta)
+        assert path is not None
+        assert math.dist(path.poses[0, :2], (x, y)) < 0.1
+        assert math.dist(path.poses[-1, :2], (1.5, 1.5)) < 0.1
+        return float(path.times.sum())
+
+    assert seconds(0.7, 1.5, 0.0) == pytest.approx(0.8, abs=0.1)  # ahead at 1 m/s
+    assert seconds(2.3, 1.5, 0.0) == pytest.approx(0.8, abs=0.1)  # astern
+    assert seconds(1.5, 1.5, math.pi) == pytest.approx(math.pi / 3, rel=0.1)  # on the spot at 3 rad/s
+    assert seconds(1.5, 2.2, 0.0) > 0.7 + 0.3  # a rover does not move sideways
+
+
+def test_motion_finds_rates_ranges_and_extreme_velocities() -> None:
+    motion = motion_of(ROVER)
+    v, omega = ROVER.index("v"), ROVER.index("omega")
+    assert motion.high[[v, omega]] == pytest.approx([1.0, 3.0], abs=0.25)
+    assert motion.rate[[v, omega]] == pytest.approx([2.0, 4.0], rel=1e-6)
+    twists, numbers = motion.extreme_twists(0.3)
+    assert len(twists) == len(numbers)
+    for ahead, turning in ((1, 0), (-1, 0), (0, 3), (0, -3), (1, 3), (-1, -3)):
+        assert np.abs(twists - (ahead, 0, turning)).max(axis=1).min() < 0.5
+
+
+@pytest.mark.parametrize("footprint", [Footprint(0.44, 0.28, -0.005), Footprint(0.2, 0.9), Footprint(0.5, 0.5)])
+@pytest.mark.parametrize("excess", [0.005, 0.02])
+def test_the_tight_cover_contains_the_footprint_and_hardly_more(footprint: Footprint, excess: float) -> None:
+    discs = tight_cover(footprint, excess)
+    corners = footprint.corners()
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    points = np.random.default_rng(0).uniform(low, high, (3000, 2))
+    gaps = np.linalg.norm(points[:, None] - discs[:, :2], axis=2) - discs[:, 2]
+    assert gaps.min(axis=1).max() <= 1e-9
+    turn = np.linspace(0, math.tau, 200)
+    rim = discs[:, None, :2] + discs[:, 2, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    outside = np.maximum(np.maximum(low - rim, rim - high), 0.0)
+    assert np.linalg.norm(outside, axis=2).max() <= math.sqrt(2.0) * excess + 1e-9
+
+
+def test_the_linear_quadratic_problem_is_solved_as_by_dense_equations() -> None:
+    n, nx, m, stiffness = 4, 3, 2, 50.0
+    a, b = RNG.normal(size=(n, nx, nx)), RNG.normal(size=(n, nx, m))
+    root = RNG.normal(size=(n + 1, nx, nx))
+    stages = Stages(
+        a=a,
+        b=b,
+        c=RNG.normal(size=(n, nx)),
+        q_matrix=root @ root.transpose(0, 2, 1),
+        q=RNG.normal(size=(n + 1, nx)),
+        r_matrix=np.tile(np.eye(m), (n, 1, 1)),
+        r=RNG.normal(size=(n, m)),
+        low=np.full((n, m), -1e6),
+        high=np.full((n, m), 1e6),
+    )
+    work = memory(n, nx, m)
+    assert solve(stages, 0.0, stiffness, work)
+    dx, du = dense_solution(stages, stiffness)
+    assert work.dx[1:] == pytest.approx(dx, abs=1e-6)
+    assert work.du == pytest.approx(du, abs=1e-6)
+    bounded = stages._replace(low=np.full((n, m), -0.05), high=np.full((n, m), 0.05))
+    assert solve(bounded, 0.0, stiffness, work)
+    assert np.abs(work.du).max() == pytest.approx(0.05)
+
+
+def dense_solution(stages: Stages, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+    """States 1 ... n and controls that minimise the same costs, by one system of linear equations."""
+    n, nx, m = stages.b.shape
+    size = n * (nx + m)
+    hessian, gradient = np.zeros((size, size)), np.zeros(size)
+    for k in range(n):
+        x, u = slice(k * nx, (k + 1) * nx), slice(n * nx + k * m, n * nx + (k + 1) * m)  # the state after stage k
+        hessian[x, x] += stages.q_matrix[k + 1]
+        gradient[x] += stages.q[k + 1]
+        hessian[u, u] += stages.r_matrix[k]
+        gradient[u] += stages.r[k]
+        defect = np.zeros((nx, size))
+        defect[:, x], defect[:, u] = np.eye(nx), -stages.b[k]
+        if k > 0:
+            defect[:, (k - 1) * nx : k * nx] = -stages.a[k]
+        hessian += stiffness * defect.T @ defect
+        gradient -= stiffness * defect.T @ stages.c[k]
+    solution = -np.linalg.solve(hessian, gradient)
+    return solution[: n * nx].reshape(n, nx), solution[n * nx :].reshape(n, m)
