@@ -67,9 +67,9 @@ def rooms(cells: int, resolution: float, seed: int) -> Bools:
     for k in range(count + 1):
         at = min(int(k * ROOM / resolution), cells - thick)
         occupied[at : at + thick] = occupied[:, at : at + thick] = True
-    for k in range(1, count):
+    for k in range(1, count + 1):
         at = int(k * ROOM / resolution)
-        for room in range(count):
+        for room in range(count + 1):
             for axis in (0, 1):
                 middle, half = (room + rng.uniform(0.25, 0.75)) * ROOM, rng.uniform(0.6, 1.25)
                 door = slice(int((middle - half) / resolution), int((middle + half) / resolution))
