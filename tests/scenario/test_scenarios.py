@@ -47,10 +47,10 @@ INSIDE = {
 
 
 HALLS = ("training", "training-real")
-SCENES = (*PAPER, *HALLS)
+SCENES = (*PAPER, *HALLS, "posts", "track")
 
 
-def test_the_eight_scenes_of_the_paper_and_the_training_halls_are_bundled() -> None:
+def test_the_scenes_of_the_paper_the_training_halls_and_those_of_fast_robots_are_bundled() -> None:
     assert bundled.names("scenario") == tuple(sorted(SCENES))
 
 
