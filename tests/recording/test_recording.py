@@ -10,7 +10,7 @@ import pytest
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
 from kraft.recording.free_space import MARGIN, STEP, FreeSpace, moved
-from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, manoeuvre
+from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, ToControl, manoeuvre
 from kraft.recording.recorder import COMMAND_RATE, STOP, Recorder, Recording
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
@@ -26,16 +26,21 @@ def runs() -> list[Recording]:
     return [recorder.record(number) for number in range(1, 6)]
 
 
+def commands(throttle: float, steering: float) -> ToControl:
+    """Controls of a car with these largest ones."""
+    return lambda drive, turn: np.array([drive * throttle, turn * steering])
+
+
 def drawn(name: str, seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    return manoeuvre(name, 1.0, 0.38, np.random.default_rng(seed)).controls
+    return manoeuvre(name, commands(1.0, 0.38), np.random.default_rng(seed)).controls
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("seed", range(5))
 def test_a_manoeuvre_begins_at_rest_ends_without_throttle_and_keeps_the_bounds(name: str, seed: int) -> None:
-    drive = manoeuvre(name, 0.8, 0.3, np.random.default_rng(seed))
+    drive = manoeuvre(name, commands(0.8, 0.3), np.random.default_rng(seed))
     assert drive.times[0] == 0.0
-    assert drive.control_at(0.0) == drive.control_at(REST - 0.01) == (0.0, 0.0)
+    assert drive.control_at(0.0).tolist() == drive.control_at(REST - 0.01).tolist() == [0.0, 0.0]
     assert drive.control_at(DURATION - COASTING + 0.01)[0] == 0.0
     assert drive.times[-1] == pytest.approx(DURATION - COASTING)
     assert (np.diff(drive.times) > 0).all()
@@ -74,7 +79,21 @@ def test_commands_and_poses_have_clocks_of_their_own(runs: list[Recording]) -> N
 def test_what_was_sent_is_the_manoeuvre(runs: list[Recording]) -> None:
     for run in runs:
         sent = [run.manoeuvre.control_at(time) for time in run.commands[:, 0]]
-        assert run.commands[:, 1:].tolist() == [list(control) for control in sent]
+        assert run.commands[:, 1:].tolist() == [control.tolist() for control in sent]
+
+
+def test_a_vehicle_that_is_no_car_is_driven_forward_and_to_both_sides() -> None:
+    robot = load_vehicle("unicycle2")
+    recorder = Recorder(TRAINING, robot, 0)
+    turned = []
+    for number in (2, 3):
+        run = recorder.record(number)
+        assert run.controls == ("acceleration", "angular_acceleration")
+        assert run.commands.shape[1] == 3
+        assert run.truth[:, 4].max() > 0.3
+        turned.append(float(np.unwrap(run.truth[:, 3])[-1] - run.truth[0, 3]))
+    assert turned[0] > 1.0
+    assert turned[1] < -1.0
 
 
 def test_poses_are_the_truth_with_the_cameras_noise(runs: list[Recording]) -> None:

@@ -47,10 +47,10 @@ INSIDE = {
 
 
 HALLS = ("training", "training-real")
-SCENES = (*PAPER, *HALLS, "parking")
+SCENES = (*PAPER, *HALLS, "parking", "posts", "track")
 
 
-def test_the_eight_scenes_of_the_paper_the_training_halls_and_parking_are_bundled() -> None:
+def test_the_scenes_of_the_paper_the_training_halls_parking_and_those_of_fast_robots_are_bundled() -> None:
     assert bundled.names("scenario") == tuple(sorted(SCENES))
 
 
