@@ -109,7 +109,8 @@ def _response_time(vehicle: Vehicle) -> float:
 
 def _simulate(vehicle: Vehicle) -> Motion:
     random, bounds = np.random.default_rng(0), vehicle.control_bounds
-    held = [[control] for control in _corners(bounds, random)]
+    idle = np.clip(0.0, bounds[:, 0], bounds[:, 1])
+    held = [[control, idle] for control in _corners(bounds, random)]  # idle: on at a speed that is limited
     varied = [[_random_control(bounds, random) for _ in range(SEGMENTS)] for _ in range(ROLLOUTS)]
     pieces = [_rollout(vehicle, controls, HELD_STEPS) for controls in held]
     pieces += [_rollout(vehicle, controls, SEGMENT_STEPS) for controls in varied]

@@ -274,7 +274,7 @@ class DirtSolver:
             elapsed = time.perf_counter() - began
             self._update_progress(base + elapsed)
             if self._polishes_now(None if seconds is None else seconds - elapsed):
-                self._add_polished()
+                self._add_polished(base - began)
                 elapsed = time.perf_counter() - began
                 self._update_progress(base + elapsed)
             if self._tree.count[at.FULL] or self._prunes_now():
@@ -372,11 +372,15 @@ class DirtSolver:
             return False
         return left is None or left > self._polished.seconds
 
-    def _add_polished(self) -> None:
-        """Improve the best plan, or at first one along the cost-to-go of poses, and add it to the tree."""
+    def _add_polished(self, offset: float) -> None:
+        """Improve the best plan, and at first one along the cost-to-go of poses, and add them to the tree.
+
+        `offset` is the time of the query at a reading of the clock minus that reading, s.
+        """
         began = time.perf_counter()
         if self._polished.attempts == 0:
             self._add_improved(self._guided_guess(), PATIENCE)
+            self._update_progress(offset + time.perf_counter())
         if self._tree.count[at.BEST] >= 0:
             self._add_improved(self._guess_of_plan(), 1.0)
         cost = float(self._tree.best[0])

@@ -119,7 +119,7 @@ def pose_cost_to_go(
     cell = (2.0 * math.pi * area / (MAX_CELLS * curvature)) ** (1.0 / 3.0)
     cell = min(max(cell, cells[0]), cells[1])
     headings = min(max(math.ceil(2.0 * math.pi / (cell * curvature)), HEADINGS[0]), HEADINGS[1])
-    fits = area * headings / cell**2 <= 1.01 * MAX_CELLS
+    fits = area * headings / cell**2 <= 1.2 * MAX_CELLS  # which rounding of the bins may exceed
     half = math.inf if fits else 0.5 * cell * math.sqrt(MAX_CELLS / headings)
     before = [math.ceil(min(c - low, half) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
     columns, rows = (

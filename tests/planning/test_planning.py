@@ -169,9 +169,9 @@ def test_a_plan_of_another_vehicle_is_refused(solved: PlanResult) -> None:
         ("start: {x: 0.5, y: 0.5", "start: {x: 3.2, y: 0.5", "6:8 start geometry", "obstacles[1]"),
         ("start: {x: 0.5, y: 0.5", "start: {x: 0.1, y: 0.5", "6:8 start geometry", "out of bounds"),
         ("heading_deg: 0}", "heading_deg: 0, speed: 3}", "6:48 start.speed value", "mushr"),
-        ("radius: 0.3", "radius: 0.3, limits: {omega: [0, 1]}", "7:47 goal.limits.omega unknown", "mushr"),
-        ("radius: 0.3", "radius: 0.3, limits: {theta: [0, 1]}", "7:47 goal.limits.theta unknown", "mushr"),
-        ("radius: 0.3", "radius: 0.3, limits: {v: [2, 3]}", "7:43 goal.limits.v value", "mushr"),
+        ("radius: 0.3", "radius: 0.3, limits: {omega: [0, 1]}", "7:53 goal.limits.omega unknown", "mushr"),
+        ("radius: 0.3", "radius: 0.3, limits: {theta: [0, 1]}", "7:53 goal.limits.theta unknown", "mushr"),
+        ("radius: 0.3", "radius: 0.3, limits: {v: [2, 3]}", "7:49 goal.limits.v value", "mushr"),
         ("center: [3, 3]", "center: [2.2, 2]", "7:16 goal.center geometry", "'pillar'"),
     ],
 )  # fmt: skip
@@ -222,7 +222,7 @@ def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -
 
 def test_a_heading_that_is_missed_is_what_is_missing(mushr: Vehicle) -> None:
     goal = "radius: 0.3, heading_deg: 180, heading_tolerance_deg: 0.01"
-    result = plan_task(room(("radius: 0.3", goal)), mushr, FEW)
+    result = plan_task(room(("radius: 0.3", goal)), mushr, Budget(iterations=500))  # before local optimisation begins
     assert not result.solved
     assert result.plan is not None
     off = abs(math.degrees(math.remainder(result.plan.states[-1][2] - math.pi, math.tau)))
