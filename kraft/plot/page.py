@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +20,7 @@ from kraft.plot.style import (
     GREY,
     INK,
     LABEL,
+    RULE,
     SMALL,
     TITLE,
     VALUE,
@@ -29,6 +30,7 @@ from kraft.plot.style import (
     shortened,
     text_width,
 )
+from ompl_ext.arrays import Floats
 
 WIDTH = 9.0
 LEFT, RIGHT = 0.55, 0.2
@@ -214,3 +216,61 @@ def _draw_colour_bar(figure: Figure, page: Page, scale: ScalarMappable, part: Re
     axes.tick_params(labelsize=SMALL, pad=1.5, length=2)
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
+
+
+HELD: Final[Style] = {"drawstyle": "steps-post"}
+"""Each value is held until the next one."""
+DOTS: Final[Style] = {"linestyle": "", "marker": ".", "markersize": 2.2, "markeredgewidth": 0}
+ColouredText: TypeAlias = tuple[str, str]
+"""Text and its colour."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Values (n,) at times (n,), s; `style` are arguments of the line that matplotlib draws."""
+
+    times: Floats
+    values: Floats
+    style: Style
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One quantity: its lowest and highest value, or limits from its curves.
+
+    `band` is the half width of a band around 0 that most values are expected in.
+    """
+
+    title: tuple[ColouredText, ...]
+    curves: tuple[Curve, ...]
+    limits: tuple[float, float] | None = None
+    band: float | None = None
+
+
+def draw_panel(axes: Axes, panel: Panel, span: tuple[float, float], *, last: bool) -> None:
+    """Curves over a span of time (s); ticks of the time axis only below the last panel of a stack."""
+    axes.set_xlim(span)
+    if panel.limits is not None:
+        low, high = panel.limits
+        room = 0.12 * (high - low)
+        axes.set_ylim(low - room, high + room)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
+    if panel.band is not None:
+        axes.axhspan(-panel.band, panel.band, color=RULE, alpha=0.35, linewidth=0, zorder=0)
+    axes.axhline(0.0, color=RULE, linewidth=0.6, zorder=1)
+    for curve in panel.curves:
+        axes.plot(curve.times, curve.values, **curve.style)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelbottom=last, bottom=last)
+
+
+def draw_title(axes: Axes, title: Sequence[ColouredText]) -> None:
+    """Write the title of a panel above its left edge."""
+    style: Style = {"fontsize": SMALL + 0.5, "va": "bottom", "parse_math": False}
+    for text, colour in title:
+        axes.text(0.0, 1.03, text, transform=axes.transAxes, color=colour, **style)
+
+
+def quantity(name: str) -> tuple[ColouredText, ...]:
+    """Title of a panel with a single quantity."""
+    return ((name, GREY),)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from kraft.plot.page import HEADING, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
-from kraft.plot.panels import ColouredText
+from kraft.plot.page import HEADING, LEFT, NOTES, RIGHT, ColouredText, Page, Rectangle, note_rows_of
 from kraft.plot.style import INK, SMALL, picture_format, plot_style, text_width, write_picture
 from kraft.plot.sysid_logs import most_excited_log
 from kraft.plot.sysid_panels import (

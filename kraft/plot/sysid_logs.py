@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from kraft.plot.page import HEADING, LEFT, NOTES, RIGHT, Page, Rectangle, note_rows_of
-from kraft.plot.panels import DOTS, HELD, Curve, Panel
+from kraft.plot.page import DOTS, HEADING, HELD, LEFT, NOTES, RIGHT, Curve, Page, Panel, Rectangle, note_rows_of
 from kraft.plot.style import INK, picture_format, plot_style, write_picture
 from kraft.plot.sysid_style import DATA, FITTED, caption, draw_paths, draw_stack, set_floor_limits
 from ompl_ext.arrays import Floats

@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from kraft.plot.page import Page, Rectangle
-from kraft.plot.panels import DOTS, HELD, Curve, Panel
+from kraft.plot.page import DOTS, HELD, Curve, Page, Panel, Rectangle
 from kraft.plot.style import GREY, INK, LABEL, RULE, SMALL, WARNING, Style, plain_number, text_width
 from kraft.plot.sysid_logs import held_command, speeds
 from kraft.plot.sysid_style import DATA, IDENTIFIED, INITIAL, draw_message, draw_paths, plain_axes, set_floor_limits

@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from kraft.plot.page import Page, Rectangle
-from kraft.plot.panels import ColouredText, Panel, draw_panel
+from kraft.plot.page import ColouredText, Page, Panel, Rectangle, draw_panel
 from kraft.plot.style import CYCLE, GOAL, GREY, INK, LABEL, RULE, SMALL, WARNING, plain_number, text_width
 from ompl_ext.arrays import Matrix
 

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from kraft.driving.messages import Cycle, ReferenceKind
 from kraft.planning.workspace import workspace_of
 from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
-from kraft.plot.panels import HELD, Curve, Panel, draw_panel, draw_title, quantity
+from kraft.plot.page import HELD, Curve, Panel, draw_panel, draw_title, quantity
 from kraft.plot.style import CYCLE, DASHED, INK, RULE, WARNING, WARNING_PALE, Style
 from kraft.scenario import Task
 from kraft.simulation.appearance import HiddenFeature
