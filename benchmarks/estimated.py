@@ -171,7 +171,8 @@ def report(episodes: Sequence[Episode], level: float, took: float, effort: Effor
     ]  # fmt: skip
     notes = [
         f"{effort.method} with {ITERATIONS[0]} to {ITERATIONS[1]} iterations a cycle; level {level:g}.",
-        f"Processor time {total:,.0f} s in {effort.jobs} processes, {took:,.0f} s of wall clock. Intervals: 95 %, Wilson.",
+        f"Processor time {total:,.0f} s in {effort.jobs} processes, {took:,.0f} s of wall clock.",
+        "Intervals: 95 %, Wilson.",
     ]
     if hits:
         notes.append(f"collisions in episodes {[e.number for e in hits][:40]}")

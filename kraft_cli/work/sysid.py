@@ -20,9 +20,8 @@ from kraft.sysid.fast_graph import ensure_compiled
 from kraft.sysid.identify import identify
 from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification
-from kraft.sysid.selection import excluded_for_planning
+from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
-from kraft.sysid.selection import check_free_parameters, check_settings
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
 from kraft_cli.work.parameters import parse_parameters
