@@ -153,7 +153,7 @@ def agree(scene: Scenario, poses: NDArray[np.float64], margin: float) -> tuple[i
 def test_mujoco_and_fcl_agree_on_what_is_in_collision(name: str) -> None:
     scene = load_scenario(name)
     low, high = (5.2, 6.0) if name.startswith("training") else (-0.1, 2.1)  # where there is something to hit
-    poses = np.random.default_rng(7).uniform((low, -0.9, -math.pi), (high, 5.9, math.pi), (300, 3))
+    poses = np.random.default_rng(7).uniform((low, -0.9, -math.pi), (high, 5.9, math.pi), (400, 3))
     hits, free = agree(scene, poses, margin=0.001)
     assert min(hits, free) > 50
     assert hits + free > 285
