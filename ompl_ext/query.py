@@ -35,7 +35,7 @@ class Goal:
     radius: float
     heading: float = 0.0
     tolerance: float = math.pi
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
 
     @property
     def has_heading(self) -> bool:

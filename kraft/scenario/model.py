@@ -34,7 +34,7 @@ class Goal:
     radius: float
     heading: float | None = None
     heading_tolerance: float | None = None
-    limits: Mapping[str, Vec2] = field(default_factory=dict)
+    limits: Mapping[str, Vec2] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, kw_only=True)
