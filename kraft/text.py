@@ -9,8 +9,10 @@ from difflib import get_close_matches
 
 
 def counted(number: int, noun: str) -> str:
-    """Number with its noun: ``1 trial``, ``2 trials``."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    """Number with its noun: ``1 trial``, ``2 trials``, ``2 emergencies``."""
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {noun[:-1]}ies" if noun.endswith(("cy", "ty", "ry")) else f"{number} {noun}s"
 
 
 def grouped(number: int, noun: str) -> str:

@@ -256,7 +256,7 @@ def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings
     scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.has_heading else -2.0
     scalar[at.GOAL_NEAR] = goal.radius + settings.longest * vehicle.top_speed
     scalar[at.SHORTEST_NEAR_GOAL] = SHORT * settings.shortest
-    passes = settings.shortest * vehicle.top_speed > 2 * goal.radius
+    passes = settings.shortest * vehicle.top_speed > 4 * goal.radius  # over twice the diameter
     option[at.GOAL_HEADING], option[at.GOAL_LIMITS] = goal.has_heading, bool(goal.limits)
     option[at.CUT_AT_GOAL] = goal.has_heading or bool(goal.limits) or passes
     limits[:, 0], limits[:, 1] = -math.inf, math.inf
