@@ -148,8 +148,8 @@ def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
         ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes"]),
         ({"realtime": True}, ["realtime"]),
         (
-            {"vehicle": "unicycle2"},
-            ["rows.slip, kraft", "vehicles.mushr", "vehicles.unicycle2"],
+            {"vehicle": "mushr-lag"},
+            ["rows.slip, kraft", "vehicles.mushr", "vehicles.mushr-lag"],
         ),
     ],
 )  # fmt: skip

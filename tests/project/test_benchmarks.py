@@ -269,7 +269,7 @@ def test_the_cheap_world_moves_as_the_model_and_stops_at_obstacles() -> None:
     scenario = random_arenas.random_arena(2, "open", (1.0, 1.0))
     vehicle = load_vehicle("mushr-force").with_parameters({"v_delta": 0.5})
     world, model = estimated.ModelWorld(scenario, vehicle), CarModel(vehicle)
-    world.apply(1.0, 0.05)
+    world.apply((1.0, 0.05))
     world.step(250)
     assert (world.time, world.collision) == (0.5, None)
     start = np.array([scenario.start.x, scenario.start.y, scenario.start.heading, 0.0])
