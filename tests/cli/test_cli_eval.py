@@ -281,7 +281,7 @@ def test_a_start_in_collision_is_found_before_any_trial(capsys: pytest.CaptureFi
     assert not Path("o").exists()
 
 
-@pytest.mark.parametrize("vehicle", ["benchmark", "mushr-lag"])
+@pytest.mark.parametrize("vehicle", ["benchmark"])
 def test_a_vehicle_whose_parameters_cannot_be_estimated_is_found_before_any_trial(
     vehicle: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
