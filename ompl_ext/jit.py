@@ -132,3 +132,13 @@ def inlined(function: F) -> F:
 def part(function: F) -> F:
     """Compile `function` as a part of the kernels that call it; LLVM decides whether to inline it."""
     return _part(function)
+
+
+def template(function: F) -> F:
+    """Put the body of `function` where it is called, before types are inferred.
+
+    For functions that take functions: as parts of their own they would be compiled, with all that they call, only to be
+    compiled again in the kernel.
+    """
+    dispatcher: F = _njit(error_model="numpy", _nrt=False, inline="always")(function)
+    return dispatcher

@@ -23,7 +23,7 @@ from support.kernels import ROVER
 for name in sys.argv[1:]:
     vehicle = ROVER if name == "rover" else load_vehicle(name)
     if name == "mushr":  # and what is the same for every vehicle
-        ensure_compiled(vehicle, str)
+        ensure_compiled(vehicle, str, heading=True)
         ensure_identification(vehicle, name, str)
         grow()
     if not is_cached(vehicle):
@@ -31,7 +31,10 @@ for name in sys.argv[1:]:
     if name not in ("benchmark", "rover") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """
-VEHICLES = (("mushr", "unicycle2", "benchmark", "f1tenth"), ("mushr-drive", "mushr-lag", "rover", "jackal"))
+VEHICLES = (
+    ("mushr", "unicycle2", "benchmark", "f1tenth"),
+    ("mushr-force", "mushr-drive", "mushr-lag", "rover", "jackal"),
+)
 """Vehicles that two processes compile, in about the same time each."""
 LONG = (
     "test_interrupts", "test_quality", "test_cli_sysid", "test_evaluation_workers", "test_examples", "test_theorem",

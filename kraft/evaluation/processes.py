@@ -76,8 +76,10 @@ class Processes:
             Defect: if workers do not start.
         """
         for reference in dict.fromkeys(job.vehicle for job in jobs):  # once here, not by every worker during a trial
-            vehicle, methods = load_vehicle(reference), {job.method.name: job.method for job in jobs}.values()
-            ensure_compiled(vehicle, log, steps=any(needs_steps(method, vehicle) for method in methods))
+            vehicle, its_jobs = load_vehicle(reference), [job for job in jobs if job.vehicle == reference]
+            steps = any(needs_steps(job.method, vehicle) for job in its_jobs)
+            heading = any(job.scenario.goal.heading is not None for job in its_jobs)
+            ensure_compiled(vehicle, log, steps=steps, heading=heading)
         state = _State(deque(jobs))
         try:
             while True:

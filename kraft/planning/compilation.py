@@ -13,10 +13,11 @@ from typing import Final
 
 import numpy as np
 
+from ompl_ext.arrays import Matrix32
 from ompl_ext.exact import ExactClearance
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder, cache_root
-from ompl_ext.kernels.clearance import cover, fields
+from ompl_ext.kernels.clearance import ClearanceField, cover, fields
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
 from ompl_ext.kernels.riccati import compile_solver
@@ -27,31 +28,44 @@ from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POLL: Final = 0.05  # s, longest delay of an interrupt
+MAPS: Final = "maps"  # files that mark what is compiled
+HEADING: Final = "heading"
 
 
-def ensure_compiled(vehicle: Vehicle, report: Callable[[str], None], *, steps: bool = False) -> None:
+def ensure_compiled(
+    vehicle: Vehicle, report: Callable[[str], None], *, steps: bool = False, heading: bool = False
+) -> None:
     """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages.
 
-    With `steps`, compile the steps of the model too, which identification and the LQR need.
+    With `steps`, compile the steps of the model too, which identification and the LQR need; with `heading`, all that
+    goals with a heading need.
     """
-    if is_cached(vehicle):
-        if steps and not are_steps_cached(vehicle):
-            report(f"compiling the steps of the model of {vehicle.name} for this machine: once, about 5 s ...")
-            step_kernels(vehicle)
+    planner = not is_cached(vehicle)
+    steps = (steps or heading) and not are_steps_cached(vehicle)
+    heading = heading and not _marker(HEADING).exists()
+    missing = [(f"the planner and the model of {vehicle.name}", 20)] if planner else []
+    missing += [(f"the steps of the model of {vehicle.name}", 2)] if steps else []
+    missing += [("the planner for goals with a heading", 10)] if heading else []
+    if not missing:
         return
-    report(f"compiling the planner and the model of {vehicle.name} for this machine: once, about 20 s ...")
+    names = " and ".join(name for name, _ in missing)
+    report(f"compiling {names} for this machine: once, about {sum(seconds for _, seconds in missing)} s ...")
     began = time.perf_counter()
-    _exercise(vehicle)
-    if steps:
-        step_kernels(vehicle)
+    if planner:
+        _exercise(vehicle)
+    with interrupts_between_passes():
+        if steps:
+            step_kernels(vehicle)
+        if heading:
+            compile_for_headings()
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 
 def ensure_maps_compiled(report: Callable[[str], None]) -> None:
     """Compile the kernels for maps, which are the same for every vehicle, unless they are cached."""
-    if _maps_marker().exists():
+    if _marker(MAPS).exists():
         return
-    report("compiling the maps' kernels for this machine: once, about 6 s ...")
+    report("compiling the maps' kernels for this machine: once, about 10 s ...")
     with interrupts_between_passes():
         compile_maps()
 
@@ -81,7 +95,7 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
     It is silent and in a process group of its own, which no Ctrl-C reaches.  If it fails, these kernels compile in
     this process, which reports the error.
     """
-    if _maps_marker().exists():
+    if _marker(MAPS).exists():
         yield None
         return
     command = [sys.executable, "-c", f"from {__name__} import compile_maps; compile_maps()"]
@@ -97,20 +111,36 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
 
 
 def compile_maps() -> None:
-    """Compile the kernels of the clearance fields, the costs-to-go, exact clearances and local optimisation."""
+    """Compile the kernels of the clearance fields, the costs-to-go and exact clearances."""
+    field, world, body = _small_map()
+    for most_in_order in (field.values.size, 0):
+        _seconds_to_goal(field, most_in_order)
+    exact = ExactClearance(world, body)
+    exact.distance(0.5, 0.1)
+    exact.lower_bounds(np.zeros((1, 3)))
+    _marker(MAPS).touch()
+
+
+def compile_for_headings() -> None:
+    """Compile the kernels that goals with a heading need: the cost-to-go of poses and local optimisation."""
+    field, _, _ = _small_map()
+    compile_pose_cost_to_go(field.values, _seconds_to_goal(field, 0))
+    compile_solver()
+    _marker(HEADING).touch()
+
+
+def _small_map() -> tuple[ClearanceField, Workspace, Footprint]:
+    """Clearance field of a map of a few cells and a box, for a footprint."""
     body = Footprint(0.2, 0.2)
     cells = OccupancyGrid(np.eye(4, dtype=bool), 0.1, (0.0, 0.0, 0.0))
     world = Workspace(((0.0, 1.0), (0.0, 1.0)), (cells, box((1.0, 1.0), (0.1, 0.1))))
     field, _ = fields(world, body, float(cover(body).discs[:, 2].min()), 0.05)
-    for most_in_order in (field.values.size, 0):
-        seconds = cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0, most_in_order=most_in_order).seconds
-    compile_pose_cost_to_go(field.values, seconds)
-    compile_solver()
-    exact = ExactClearance(world, body)
-    exact.distance(0.5, 0.1)
-    exact.lower_bounds(np.zeros((1, 3)))
-    _maps_marker().touch()
+    return field, world, body
 
 
-def _maps_marker() -> Path:
-    return cache_folder() / "maps"
+def _seconds_to_goal(field: ClearanceField, most_in_order: int) -> Matrix32:
+    return cost_to_go(field, 0.1, (0.5, 0.5), 0.2, 1.0, most_in_order=most_in_order).seconds
+
+
+def _marker(name: str) -> Path:
+    return cache_folder() / name

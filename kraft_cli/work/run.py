@@ -73,7 +73,8 @@ def run_scenario(
     cell = experiment.cells[0]
     _log_details(detail, cell)
     timer.report("loaded and checked")
-    ensure_compiled(cell.vehicle, report, steps=needs_steps(cell.method, cell.vehicle))
+    steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
+    ensure_compiled(cell.vehicle, report, steps=steps, heading=heading)
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 

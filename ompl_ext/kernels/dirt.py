@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 
 from ompl_ext.arrays import Floats, int64
-from ompl_ext.jit import inlined, part
+from ompl_ext.jit import inlined, part, template
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
@@ -142,7 +142,7 @@ def most_promising_lane(work: Lanes, lanes: int, start: float, bound: float) -> 
     return lane
 
 
-@inlined
+@template
 def best_lane(work: Lanes, lanes: int, start: float, bound: float, problem: Problem, check: Check) -> int:
     """Free lane with the smallest f at its end, if that is below `bound`; -1 if there is none.
 
@@ -157,7 +157,7 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float, problem: Prob
     return lane
 
 
-@inlined
+@template
 def check_lanes(work: Lanes, lanes: int, start: float, bound: float, problem: Problem, check: Check) -> None:
     """Check every lane with f below `bound`."""
     for lane in range(lanes):
@@ -235,7 +235,7 @@ def requires_safety(problem: Problem, start: float, lane: int, work: Lanes) -> b
     return problem.option[REQUIRE_SAFETY] == 1 and start < problem.scalar[CYCLE] and not inside
 
 
-@inlined
+@template
 def visit(
     tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, propagate: Propagate, check: Check, safe: Safe
 ) -> None:
@@ -259,15 +259,17 @@ def visit(
     sample_edges(tree, node, problem, work, lanes)  # l. 11
     propagate(tree.state[node], lanes, problem, work)  # l. 12
     tree.count[EDGES] += lanes
-    lane = int64(-1)
-    if not exploring:
-        lane = best_lane(work, lanes, start, tree.best[0], problem, check)
-        exploring = lane >= 0 and work.togo[lane] >= tree.value[node, TOGO]
-    if exploring:
-        check_lanes(work, lanes, start, tree.best[0], problem, check)
-    added, wanted = int64(0), EXPLORATION_INSERTIONS if exploring else problem.option[INSERTIONS]
+    lane, added, wanted = int64(-1), int64(0), problem.option[INSERTIONS]
+    decided, checked = exploring, False
     while added < wanted:
+        if not exploring:
+            lane = best_lane(work, lanes, start, tree.best[0], problem, check)
+            exploring = not decided and lane >= 0 and work.togo[lane] >= tree.value[node, TOGO]
+            decided = True
         if exploring:
+            if not checked:
+                check_lanes(work, lanes, start, tree.best[0], problem, check)
+                checked, wanted = True, EXPLORATION_INSERTIONS
             lane = exploration_lane(tree, node, work, lanes, start, added)
         if lane < 0:
             return
@@ -281,8 +283,6 @@ def visit(
                 tree.count[NEXT] = child
             added += 1
         work.slack[lane] = -1.0  # inserted, or not safe
-        if added < wanted and not exploring:
-            lane = best_lane(work, lanes, start, tree.best[0], problem, check)
 
 
 @part
@@ -302,6 +302,14 @@ def deviation_squared(problem: Problem, retained: Retained, k: int, work: Lanes,
             difference *= DEVIATION_LENGTH / weight if weight > 0.0 else 0.0
         total += difference * difference
     return total
+
+
+@part
+def requires_correction(problem: Problem, retained: Retained, k: int, work: Lanes, found: int) -> bool:
+    """Whether edge k, in lane 0, has a target and fails (`found` < 0) or ends too far from it."""
+    if k >= len(retained.target):
+        return False
+    return found < 0 or deviation_squared(problem, retained, k, work, int64(0)) > MAX_DEVIATION * MAX_DEVIATION
 
 
 @part
@@ -330,7 +338,7 @@ def nearest_lane(problem: Problem, retained: Retained, k: int, work: Lanes, lane
     return chosen
 
 
-@inlined
+@template
 def propagate_retained(
     tree: Tree,
     problem: Problem,
@@ -359,7 +367,7 @@ def propagate_retained(
     return lane
 
 
-@inlined
+@template
 def retain(
     tree: Tree,
     problem: Problem,
@@ -385,24 +393,21 @@ def retain(
         for c in range(nu):
             work.control[c * LANE_WIDTH] = retained.edge[k, c]
         set_duration(problem, work, first, retained.edge[k, nu])
-        found = propagate_retained(tree, problem, work, brake, retained, k, parent, single, propagate, check, safe)
-        if k < len(retained.target) and (
-            found < 0 or deviation_squared(problem, retained, k, work, first) > MAX_DEVIATION * MAX_DEVIATION
-        ):
-            spread = LARGEST_CORRECTION
-            for _ in range(CORRECTION_ROUNDS):
+        found, spread, lanes = int64(-1), LARGEST_CORRECTION, single
+        for variation in range(CORRECTION_ROUNDS + 1):
+            if variation > 0:
                 lanes = problem.option[BLOSSOM]
                 vary_edge(tree, problem, work, lanes, spread)
-                lane = propagate_retained(
-                    tree, problem, work, brake, retained, k, parent, lanes, propagate, check, safe
-                )
-                if lane >= 0:
-                    found, spread = first, spread / 3.0
-                    work.duration[0], work.steps[0] = work.duration[lane], work.steps[lane]
-                    for c in range(nu):
-                        work.control[c * LANE_WIDTH] = work.control[c * LANE_WIDTH + lane]
-            if found >= 0:
-                propagate(tree.state[parent], single, problem, work)
+            lane = propagate_retained(tree, problem, work, brake, retained, k, parent, lanes, propagate, check, safe)
+            if lane >= 0:
+                found, spread = first, spread / 3.0 if variation > 0 else spread
+                work.duration[0], work.steps[0] = work.duration[lane], work.steps[lane]
+                for c in range(nu):
+                    work.control[c * LANE_WIDTH] = work.control[c * LANE_WIDTH + lane]
+            if variation == 0 and not requires_correction(problem, retained, k, work, found):
+                break
+        if variation > 0 and found >= 0:
+            propagate(tree.state[parent], single, problem, work)
         if found >= 0:
             retained.node[k] = insert(tree, problem, parent, first, work)
             tree.count[RETAINED] += 1 if retained.node[k] >= 0 else 0

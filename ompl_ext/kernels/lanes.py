@@ -12,7 +12,7 @@ import math
 from numba import types
 
 from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix, int64
-from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.jit import compiled, inlined, part, template
 from ompl_ext.kernels import dirt
 from ompl_ext.kernels.clearance import pose_slack
 from ompl_ext.kernels.costtogo import UNREACHABLE, seconds_to_goal
@@ -274,15 +274,16 @@ def cut_at_goal(lanes: int, problem: Problem, work: Lanes) -> bool:
     return found
 
 
-@part
+@template
 def propagate_to_goal(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None:
     """Integrate candidate edges as `propagate`; where that may matter, edges that pass through the goal end in it."""
-    propagate(source, lanes, problem, work)
-    scalar = problem.scalar
-    if problem.option[CUT_AT_GOAL] == 0 or not is_near_goal(scalar, source[X], source[Y], scalar[GOAL_NEAR]):
-        return
-    if cut_at_goal(lanes, problem, work):
+    scalar, uncut = problem.scalar, problem.option[CUT_AT_GOAL] == 1
+    uncut = uncut and is_near_goal(scalar, source[X], source[Y], scalar[GOAL_NEAR])
+    again = True
+    while again:
         propagate(source, lanes, problem, work)
+        again = uncut and cut_at_goal(lanes, problem, work)
+        uncut = False
 
 
 @inlined
@@ -429,7 +430,7 @@ def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
     return -1
 
 
-@part
+@template
 def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lanes) -> int:
     """SAFETY where edge `lane` crosses the end of the cycle."""
     state_at_cycle_end(lane, start_time, problem, work, brake.source)
