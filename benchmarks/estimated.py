@@ -12,7 +12,6 @@ import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final, cast
 
 import numpy as np
 
@@ -20,20 +19,12 @@ from benchmarks.effort import Effort
 from benchmarks.parallel import each, interval, planning_vehicle
 from benchmarks.random_arenas import random_arena
 from benchmarks.report import Report, Target, row
-from kraft.driving.car_model import CarModel
 from kraft.driving.method import Method, load_method
-from kraft.planning.workspace import start_state, workspace_of
-from kraft.scenario import Scenario
-from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.contacts import Collision
-from kraft.simulation.world import TIMESTEP, World
+from kraft.simulation.model_world import ModelWorld
 from kraft.trial.measures import farthest_point
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
-from kraft.vehicles import CAR_CONTROLS
 from kraft.vehicles.load import load_vehicle
-from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
 ITERATIONS = (200, 400)  # of a cycle, instead of 1000 and 2000: more episodes for the same time
@@ -44,73 +35,6 @@ NOISE = (0.5, 1.5)  # factor on the errors of poses
 CORRELATION = (0.0, 1.5)  # time constant of the errors (s)
 SPREAD = 1.5  # standard deviations of the prior within which the parameters of a car are
 HOLD = 0.45  # throttle that holds the car against its force, at most
-SUBSTEP = 0.02  # time between two checks for a collision (s)
-
-
-class ModelWorld:
-    """World whose car is the vehicle's model with other parameters; it has what a trial needs of a `World`."""
-
-    dt: Final = TIMESTEP
-    controls: Final = CAR_CONTROLS
-
-    def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
-        """Put the car, whose true parameters are those of `vehicle`, to the scenario's start."""
-        self._model, self._goal = CarModel(vehicle), scenario.goal
-        self._exact = ExactClearance(workspace_of(scenario.task(), vehicle), vehicle.footprint)
-        self._reach = vehicle.footprint.reach
-        self._state, self._control = start_state(scenario.task(), vehicle), self._model.rest
-        self._room = 0.0  # that any point may move before the distance to obstacles is measured again (m)
-        self.steps, self.collision = 0, cast("Collision | None", None)
-        self._check(self._state)
-
-    def apply(self, control: Sequence[float]) -> None:
-        """Hold throttle and steering from now on."""
-        self._control = self._model.command(*map(float, control))
-
-    def step(self, steps: int) -> None:
-        """Advance by `steps` of `dt`, or to the first collision."""
-        while steps > 0 and self.collision is None:
-            count = min(steps, round(SUBSTEP / TIMESTEP))
-            before, self._state = self._state, self._model.advance(self._state, self._control, count * TIMESTEP)
-            steps, self.steps = steps - count, self.steps + count
-            self._check(before)
-
-    def _check(self, before: Floats) -> None:
-        moved = self._state - before
-        model = self._model
-        self._room -= math.hypot(moved[model.x], moved[model.y]) + self._reach * abs(float(moved[model.theta]))
-        if self._room <= 0.0:
-            self._room = self._exact.distance(*self.pose)
-            if self._room <= 0.0:
-                self.collision = Collision(self.time, "obstacle", (*self.pose.tolist()[:2], 0.0))
-
-    @property
-    def time(self) -> float:
-        """Time since the start, s."""
-        return self.steps * TIMESTEP
-
-    @property
-    def pose(self) -> Floats:
-        """Position (m) and heading (rad), (3,)."""
-        return self._state[[self._model.x, self._model.y, self._model.theta]]
-
-    @property
-    def speed(self) -> float:
-        """Speed, m/s."""
-        return float(self._state[self._model.v])
-
-    @property
-    def marker(self) -> tuple[Floats, Matrix]:
-        """Position (3,), m, and rotation (3, 3) of the marker on the roof."""
-        x, y, theta = self.pose.tolist()
-        c, s = math.cos(theta), math.sin(theta)
-        return np.array([x, y, MARKER_HEIGHT]), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-    @property
-    def in_goal(self) -> bool:
-        """Whether the true position is within the goal region."""
-        x, y, _ = self.pose.tolist()
-        return math.dist((x, y), self._goal.center) <= self._goal.radius
 
 
 @dataclass(frozen=True)
@@ -182,7 +106,7 @@ def episode(number: int, name: str) -> Episode:
     """Drive episode `number`."""
     began = clock.process_time()
     spec, true = episode_parts(number, name)
-    result = run_trial(spec, world=cast(World, ModelWorld(spec.scenario, true)))
+    result = run_trial(spec, world=ModelWorld(spec.scenario, true, {}, number))
     return judged(number, result, spec.vehicle, clock.process_time() - began)
 
 

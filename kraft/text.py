@@ -10,14 +10,17 @@ from difflib import get_close_matches
 
 def counted(number: int, noun: str) -> str:
     """Number with its noun: ``1 trial``, ``2 trials``, ``2 emergencies``."""
-    if number == 1:
-        return f"1 {noun}"
-    return f"{number} {noun[:-1]}ies" if noun.endswith(("cy", "ty", "ry")) else f"{number} {noun}s"
+    return f"{number} {noun if number == 1 else _plural(noun)}"
 
 
 def grouped(number: int, noun: str) -> str:
     """Number with separators between thousands and its noun: ``20,000 iterations``."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    return f"{number:,} {noun if number == 1 else _plural(noun)}"
+
+
+def _plural(noun: str) -> str:
+    is_y_after_consonant = noun.endswith("y") and noun[-2:-1] not in "aeiou"
+    return f"{noun[:-1]}ies" if is_y_after_consonant else f"{noun}s"
 
 
 def suggestion(word: str, options: Iterable[str], *, none: str = "there are no alternatives") -> str:

@@ -76,7 +76,8 @@ class Solvers:
         goal = goal_of(task)
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
-        checking = DirtSolver(vehicle, workspace, goal, safety, settings_of(task, vehicle), settings.capacity)
+        search = settings_of(task, vehicle)
+        checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
         clearance = settings.bound or settings.safety
         foresight = clearance.foresight if clearance else 0.0
         if settings.margin == 0.0 and foresight <= settings.cycle:
@@ -84,9 +85,7 @@ class Solvers:
         safety = replace(safety, cycle=max(foresight, settings.cycle))
         larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
         larger_vehicle = replace(vehicle, footprint=larger)
-        return cls(
-            DirtSolver(larger_vehicle, workspace, goal, safety, settings_of(task, vehicle), settings.capacity), checking
-        )
+        return cls(DirtSolver(larger_vehicle, workspace, goal, safety, search, settings.capacity), checking)
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the clearance that SAFETY asks for in both."""

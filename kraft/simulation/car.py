@@ -16,7 +16,7 @@ import mujoco
 from kraft.driving.car_model import interpolate
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
-from kraft.vehicles.config import CarDimensions
+from kraft.vehicles.config import GRAVITY, CarDimensions
 
 POSITION: Final = int(mujoco.mjtCtrlInput.mjINPUT_POS)
 """The servos take an angle; by default MuJoCo's would take an angular velocity as well."""
@@ -29,7 +29,6 @@ STEERED: Final = WHEELS[:2]
 
 MARKER_HEIGHT: Final = 0.2
 """Height of the marker above the floor while the robot stands, m."""
-GRAVITY: Final = 9.81
 BOUNCE: Final = 900.0 / 3.54
 """Stiffness of each wheel's spring over the chassis mass, N/m/kg: small cars with soft springs bounce at 5 Hz."""
 SWAY: Final = 28.0 / 3.54

@@ -22,6 +22,12 @@ def quaternion(rotation: Matrix) -> Any:
     return result
 
 
+def yaw_rotation(yaw: float) -> Matrix:
+    """Rotation (3, 3) about the vertical (rad)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def yaw_quaternion(yaw: float) -> list[float]:
     """Unit quaternion (w, x, y, z) of a rotation about the vertical (rad)."""
     return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]

@@ -17,7 +17,7 @@ from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.simulation.car import CAR, MARKER_HEIGHT
 from kraft.simulation.contacts import Collision
-from kraft.simulation.floor_frame import FloorFrame, yaw_quaternion
+from kraft.simulation.floor_frame import FloorFrame, yaw_quaternion, yaw_rotation
 from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, is_in_goal
 from ompl_ext.arrays import Floats, Matrix
@@ -126,8 +126,7 @@ class ModelWorld:
     def marker(self) -> tuple[Floats, Matrix]:
         """Position (3,), m, and rotation (3, 3) of the marker on the roof."""
         x, y, theta = self._state[self._pose].tolist()
-        c, s = math.cos(theta), math.sin(theta)
-        return np.array([x, y, MARKER_HEIGHT]), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return np.array([x, y, MARKER_HEIGHT]), yaw_rotation(theta)
 
     @property
     def collision(self) -> Collision | None:

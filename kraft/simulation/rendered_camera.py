@@ -13,6 +13,7 @@ from kraft.errors import Code, InputError
 from kraft.scenario import Bounds, Scenario
 from kraft.simulation.camera import HALF_MARKER
 from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.floor_frame import yaw_rotation
 from kraft.simulation.imager import CORNERS, Imager, Imaging
 from kraft.simulation.optics import HEIGHT, WIDTH, Calibration, Lens, View, dictionary, opencv
 from ompl_ext.arrays import Floats, Matrix
@@ -91,8 +92,7 @@ def calibrated_side(camera: tuple[float, float, float], x: tuple[float, float], 
     position = _middle(x, y) + np.array([0.0, 0.0, MARKER_HEIGHT])
     distances = []
     for k in range(HEADINGS):
-        c, s = math.cos(k / HEADINGS * math.tau), math.sin(k / HEADINGS * math.tau)
-        frame = imager.frame(0.0, position, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+        frame = imager.frame(0.0, position, yaw_rotation(k / HEADINGS * math.tau))
         corners = None if frame is None else vision.corners(frame[0])
         tag = None if corners is None or frame is None else vision.tag(corners + frame[1])
         if tag is not None:

@@ -1,4 +1,4 @@
-"""Robots in MuJoCo: what a robot is to the world that simulates it, and the car."""
+"""Robots in MuJoCo: what a robot is to the world that simulates it, the car, and robots of MJCF files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.simulation.car import CAR, DRIVE, MARKER, MARKER_HEIGHT, STEERED, WHEELS, CarDesign, add_car
 from kraft.simulation.car_visuals import add_car_visuals
-from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion
+from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion, yaw_rotation
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
 from ompl_ext.arrays import Floats
@@ -231,13 +231,11 @@ class MjcfInWorld:
         mujoco.mj_kinematics(model, data)
         place, axes = data.xpos[self._body].copy(), data.xmat[self._body].reshape(3, 3)
         turn = start.heading - math.atan2(axes[1, 0], axes[0, 0])
-        c, s = math.cos(turn), math.sin(turn)
-        about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        about_z = yaw_rotation(turn)
         offset = data.qpos[at : at + 3] - np.array([place[0], place[1], 0.0])
         data.qpos[at : at + 3] = frame.to_world(about_z @ offset + np.array([start.x, start.y, 0.0]))
-        turned, upright = np.empty(4), data.qpos[at + 3 : at + 7].copy()
-        mujoco.mju_mat2Quat(turned, (frame.rotation @ about_z).ravel())
-        mujoco.mju_mulQuat(data.qpos[at + 3 : at + 7], turned, upright)
+        turned = quaternion(frame.rotation @ about_z)
+        mujoco.mju_mulQuat(data.qpos[at + 3 : at + 7], turned, data.qpos[at + 3 : at + 7].copy())
         ahead = np.array([math.cos(start.heading), math.sin(start.heading), 0.0])
         data.qvel[self._speed : self._speed + 3] = start.speed * frame.rotation @ ahead
 

@@ -13,9 +13,9 @@ import numpy as np
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Polygon, Scenario
 from kraft.scenario.truth import FrictionPatch, MovableBox, SpeedBump
 from kraft.simulation import appearance, contacts
-from kraft.simulation.car import GRAVITY
 from kraft.simulation.contacts import GROUND
-from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion
+from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion, yaw_rotation
+from kraft.vehicles.config import GRAVITY
 from ompl_ext.arrays import Matrix
 from ompl_ext.triangulate import triangles
 
@@ -81,8 +81,8 @@ def _add_bump(ground: Any, i: int, bump: SpeedBump, friction: list[float]) -> No
     radius = ((across / 2) ** 2 + height**2) / (2 * height)
     yaw = bump.yaw + (0.0 if bump.size[0] >= bump.size[1] else math.pi / 2)
     lying = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # the cylinder's axis is its own z
-    c, s = math.cos(yaw), math.sin(yaw)
-    quat = quaternion(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ lying)
+    rotation = yaw_rotation(yaw)
+    quat = quaternion(rotation @ lying)
     ground.add_geom(
         name=f"bump {i}",
         type=CYLINDER,
@@ -96,7 +96,7 @@ def _add_bump(ground: Any, i: int, bump: SpeedBump, friction: list[float]) -> No
     stripes = max(1, round(along / (2 * STRIPE)))
     for k in range(stripes):
         shift = ((k + 0.5) / stripes - 0.5) * along
-        place = [bump.center[0] + c * shift, bump.center[1] + s * shift, height - radius]
+        place = [*(bump.center + shift * rotation[:2, 0]), height - radius]
         size = [radius + 0.0008, along / stripes / 4, 0.0]
         ground.add_geom(type=CYLINDER, pos=place, quat=quat, size=size, material="bump stripe", **contacts.VISUAL)
 
@@ -138,8 +138,7 @@ def _prism(spec: Any, name: str, corners: Matrix, height: float) -> dict[str, An
 
 def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: FloorFrame) -> None:
     length, width, height = box.size
-    c, s = math.cos(box.yaw), math.sin(box.yaw)
-    upright = frame.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    upright = frame.rotation @ yaw_rotation(box.yaw)
     place = frame.to_world(np.array([*box.center, height / 2]))
     body = spec.worldbody.add_body(name=f"movable {i}", pos=place, quat=quaternion(upright))
     body.add_freejoint(name=f"movable {i}")

@@ -87,7 +87,7 @@ class TrueWorld(Protocol):
 
     @property
     def in_goal(self) -> bool:
-        """Whether the true pose is within the goal region."""
+        """Whether the true state is in the goal region: position, and what else the goal bounds."""
 
     def reset(self, start: Start | None = None) -> None:
         """Return to time 0 and to `start`, the scenario's if None."""
@@ -235,8 +235,6 @@ def _unknown_to_a_model(scenario: Scenario) -> list[Diagnostic]:
 
 
 def _without_effect(scenario: Scenario, key: str, robot: str) -> Diagnostic:
-    problem, expected = (
-        f"has no effect on {robot}",
-        "expected a simulated car" if key == "vehicle" else ("expected a simulated robot: `car` or `mjcf`"),
-    )
+    problem = f"has no effect on {robot}"
+    expected = "expected a simulated car" if key == "vehicle" else "expected a simulated robot: `car` or `mjcf`"
     return scenario.source.diagnostic(("truth", key), problem, expected, code=Code.CONFLICT)

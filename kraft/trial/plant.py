@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -13,6 +12,7 @@ from kraft.driving.messages import Observation
 from kraft.scenario import Scenario
 from kraft.simulation.camera import Camera, MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
+from kraft.simulation.floor_frame import yaw_rotation
 from kraft.simulation.true_world import TrueWorld
 from kraft.simulation.world import Ticks, steps_of
 from ompl_ext.arrays import Floats
@@ -112,8 +112,6 @@ def _camera(world: TrueWorld, scenario: Scenario, seed: int) -> Camera:
     from kraft.simulation.rendered_camera import RenderedCamera
 
     rendered = RenderedCamera(scenario, seed)
-    c, s = math.cos(scenario.start.heading), math.sin(scenario.start.heading)
     place = np.array([scenario.start.x, scenario.start.y, MARKER_HEIGHT])
-    heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    rendered.check_sees(world.frame.to_world(place), world.frame.rotation @ heading)
+    rendered.check_sees(world.frame.to_world(place), world.frame.rotation @ yaw_rotation(scenario.start.heading))
     return rendered

@@ -89,11 +89,9 @@ def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = 
     except VehicleProblem as error:
         problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
         raise InputError([problem]) from None
-    return (
-        own
-        if own == scenario.vehicle or _are_of_one_robot(load_vehicle(own), vehicle_of_task(scenario))
-        else (scenario.vehicle)
-    )
+    if own == scenario.vehicle or _are_of_one_robot(load_vehicle(own), vehicle_of_task(scenario)):
+        return own
+    return scenario.vehicle
 
 
 def _are_of_one_robot(one: Vehicle, other: Vehicle) -> bool:

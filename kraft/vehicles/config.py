@@ -37,6 +37,7 @@ Text = Annotated[str, StringConstraints(min_length=1)]
 Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 FORCE = ("a_x", "a_y")
 """Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""
+GRAVITY = 9.81  # m/s^2
 _SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
 

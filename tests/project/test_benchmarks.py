@@ -37,10 +37,7 @@ from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
-from kraft.driving.car_model import CarModel
-from kraft.planning.workspace import workspace_of
 from kraft.vehicles.load import load_vehicle
-from ompl_ext.exact import ExactClearance
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
@@ -263,26 +260,6 @@ def test_a_drive_in_a_random_arena_is_counted() -> None:
     counts = {each.quantity.split(",")[0]: each.median for each in arenas.rows_of([drive])[:3]}
     assert counts == {name: float(name == drive.outcome) for name in ("success", "collision", "timeout")}
     assert len(drive.planning) > drive.compared >= drive.regressions
-
-
-def test_the_cheap_world_moves_as_the_model_and_stops_at_obstacles() -> None:
-    scenario = random_arenas.random_arena(2, "open", (1.0, 1.0))
-    vehicle = load_vehicle("mushr-force").with_parameters({"v_delta": 0.5})
-    world, model = estimated.ModelWorld(scenario, vehicle), CarModel(vehicle)
-    world.apply((1.0, 0.05))
-    world.step(250)
-    assert (world.time, world.collision) == (0.5, None)
-    start = np.array([scenario.start.x, scenario.start.y, scenario.start.heading, 0.0])
-    assert world.pose == pytest.approx(model.advance(start, np.array([1.0, 0.05]), 0.5)[:3], abs=1e-5)
-    position, rotation = world.marker
-    assert position[:2] == pytest.approx(world.pose[:2])
-    assert rotation[:2, 0] == pytest.approx([math.cos(world.pose[2]), math.sin(world.pose[2])])
-    world.step(20_000)
-    assert world.collision is not None
-    assert world.collision.time < 40.0
-    exact = ExactClearance(workspace_of(scenario.task(), vehicle), vehicle.footprint)
-    assert exact.distance(*world.pose) == 0.0
-    assert world.collision.time == world.time
 
 
 def test_random_cars_are_within_their_ranges_and_can_be_held() -> None:

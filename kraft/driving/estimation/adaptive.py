@@ -17,14 +17,14 @@ import numpy as np
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
 from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
-from kraft.driving.estimation.sloping_floor import FLOOR_SIZE, GRAVITY, LevelCamera
+from kraft.driving.estimation.sloping_floor import FLOOR_SIZE, LevelCamera
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.settings import Noise
-from kraft.vehicles.config import FORCE
+from kraft.vehicles.config import FORCE, GRAVITY
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -62,12 +62,16 @@ class AdaptiveEstimator:
     ) -> None:
         """Begin at rest at `start_state` (nx,); `camera` is one that takes the floor as level, None for others.
 
+        The camera's errors on a slope are corrected for a vehicle that states what share of gravity it feels.
+
         Raises:
             InputError: if the vehicle states no ranges of its parameters.
         """
         self._settings, self._model = settings, model
         parameters = online_parameters(model.vehicle, settings)
         self._noise = NoiseEstimate.of(settings)
+        if model.vehicle.gravity_share is None:  # then no force tells the slope
+            camera = None
         self._filter = CorrelatedFilter(settings, model, start_state, camera)
         self._camera = camera
         self._filter.set_noise(self._noise)
@@ -158,13 +162,13 @@ class AdaptiveEstimator:
         return identified.covariance[:size, :size]
 
     def _set_slope(self, identified: Identified) -> None:
-        """Take the identified force as the floor's slope, for a vehicle that states what share of gravity it feels."""
-        share, names = self._model.vehicle.gravity_share, self._window.parameters.names
-        if share is None or self._camera is None or not self._settings.identify:
+        """Take the identified force as the effect of the floor's slope."""
+        if self._camera is None or not self._settings.identify:
             return
+        felt, names = felt_gravity(self._model.vehicle), self._window.parameters.names
         force = [names.index(name) for name in FORCE]
-        slope = -identified.rho[force] / (share * GRAVITY)
-        covariance = identified.covariance[np.ix_(force, force)] / (share * GRAVITY) ** 2
+        slope = -identified.rho[force] / felt
+        covariance = identified.covariance[np.ix_(force, force)] / felt**2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
 
@@ -174,11 +178,14 @@ def stated_spread(vehicle: Vehicle) -> Matrix:
     return np.diag([vehicle.ranges[name].std for name in vehicle.parameters])
 
 
+def felt_gravity(vehicle: Vehicle) -> float:
+    """Force per mass by a slope of 1, m/s^2; 0 for a vehicle that does not state its share of gravity."""
+    return GRAVITY * (vehicle.gravity_share or 0.0)
+
+
 def slope_deviations(vehicle: Vehicle) -> Floats:
-    """Standard deviations (2,) of the floor's slope by the ranges of the force; zeros if the share is not known."""
-    if vehicle.gravity_share is None:
-        return np.zeros(2)
-    return np.array([vehicle.ranges[name].std for name in FORCE]) / (vehicle.gravity_share * GRAVITY)
+    """Standard deviations (2,) of the floor's slope by the ranges of the force."""
+    return np.array([vehicle.ranges[name].std for name in FORCE]) / felt_gravity(vehicle)
 
 
 def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
@@ -267,13 +274,17 @@ class CorrelatedFilter(PoseFilter):
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
         """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""
-        newest, floor = self.posterior, self._part(FLOOR)
-        before = newest.covariance[np.ix_(floor, floor)]
-        gain = np.linalg.solve(before, newest.covariance[floor]).T
-        mean = newest.mean + gain @ (slope - newest.mean[floor])
-        after = newest.covariance + gain @ (covariance - before) @ gain.T
-        self._posteriors = [replace(newest, mean=mean, covariance=0.5 * (after + after.T))]
-        self._reckoning.reset(newest.time, mean, newest.time)
+        self._posteriors = [self._with_slope(posterior, slope, covariance) for posterior in self._posteriors]
+        self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
+
+    def _with_slope(self, posterior: Posterior, slope: Floats, covariance: Matrix) -> Posterior:
+        """Posterior with another estimate of the slope: what is correlated with it changes by regression."""
+        floor = self._part(FLOOR)
+        before = posterior.covariance[np.ix_(floor, floor)]
+        gain = np.linalg.solve(before, posterior.covariance[floor]).T
+        after = posterior.covariance + gain @ (covariance - before) @ gain.T
+        mean = posterior.mean + gain @ (slope - posterior.mean[floor])
+        return replace(posterior, mean=mean, covariance=0.5 * (after + after.T))
 
     def _part(self, part: slice) -> list[int]:
         """Indices of a part of the pose error, or of the floor, into the state."""
@@ -312,14 +323,10 @@ class CorrelatedFilter(PoseFilter):
         values, axes = np.linalg.eigh(covariance)
         self._spread = (axes * np.sqrt(np.maximum(values, 0.0))).T
 
-    def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
-        mean, covariance = posterior.mean, posterior.covariance
-        for control, duration in self._reckoning.commands.between(posterior.time, time):
-            added = self._variance_rate * duration
-            added[self._model.theta] += self._turning_variance(mean, control) * SAME_TURN * duration
-            mean, slope = self._process_model.linearised(mean, control, duration)
-            covariance = slope @ covariance @ slope.T + np.diag(added)
-        return mean, covariance
+    def _added_variance(self, mean: Floats, control: Floats, duration: float) -> Floats:
+        added = super()._added_variance(mean, control, duration)
+        added[self._model.theta] += self._turning_variance(mean, control) * SAME_TURN * duration
+        return added
 
     def _turning_variance(self, mean: Floats, control: Floats) -> float:
         """Variance of the turning rate by the uncertainty of the parameters, rad^2/s^2."""

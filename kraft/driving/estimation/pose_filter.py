@@ -134,9 +134,14 @@ class PoseFilter:
     def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
         mean, covariance = posterior.mean, posterior.covariance
         for control, duration in self._reckoning.commands.between(posterior.time, time):
+            added = self._added_variance(mean, control, duration)
             mean, slope = self._process_model.linearised(mean, control, duration)
-            covariance = slope @ covariance @ slope.T + np.diag(self._variance_rate * duration)
+            covariance = slope @ covariance @ slope.T + np.diag(added)
         return mean, covariance
+
+    def _added_variance(self, mean: Floats, control: Floats, duration: float) -> Floats:
+        """Variance (size,) that the model adds while a control is held for `duration` s from a state on."""
+        return self._variance_rate * duration
 
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose: the Kalman update with Huber's weight."""

@@ -7,14 +7,15 @@ floor.  On a sloping one that is too far from the camera where the floor is high
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from ompl_ext.arrays import Floats, Matrix
 
-GRAVITY: Final = 9.81
 HALF_LENGTH: Final = 0.1
 """Half the distance between two points that show a heading, m."""
 DIFFERENCE: Final = 1e-4
@@ -34,34 +35,19 @@ class LevelCamera:
     marker_height: float
     start: tuple[float, float]
 
-    def observed(self, pose: Floats, floor: Floats) -> Floats:
-        """Pose (3,) that is measured of a pose (3,) on a floor (2,)."""
-        seen: Floats = self._observed(pose[None], floor[None])[0]
-        seen[2] = pose[2] + math.remainder(seen[2] - pose[2], math.tau)
-        return seen
-
     def linearised(self, pose: Floats, floor: Floats) -> tuple[Floats, Matrix]:
         """Measured pose (3,), and its Jacobian (3, 5) with respect to the pose and the floor."""
         steps = DIFFERENCE * np.vstack([np.zeros(5), np.eye(5), -np.eye(5)])
         seen = self._observed(pose + steps[:, :3], floor + steps[:, 3:])
-        changes = seen[1:6] - seen[6:]
-        changes[:, 2] -= math.tau * np.round(changes[:, 2] / math.tau)
-        seen[0, 2] = pose[2] + math.remainder(seen[0, 2] - pose[2], math.tau)
-        return seen[0], changes.T / (2.0 * DIFFERENCE)
+        return seen[0], (seen[1:6] - seen[6:]).T / (2.0 * DIFFERENCE)
 
     def on_floor(self, poses: Matrix, floor: Floats) -> Matrix:
         """Poses (n, 3) on a floor (2,), given those (n, 3) that were measured."""
-        along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-        front, rear = (self._place_on_floor(poses[:, :2] + sign * along, floor) for sign in (1.0, -1.0))
-        turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
-        return np.column_stack(
-            [self._place_on_floor(poses[:, :2], floor), poses[:, 2] + turned - math.tau * np.round(turned / math.tau)]
-        )
+        return _mapped(poses, partial(self._place_on_floor, floor=floor))
 
     def _observed(self, poses: Matrix, floors: Matrix) -> Matrix:
-        along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-        front, rear = (self._observed_place(poses[:, :2] + sign * along, floors) for sign in (1.0, -1.0))
-        return np.column_stack([0.5 * (front + rear), np.arctan2(*(front - rear).T[::-1])])
+        """Measured poses (n, 3) of poses (n, 3) on a floor (2,) each."""
+        return _mapped(poses, partial(self._observed_place, floors=floors))
 
     def _observed_place(self, places: Matrix, floors: Matrix) -> Matrix:
         """Measured places (n, 2) of the marker for places (n, 2) of the vehicle, on a floor (2,) each."""
@@ -88,3 +74,12 @@ class LevelCamera:
         rise = marker @ slope / level
         place: Matrix = self.start + marker + (rise / (1.0 + level))[:, None] * slope
         return place
+
+
+def _mapped(poses: Matrix, place: Callable[[Matrix], Matrix]) -> Matrix:
+    """Poses (n, 3) of which `place` maps the two points that show the heading; it stays within half a turn."""
+    along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    front, rear = place(poses[:, :2] + along), place(poses[:, :2] - along)
+    turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
+    turned -= math.tau * np.round(turned / math.tau)
+    return np.column_stack([0.5 * (front + rear), poses[:, 2] + turned])
