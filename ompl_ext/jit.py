@@ -18,7 +18,8 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -91,13 +92,20 @@ def compiled(function: F, *, folder: Path | None = None, signature: object = Non
     """
     target = folder or cache_folder()
     check_cache(target)
-    before = _config.CACHE_DIR
-    _config.CACHE_DIR = str(target)  # read once, when njit attaches the cache
-    try:
+    with _caching_in(target):
         dispatcher: F = _njit(signature, cache=True, error_model="numpy", nogil=nogil, _nrt=False)(function)
+    return dispatcher
+
+
+@contextmanager
+def _caching_in(folder: Path) -> Iterator[None]:
+    """Make numba cache in `folder` what is decorated meanwhile."""
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = str(folder)  # read once, when njit attaches the cache
+    try:
+        yield
     finally:
         _config.CACHE_DIR = before
-    return dispatcher
 
 
 class _Part(CPUDispatcher):
@@ -117,11 +125,20 @@ class _Part(CPUDispatcher):
 
 
 def _part(function: F, **options: bool) -> F:
-    dispatcher: Any = _njit(error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(
-        function
-    )
+    options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "cache": _is_shared(function)}
+    folder = cache_folder()
+    if options["cache"]:
+        check_cache(folder)
+    with _caching_in(folder):
+        dispatcher: Any = _njit(error_model="numpy", _nrt=False, **options)(function)
     dispatcher.__class__ = _Part
     return cast(F, dispatcher)
+
+
+def _is_shared(function: Callable[..., object]) -> bool:
+    """Whether a part is the same for every vehicle: then it is compiled once for all of them."""
+    module = function.__module__ or ""  # none in code that is generated
+    return module.startswith("ompl_ext.kernels.") and "<locals>" not in function.__qualname__
 
 
 def inlined(function: F) -> F:
