@@ -151,6 +151,8 @@ class CallbackSearch:
         self._read_threshold()
         self._measure(slot)
         self._describe(0, slot)
+        if self._work.at_goal[0] == 1 and self._safety is not None and self._safety(state) is None:
+            self._work.at_goal[0] = 0  # no plan may end there
         add_root(self._tree, self._work)
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:

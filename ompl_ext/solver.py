@@ -193,8 +193,13 @@ class DirtSolver:
         self._progress, self._polished = Progress(), _Polished()
 
     def add_root(self, state: Floats) -> float:
-        """Add a start state; returns its spare clearance as `start` does."""
+        """Add a start state; returns its spare clearance as `start` does.
+
+        One in the goal is a plan only if it has a contingency, like every end of a plan.
+        """
         slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
+        if self._work.at_goal[0] == 1 and self.safety.enabled and self.contingency(self._work.source) is None:
+            self._work.at_goal[0] = 0
         for tree in (self._tree, *(partner.tree for partner in self._partners)):
             add_root(tree, self._work)
         return slack

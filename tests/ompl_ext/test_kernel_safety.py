@@ -56,6 +56,23 @@ def inside(states: Array, workspace: Workspace) -> bool:
     return bool(((x_low < x) & (x < x_high) & (y_low < y) & (y < y_high)).all())
 
 
+def test_a_start_in_the_goal_is_a_plan_only_with_a_contingency() -> None:
+    wall = box((1.6, 1.0), (0.1, 2.0))
+    goal = replace(GOAL, center=(1.0, 1.0), radius=0.3)
+    dirt = DirtSolver(BENCHMARK, Workspace(((0.0, 3.0), (0.0, 3.0)), (wall,)), goal, SAFETY)
+    moving, resting = np.array([1.2, 1.0, 0.0, 0.6]), np.array([1.0, 1.0, 0.0, 0.0])
+    assert dirt.start(moving) >= 0.0
+    assert dirt.contingency(moving) is None
+    assert dirt.plan() is None
+    dirt.grow(iterations=2000)
+    plan = dirt.plan()
+    assert plan is None or plan.contingency is not None
+    dirt.start(resting)
+    at_once = dirt.plan()
+    assert at_once is not None
+    assert (at_once.cost, at_once.contingency is None) == (0.0, False)
+
+
 def scene(seed: int) -> tuple[DirtSolver, ExactClearance, Array]:
     workspace = random_workspace(seed, most=4)
     dirt = DirtSolver(BENCHMARK, workspace, GOAL, SAFETY, capacity=10)
