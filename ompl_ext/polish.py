@@ -22,7 +22,8 @@ from ompl_ext.kernels.posetogo import PosePath
 from ompl_ext.kernels.riccati import Stages, compile_solver, memory, solve
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.motion import motion_of
-from ompl_ext.query import Goal, Safety
+from ompl_ext.obstacles import Workspace
+from ompl_ext.query import Goal, Safety, Settings, pose_cost_to_go_of, settings_for
 from ompl_ext.vehicle import Vehicle
 
 SHORTEST, LONGEST, INTERVAL = 0.02, 0.2, 0.1  # of an interval, and of those of a first guess (s)
@@ -309,3 +310,19 @@ def guess_along(path: PosePath, vehicle: Vehicle, start: Floats) -> Guess:
     states[0] = start
     controls = motion.controls[seen].copy()
     return resampled(Guess(states, controls, CAREFULLY * path.times), INTERVAL)
+
+
+def guess_to_goal(
+    vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings, start: Floats
+) -> Guess | None:
+    """Guess along the path of poses from a start (nx,) to a goal with a heading; None if there is no path."""
+    found = pose_cost_to_go_of(vehicle, workspace, goal, settings_for(settings, vehicle, goal).cell)
+    path = found.path_from(*(float(start[vehicle.index(name)]) for name in ("x", "y", "theta")))
+    return guess_along(path, vehicle, start) if path is not None and len(path.times) > 1 else None
+
+
+def guess_of(times: Floats, trajectory: Matrix, controls: Matrix, durations: Floats) -> Guess:
+    """Guess of a plan: states `trajectory` (k, nx) at `times` (k,), and the edges' controls (n, nu) and durations."""
+    ends = np.cumsum(durations)
+    held = np.minimum(np.searchsorted(ends, 0.5 * (times[:-1] + times[1:])), len(ends) - 1)
+    return resampled(Guess(trajectory, controls[held], np.diff(times)), INTERVAL)

@@ -46,6 +46,19 @@ def test_another_seed_and_another_number_of_threads_give_other_plans() -> None:
     assert len(costs) == 4
 
 
+def test_local_optimisation_improves_the_plan_of_several_trees_too() -> None:
+    costs = []
+    for polish in (False, True, True):
+        dirt = solver(2, settings=Settings(polish=polish))
+        dirt.start(START, 0)
+        dirt.grow(iterations=2048)
+        plan = dirt.plan()
+        assert plan is not None
+        assert verify(dirt, plan).problems == ()
+        costs.append(plan.cost)
+    assert costs[1] == costs[2] < costs[0]
+
+
 def test_one_thread_is_the_search_without_threads() -> None:
     alone, usual = solver(1), DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=20_000)
     for dirt in (alone, usual):
@@ -58,7 +71,7 @@ def test_no_tree_keeps_a_node_that_the_best_plan_of_another_excludes() -> None:
     dirt = solver(2)
     dirt.start(START, 0)
     dirt.grow(iterations=8000)
-    own, other = (tree for tree in dirt._trees())
+    own, other = (each.tree for each in dirt._trees)
     best = dirt.plan()
     assert best is not None
     assert own.best[0] == other.best[0] == best.cost
@@ -115,7 +128,7 @@ def test_full_memory_is_pruned_in_every_tree() -> None:
     dirt.start(START, 0)
     dirt.grow(iterations=20_000)
     assert dirt.plan() is not None
-    for tree in dirt._trees():
+    for tree in (each.tree for each in dirt._trees):
         assert tree.count[at.SIZE] <= 600
 
 

@@ -1,0 +1,170 @@
+"""Checks of edges, contingencies and poses for one vehicle in one workspace, by the compiled kernels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.exact import ExactClearance
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.fine_field import raise_to_fine
+from ompl_ext.kernels.kernel_types import LANE_WIDTH, Problem
+from ompl_ext.kernels.specialise import kernels
+from ompl_ext.obstacles import Workspace
+from ompl_ext.plan import Contingency
+from ompl_ext.query import Goal, Safety, Settings, make_lanes, make_problem
+from ompl_ext.vehicle import Vehicle
+
+
+class EdgeChecker:
+    """Checks edges, contingencies and poses; the constructor computes the clearance field."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        workspace: Workspace,
+        goal: Goal | None = None,
+        safety: Safety | None = None,
+        settings: Settings | None = None,
+    ) -> None:
+        """Prepare the maps; with a `goal` also the cost-to-go."""
+        self.vehicle, self.workspace, self.goal = vehicle, workspace, goal
+        self.safety, self.settings = safety or Safety(), settings or Settings()
+        self._kernels = kernels(vehicle)
+        self._problem = make_problem(vehicle, workspace, goal, self.safety, self.settings)
+        problem = self._problem
+        self._maps = problem.field, problem.tile, problem.squares, problem.discs, problem.scalar
+        sizes = len(vehicle.state), len(vehicle.controls), len(vehicle.inputs) or len(vehicle.controls)
+        self._work = make_lanes(*sizes, int(problem.option[at.STEPS]))
+        self._brake = make_lanes(*sizes, int(problem.option[at.BRAKE_STEPS]))
+
+    @property
+    def problem(self) -> Problem:
+        """Arrays that the kernels read."""
+        return self._problem
+
+    def contingency(self, state: Floats, after: float = 0.0) -> Contingency | None:
+        """SAFETY (Alg. 2) of a state: a manoeuvre that is safe until standstill, or None; times begin at `after` s."""
+        self._brake.source[:] = state
+        return self._first_safe_manoeuvre(math.inf, after)
+
+    def manoeuvres(self, state: Floats) -> list[Matrix]:
+        """States (m, nx) of each contingency manoeuvre from a state until standstill, at most up to the horizon.
+
+        A state follows every `safety.step` s; nothing is checked.
+        """
+        self._brake.source[:] = state
+        self._kernels.brake(self._problem, self._work, self._brake, math.inf)
+        trajectory = self._brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)
+        rest, found = list(self.vehicle.rest_indices), []
+        for number in range(len(self.vehicle.manoeuvres)):
+            resting = np.all(np.abs(trajectory[:, rest, number]) <= self.safety.rest_speed, axis=1)
+            samples = int(np.argmax(resting)) + 1 if resting.any() else len(trajectory)
+            found.append(trajectory[:samples, :, number].copy())
+        return found
+
+    def edge(
+        self, state: Floats, control: Floats, duration: float, start_time: float = math.inf
+    ) -> tuple[Matrix, float]:
+        """Trajectory (steps + 1, nx) of one edge and its spare clearance (m), negative if it may collide.
+
+        The edge begins at `start_time` s; before the end of the cycle it must also keep delta(v).
+        """
+        slack = self._propagate(np.asarray(state, dtype=float), control, duration, start_time)
+        steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
+        return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
+
+    def set_delta(self, delta: float) -> None:
+        """Set the clearance at rest, `delta` m, within the first cycle and along contingencies."""
+        self.safety = replace(self.safety, delta=delta)
+        self._problem.scalar[at.DELTA] = delta
+
+    def set_bound(self, delta: float, per_speed: float, per_time: float, horizon: float) -> None:
+        """Set the clearance delta(t, v) within the first cycle and along contingencies, see `Safety`."""
+        self.safety = replace(
+            self.safety, delta=delta, delta_per_speed=per_speed, delta_per_time=per_time, delta_horizon=horizon
+        )
+        self._problem.scalar[[at.DELTA, at.DELTA_PER_SPEED]] = delta, per_speed
+        self._problem.scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = per_time, horizon
+
+    def set_parameters(self, values: Floats) -> None:
+        """Set the parameters of the vehicle (np,), in its order; the cost-to-go stays that of the first ones."""
+        names = self.vehicle.parameters
+        self.vehicle = replace(self.vehicle, parameters=dict(zip(names, map(float, values), strict=True)))
+        self._problem.parameters[: len(names)] = values
+
+    def pose_slack(self, x: float, y: float, theta: float) -> float:
+        """Lower bound of the footprint's clearance at a pose within the workspace (m)."""
+        return self._kernels.pose(*self._maps, x, y, theta)
+
+    def clearances(self, poses: Matrix) -> Floats:
+        """Lower bound (n,) of the footprint's clearance at poses (n, 3), m; as `pose_slack`, but tight everywhere."""
+        field, _, _, discs, scalar = self._maps
+        distance = np.full(len(poses), math.inf)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        for ahead, aside, radius in discs:
+            row = (poses[:, 1] + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
+            column = (poses[:, 0] + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
+            inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)
+            value = field[inside].astype(float)
+            if scalar[at.FINE_INVERSE] > 0.0:
+                x, y = poses[:, 0] + ahead * c - aside * s, poses[:, 1] + ahead * s + aside * c
+                raise_to_fine(self._problem, x, y, value)
+            distance = np.minimum(distance, value - radius)
+        return distance
+
+    def least_distance(self, poses: Matrix) -> float:
+        """Smallest exact distance of the footprint at poses (n, 3) to an obstacle (m), asked of as few as possible."""
+        return self.exact.least_distance(poses)
+
+    def fine(self, states: Matrix, controls: Matrix, durations: Floats, samples: int) -> Floats:
+        """States (n, samples + 1, nx) at equal intervals along n motions, unchecked.
+
+        Motion k begins in `states[k]` (nx,) and holds `controls[k]` (nu,) for `durations[k]` s.
+        """
+        found = np.empty((len(states), samples + 1, len(self.vehicle.state)))
+        found[:, 0] = states
+        self._kernels.roll_out(found, np.ascontiguousarray(controls), self._problem.parameters, durations / samples)
+        return found
+
+    def is_occupied(self, points: Matrix) -> Bools:
+        """Whether each of the points (n, 2) is in an obstacle or less than a cell of the clearance field from one."""
+        scalar, field = self._problem.scalar, self._problem.field
+        columns, rows = ((points - scalar[[at.GRID_X, at.GRID_Y]]) * scalar[at.GRID_INVERSE]).astype(int).T
+        value = field[rows.clip(0, field.shape[0] - 1), columns.clip(0, field.shape[1] - 1)].astype(float)
+        if scalar[at.FINE_INVERSE] > 0.0:
+            raise_to_fine(self._problem, points[:, 0].copy(), points[:, 1].copy(), value)
+        inside: Bools = value <= 0.0
+        return inside
+
+    @cached_property
+    def exact(self) -> ExactClearance:
+        """Exact clearance of the vehicle's footprint in the workspace."""
+        return ExactClearance(self.workspace, self.vehicle.footprint)
+
+    def _propagate(self, state: Floats, control: Floats, duration: float, start_time: float = math.inf) -> float:
+        work, problem = self._work, self._problem
+        work.source[:] = state
+        for k, value in enumerate(control):
+            work.control[k * LANE_WIDTH] = value
+        work.duration[0], work.steps[0] = duration, problem.option[at.STEPS]
+        if self.settings.quantum > 0.0 and duration > 0.0:
+            work.steps[0] = max(1, round(duration / self.settings.quantum))
+        if not 1 <= work.steps[0] <= problem.option[at.STEPS]:
+            raise ValueError(f"an edge of {duration} s is longer than the longest of {self.settings.longest} s")
+        self._kernels.edge(problem, work, start_time)
+        return float(work.slack[0])
+
+    def _first_safe_manoeuvre(self, edge_begins: float, brakes_at: float) -> Contingency | None:
+        """SAFETY where the edge in lane 0 crosses the end of the cycle, or of `source` if `edge_begins` is infinite."""
+        number = self._kernels.brake(self._problem, self._work, self._brake, edge_begins)
+        if number < 0:
+            return None
+        samples, nx = int(self._brake.steps[number]) + 1, len(self.vehicle.state)
+        states = self._brake.trajectory.reshape(-1, nx, LANE_WIDTH)[:samples, :, number].copy()
+        times: Floats = brakes_at + self.safety.step * np.arange(samples, dtype=float)
+        return Contingency(self.vehicle.manoeuvres[number], times, states, float(self._brake.slack[number]))
