@@ -10,17 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from kraft.driving.control import needs_steps
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
 from kraft.evaluation.folder import Folder, create, reopen, write_results
-from kraft.evaluation.job import Executor
+from kraft.evaluation.job import Executor, Log
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
 from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps
 from kraft.evaluation.summary import Summary, summarise
-from kraft.planning.compilation import ensure_maps_compiled
+from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 
 
@@ -117,7 +118,7 @@ def evaluate(
         raise InputError([*problems, *error.diagnostics]) from error
     if problems:
         raise InputError(problems)
-    ensure_maps_compiled(observer.log)
+    _ensure_compiled(experiment, observer.log)
     _check_reachable(experiment)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
@@ -130,6 +131,17 @@ def evaluate(
 def usable_cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _ensure_compiled(experiment: Experiment, log: Log) -> None:
+    """Compile what the trials need once here, not by every worker during a trial."""
+    for reference in dict.fromkeys(cell.reference for cell in experiment.cells):
+        cells = [cell for cell in experiment.cells if cell.reference == reference]
+        vehicle = cells[0].vehicle
+        steps = any(needs_steps(cell.method, vehicle) for cell in cells)
+        ensure_compiled(
+            vehicle, log, steps=steps, heading=any(cell.scenario.goal.heading is not None for cell in cells)
+        )
 
 
 def _check_reachable(experiment: Experiment) -> None:

@@ -16,12 +16,9 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
 
-from kraft.driving.control import needs_steps
 from kraft.errors import Defect, KraftError
 from kraft.evaluation.job import DEATHS, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.row import Key, TrialRow
-from kraft.planning.compilation import ensure_compiled
-from kraft.vehicles.load import load_vehicle
 
 POLL: Final = 0.1  # s, delay until a request to stop takes effect
 FAILED_STARTS: Final = 3  # workers in a row that die before they are ready
@@ -75,11 +72,6 @@ class Processes:
         Raises:
             Defect: if workers do not start.
         """
-        for reference in dict.fromkeys(job.vehicle for job in jobs):  # once here, not by every worker during a trial
-            vehicle, its_jobs = load_vehicle(reference), [job for job in jobs if job.vehicle == reference]
-            steps = any(needs_steps(job.method, vehicle) for job in its_jobs)
-            heading = any(job.scenario.goal.heading is not None for job in its_jobs)
-            ensure_compiled(vehicle, log, steps=steps, heading=heading)
         state = _State(deque(jobs))
         try:
             while True:

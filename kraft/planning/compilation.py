@@ -41,11 +41,13 @@ def ensure_compiled(
     goals with a heading need.
     """
     planner = not is_cached(vehicle)
+    maps = not planner and not _marker(MAPS).exists()  # otherwise compiled with the planner
     steps = (steps or heading) and not are_steps_cached(vehicle)
     heading = heading and not _marker(HEADING).exists()
     missing = [(f"the planner and the model of {vehicle.name}", 20)] if planner else []
     missing += [(f"the steps of the model of {vehicle.name}", 2)] if steps else []
     missing += [("the planner for goals with a heading", 10)] if heading else []
+    missing += [("the maps' kernels", 10)] if maps else []
     if not missing:
         return
     names = " and ".join(name for name, _ in missing)
@@ -58,16 +60,9 @@ def ensure_compiled(
             step_kernels(vehicle)
         if heading:
             compile_for_headings()
+        if maps:
+            compile_maps()
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
-
-
-def ensure_maps_compiled(report: Callable[[str], None]) -> None:
-    """Compile the kernels for maps, which are the same for every vehicle, unless they are cached."""
-    if _marker(MAPS).exists():
-        return
-    report("compiling the maps' kernels for this machine: once, about 10 s ...")
-    with interrupts_between_passes():
-        compile_maps()
 
 
 def _exercise(vehicle: Vehicle) -> None:
