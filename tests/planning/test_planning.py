@@ -12,12 +12,14 @@ import pytest
 from support.diagnostics import located, raised
 
 from kraft.errors import Code, Defect
+from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, plan_task
 from kraft.planning.search import Budget, Previous
-from kraft.planning.workspace import fence, workspace_of
+from kraft.planning.workspace import fence, start_state, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
+from ompl_ext.kernels import specialise
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import Requirement, Verification, Violation
 
@@ -272,3 +274,20 @@ def test_a_contingency_stops_the_vehicle_within_the_horizon_that_the_task_gives(
     assert seconds(solved) > 0.25
     task = parse_scenario(SCENE + "planning: {safety: {horizon: 0.2}}\n", "room.yaml").task()
     assert seconds(plan_task(task, mushr, FEW, seed=3)) < 0.21
+
+
+def test_checking_a_scenario_compiles_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compile_now(vehicle: Vehicle, source: str) -> None:
+        raise AssertionError(f"compiles the {source} of {vehicle.name}")
+
+    monkeypatch.setattr(specialise, "_kernels", {})
+    monkeypatch.setattr(specialise, "_execute", compile_now)
+    task, vehicle = load_scenario("turns").task(), load_vehicle("mushr")
+    check_placement(task, vehicle, start_state(task, vehicle))
+    assert memory_needed(task, vehicle) > 0
+
+
+def test_a_goal_with_a_heading_needs_more_memory() -> None:
+    vehicle, goals = load_vehicle("mushr"), ({}, {"goal.heading_deg": 0, "goal.heading_tolerance_deg": 10})
+    plain, finer = (memory_needed(load_scenario("turns", settings).task(), vehicle) for settings in goals)
+    assert finer > 2 * plain
