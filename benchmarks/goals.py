@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -160,12 +159,11 @@ def measured(problem: Problem, seeds: int, seconds: float) -> list[Row]:
         firsts.append(1e3 * first[0] if first else math.inf)
         costs.append(progress.history[-1][1] if progress.history else math.inf)
         held.append(100.0 if plan is not None and plan.reaches_goal and problem.holds(plan) else 0.0)
-    label: Callable[[str], str] = lambda what: f"{problem.name}: {what}"  # noqa: E731
     cost = Target(NEAR_BEST * problem.best) if problem.best else None
     limit = FIRST if problem.best else FOUND_WITHIN
     return [
-        row(label("set-up"), "ms", [1e3 * set_up]),
-        row(label("first solution"), "ms", firsts, Target(1e3 * limit)),
-        row(label(f"cost after {seconds:g} s"), "s", costs, cost),
-        row(label(f"plans that hold after {seconds:g} s"), "%", held, Target(100.0, most=False, of="worst")),
+        row(f"{problem.name}: set-up", "ms", [1e3 * set_up]),
+        row(f"{problem.name}: first solution", "ms", firsts, Target(1e3 * limit)),
+        row(f"{problem.name}: cost after {seconds:g} s", "s", costs, cost),
+        row(f"{problem.name}: plans that hold after {seconds:g} s", "%", held, Target(100.0, most=False, of="worst")),
     ]

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
 
 from ompl_ext.cache_error import CacheError
@@ -115,6 +116,8 @@ class _Part(CPUDispatcher):
     experiments), it is compiled once more, with them.
     """
 
+    _cache: Any  # numba's stubs lack it
+
     @cached_property
     def _from_python(self) -> Callable[..., object]:
         dispatcher: Callable[..., object] = _njit(error_model="numpy", _nrt=False)(self.py_func)
@@ -123,22 +126,30 @@ class _Part(CPUDispatcher):
     def __call__(self, *arguments: object) -> object:
         return self._from_python(*arguments)
 
+    def compile(self, sig: Any) -> Any:
+        """Compile for a signature; what is the same for every vehicle is cached from here on, not at the import."""
+        if self.is_shared and not self.is_cached:
+            with _caching_in(cache_folder()):
+                self.enable_caching()
+        return super().compile(sig)
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether it is the same for every vehicle: then it is compiled once for all of them."""
+        module = self.py_func.__module__ or ""  # none in code that is generated
+        return module.startswith("ompl_ext.kernels.") and "<locals>" not in self.py_func.__qualname__
+
+    @property
+    def is_cached(self) -> bool:
+        """Whether its machine code is kept on disk."""
+        return not isinstance(self._cache, NullCache)
+
 
 def _part(function: F, **options: bool) -> F:
-    options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "cache": _is_shared(function)}
-    folder = cache_folder()
-    if options["cache"]:
-        check_cache(folder)
-    with _caching_in(folder):
-        dispatcher: Any = _njit(error_model="numpy", _nrt=False, **options)(function)
+    options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    dispatcher: Any = _njit(error_model="numpy", _nrt=False, **options)(function)
     dispatcher.__class__ = _Part
     return cast(F, dispatcher)
-
-
-def _is_shared(function: Callable[..., object]) -> bool:
-    """Whether a part is the same for every vehicle: then it is compiled once for all of them."""
-    module = function.__module__ or ""  # none in code that is generated
-    return module.startswith("ompl_ext.kernels.") and "<locals>" not in function.__qualname__
 
 
 def inlined(function: F) -> F:

@@ -22,7 +22,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import costtogo
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Problem
-from ompl_ext.memory import available_memory, in_words
+from ompl_ext.memory import MapTooLargeError, check_memory, in_words
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
 from ompl_ext.query import Settings, make_problem, memory_of_maps, settings_for
@@ -45,13 +45,14 @@ def check_memory_of_maps(task: Task, vehicle: Vehicle) -> None:
     Raises:
         InputError: at the first map, or at the bounds, if they do not.
     """
-    needed, available = memory_needed(task, vehicle), available_memory()
-    if needed > available:
+    try:
+        check_memory(memory_needed(task, vehicle))
+    except MapTooLargeError as error:
         maps = [i for i, obstacle in enumerate(task.obstacles) if isinstance(obstacle, OccupancyMap)]
         place: str | tuple[str | int, ...] = ("obstacles", maps[0], "map") if maps else "bounds"
-        problem = f"needs {in_words(needed)} of memory for its distance fields"
-        expected = f"expected at most {in_words(available)}, which are available"
-        raise InputError([task.source.diagnostic(place, problem, expected, code=Code.VALUE)])
+        problem = f"needs {in_words(error.needed)} of memory for its distance fields"
+        expected = f"expected at most {in_words(error.available)}, which are available"
+        raise InputError([task.source.diagnostic(place, problem, expected, code=Code.VALUE)]) from None
 
 
 def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | None = None) -> None:

@@ -229,7 +229,7 @@ def test_a_map_larger_than_memory_is_refused_at_its_place_before_anything_runs(
     (room.parent / "m.pgm").write_bytes(b"P5 40 40 255\n" + bytes([254]) * 1600)
     (room.parent / "m.yaml").write_text("{image: m.pgm, resolution: 0.1, origin: [0, 0, 0]}\n")
     room.write_text(SCENE.replace("  - {name: pillar", "  - map: {file: m.yaml}\n  - {name: pillar"))
-    monkeypatch.setattr("kraft.planning.feasibility.available_memory", lambda: 1_000_000)
+    monkeypatch.setattr("ompl_ext.memory.available_memory", lambda: 1_000_000)
     assert main(["plan", "room.yaml"]) == 2
     out, err = capsys.readouterr()
     assert out == ""

@@ -179,8 +179,9 @@ def stated_spread(vehicle: Vehicle) -> Matrix:
 
 
 def felt_gravity(vehicle: Vehicle) -> float:
-    """Force per mass by a slope of 1, m/s^2; 0 for a vehicle that does not state its share of gravity."""
-    return GRAVITY * (vehicle.gravity_share or 0.0)
+    """Force per mass by a slope of 1, m/s^2, on a vehicle that states its share of gravity."""
+    assert vehicle.gravity_share is not None, "no camera is corrected without it"
+    return GRAVITY * vehicle.gravity_share
 
 
 def slope_deviations(vehicle: Vehicle) -> Floats:
