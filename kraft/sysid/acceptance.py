@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kraft.sysid.prediction import Window, predict_windows, window_errors
+from kraft.sysid.prediction import Window, constant_windows, predict_windows, window_errors
 from kraft.sysid.result import CORRELATION_INDISTINGUISHABLE
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
 
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -35,10 +35,12 @@ reject small but steady differences, and needs more windows than a few held-out 
 
 @dataclass(frozen=True)
 class PredictionPair:
-    """Windows of the same logs, predicted with the identified and with the initial parameters."""
+    """Windows of the same logs, predicted with the identified and the initial parameters, and without a model."""
 
     identified: tuple[Window, ...]
     initial: tuple[Window, ...]
+    constant: tuple[Window, ...]
+    """with constant speed and turning rate"""
 
     @cached_property
     def errors(self) -> PredictionErrors:
@@ -49,6 +51,11 @@ class PredictionPair:
     def initial_errors(self) -> PredictionErrors:
         """Errors with the initial parameters."""
         return window_errors(self.initial)
+
+    @cached_property
+    def constant_errors(self) -> PredictionErrors:
+        """Errors with constant speed and turning rate."""
+        return window_errors(self.constant)
 
 
 @dataclass(frozen=True)
@@ -77,9 +84,14 @@ def evaluate_predictions(
         InputError: if the fitted logs are too short to predict anything.
     """
 
+    if result.trials:  # the process noise was identified with the parameters
+        settings = replace(settings, process={**result.process, **settings.process})
+
     def pair(logs: tuple[Log, ...]) -> PredictionPair:
         return PredictionPair(
-            predict_windows(vehicle, logs, result.values, settings), predict_windows(vehicle, logs, {}, settings)
+            predict_windows(vehicle, logs, result.values, settings),
+            predict_windows(vehicle, logs, {}, settings),
+            constant_windows(vehicle, logs, settings),
         )
 
     fitted = pair(log_split.fitted)
@@ -107,9 +119,15 @@ def _unpredicted(logs: tuple[Log, ...], pair: PredictionPair) -> tuple[str, ...]
 
 def prediction_warnings(pair: PredictionPair) -> tuple[str, ...]:
     """The warning that the identified values predict no better than the initial ones, if so."""
+    after, constant = pair.errors.overall_position, pair.constant_errors.overall_position
+    useless = (
+        f"the model is useless for prediction: constant speed and turning rate predict held-out logs as well (position "
+        f"{100 * constant:.2f} cm, the model {100 * after:.2f} cm)",
+    ) if after >= constant else ()  # fmt: skip
     if _ratio(pair) <= SIMILAR_ERROR_RATIO:
-        return ()
+        return useless
     return (
+        *useless,
         f"the identified values predict held-out logs no better than the initial values do ({_errors(pair)}): "
         "exclude logs of another floor, slope, load or car, record more logs, or choose a model with the missing "
         "effect; the page shows the prediction",
@@ -139,6 +157,8 @@ def objections(identification: Identification, evaluation: PredictionEvaluation)
     found = [] if identification.converged else ["the fit did not converge"]
     if not identification.names:
         found.append("every parameter of the model is frozen, and the data show no auxiliary parameter")
+    if identification.trials:  # terms were chosen by what they predict, single parameters need not be known
+        return (*found, *(() if evaluation.held_out is None else prediction_objections(evaluation.held_out)))
     unidentified = [name for name in identification.unidentified if name not in identification.auxiliary]
     if unidentified:
         found.append(f"the logs do not identify {', '.join(unidentified)}")

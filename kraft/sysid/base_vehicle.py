@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from kraft.errors import InputError
+from kraft.sysid.dynamics import DiscreteModel
+from kraft.sysid.result import Identification
+from kraft.sysid.smoothing import high_speed
 from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import (
     Footprint,
@@ -18,6 +24,12 @@ from kraft.vehicles.load import configured
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
 from ompl_ext.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from kraft.logs.log import Log
+
+
+SPEED_SETTLING, SPEED_STEP = 20.0, 0.05
+"""Time after which full throttle has led to the top speed, and step of the simulation, s."""
 
 @dataclass(frozen=True)
 class BaseVehicle:
@@ -54,6 +66,11 @@ class BaseVehicle:
         return Footprint(length=shape.length, width=shape.width, offset=shape.offset)
 
     @property
+    def controls(self) -> Mapping[str, tuple[float, float]]:
+        """Limits of the controls where they differ from those of the model's code."""
+        return self.definition.controls if isinstance(self.definition, VehicleConfig) else {}
+
+    @property
     def top_speed(self) -> float | str:
         """Top speed, m/s, or the name of the parameter that is the top speed."""
         return (
@@ -82,3 +99,45 @@ def load_base_vehicle(reference: str) -> BaseVehicle:
         base = BaseVehicle(reference, config, configured(config), model)
     check_functions(base.vehicle, reference)
     return base
+
+
+COMMANDS_OF = {"throttle": "full_throttle", "steering": "full_steering"}
+"""Parameters of `kraft.vehicles.car` that state what command counts as full."""
+
+
+def for_commands(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
+    """The car with the commands of the logs: their limits, and the largest ones as the full ones."""
+    config = base.definition
+    assert isinstance(config, VehicleConfig)  # a vehicle file with terms
+    values, limits = {}, {}
+    for name, full in COMMANDS_OF.items():
+        column = [part.commands[:, log.controls.index(name)] for log in logs for part in log.parts]
+        low, high = (float(edge) for edge in (min(c.min() for c in column), max(c.max() for c in column)))
+        largest = max(abs(low), abs(high))
+        if largest > 0.0:
+            values[full], limits[name] = largest, (low, high)
+        if name == "throttle" and low < 0.0:
+            values["full_reverse"] = -low / largest
+    if "steering" in limits:  # a car turns as far to one side as to the other unless the logs show otherwise
+        reach = values["full_steering"]
+        limits["steering"] = (-reach, reach)
+    changed = config.with_values(values).with_controls(limits)
+    return replace(base, definition=changed, vehicle=configured(changed))
+
+
+def with_speed(base: BaseVehicle, identification: Identification, logs: Sequence[Log]) -> BaseVehicle:
+    """The car with a top speed: that which full throttle leads to, or the highest in the logs if it is higher."""
+    model, values = base.vehicle, identification.values
+    car = model.with_parameters({name: values[name] for name in model.parameters})
+    steps = round(SPEED_SETTLING / SPEED_STEP)
+    controls = np.zeros((steps, 1, len(model.controls)))
+    controls[:, 0, list(model.controls).index("throttle")] = model.controls["throttle"][1]
+    states = DiscreteModel(car).simulate(
+        np.zeros((1, len(model.state))), controls, car.parameter_array[None], np.array([SPEED_STEP])
+    )
+    steady = float(np.abs(states[:, 0, model.index("v")]).max())
+    seen = max(high_speed(part) for log in logs for part in log.parts)
+    config = base.definition
+    assert isinstance(config, VehicleConfig)
+    changed = config.with_top_speed(float(f"{max(steady, seen):.3g}"))
+    return replace(base, definition=changed, vehicle=configured(changed))

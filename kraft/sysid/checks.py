@@ -72,9 +72,14 @@ class Solution:
         return [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
 
 
-def warnings_of(solution: Solution) -> tuple[str, ...]:
-    """All warnings, the most important first."""
+def warnings_of(solution: Solution, *, windows: bool = False) -> tuple[str, ...]:
+    """All warnings, the most important first.
+
+    With `windows`, those of a fit of open-loop windows: its residuals are the model's errors and no noise, and how well
+    its terms are known shows in its predictions.
+    """
     checks = (_convergence, _steering, _bounds, _unidentified, _unbounded, _correlation, _residuals, _disagreement)
+    checks = (_convergence, _steering, _bounds) if windows else checks
     return tuple(warning for check in checks for warning in check(solution))
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import LogSet
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.chains import whole_segment
@@ -20,8 +21,8 @@ from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chai
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at_bounds, ignore_iteration, optimise
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
-from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
-from kraft.sysid.result import Identification, LogFit, ParameterEstimate, PartFit
+from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, simulated, starting_point
+from kraft.sysid.result import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit
 from kraft.sysid.selection import (
     candidates_of,
     check_free_parameters,
@@ -32,6 +33,7 @@ from kraft.sysid.selection import (
 )
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
+from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, chosen, excess
 from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
@@ -73,6 +75,8 @@ def identify(
     settings = settings or Settings()
     vehicle = load_base_vehicle(vehicle).definition if isinstance(vehicle, str) else vehicle
     logs = logs.logs if isinstance(logs, LogSet) else logs
+    if isinstance(vehicle, VehicleConfig) and has_terms(vehicle):
+        return identify_terms(vehicle, logs, settings, on_iteration).identification
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
     check_free_parameters(vehicle, settings)
@@ -95,6 +99,108 @@ def identify(
         fit.problem, fit.optimum, fit.uncertainty, estimator.data, names, not settings.noise, estimator.iterations
     )
     return assemble_identification(solution, warnings_of(solution), tuple(notes))
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """The chosen model and its parameters."""
+
+    vehicle: VehicleConfig
+    identification: Identification
+
+
+def has_terms(vehicle: VehicleConfig | Vehicle) -> bool:
+    """Whether the model has terms that identification may switch off."""
+    return isinstance(vehicle, VehicleConfig) and any(p.neutral is not None for p in vehicle.parameters.values())
+
+
+def identify_terms(
+    vehicle: VehicleConfig,
+    logs: Sequence[Log],
+    settings: Settings | None = None,
+    on_iteration: OnIteration = ignore_iteration,
+    simpler: VehicleConfig | None = None,
+) -> ModelChoice:
+    """Choose the terms of a model that the logs need, and estimate their parameters.
+
+    Args:
+        vehicle: a vehicle file in which some parameters have a neutral value.
+        logs: of `kraft.logs.reader.read_logs`.
+        settings: None for the defaults.
+        on_iteration: called after each iteration with the number of iterations and the cost.
+        simpler: a model with fewer states, which is chosen with the same terms if it predicts as well.
+
+    Raises:
+        InputError: if the logs cannot be used, or a control never changes in them.
+    """
+    settings = settings or Settings()
+    check_settings(vehicle, settings)
+    usable = usable_logs(vehicle_of(vehicle), logs)
+    _check_controls(vehicle_of(vehicle), usable)
+    search = StructureSearch(vehicle, usable, settings, on_iteration)
+    path = search.path()
+    best = search.converged(chosen(path))
+    trials = [*(best if s.terms == best.terms else s for s in path)]
+    if simpler is not None:
+        other = StructureSearch(simpler, usable, settings, on_iteration)
+        other.growth = search.growth
+        alike = other.alike(best)
+        search.iterations += other.iterations
+        trials.append(alike)
+        if excess(alike, min(path, key=lambda s: float(s.scores.mean()))) <= 0.0:
+            vehicle, best = simpler, alike
+    identification = _identified(best, search, usable, settings)
+    rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
+    return ModelChoice(vehicle, replace(identification, trials=rows))
+
+
+def _check_controls(model: Vehicle, logs: Sequence[Log]) -> None:
+    """Refuse logs in which a control never changes: nothing shows what it does."""
+    problems = []
+    for k, name in enumerate(model.controls):
+        values = np.concatenate([part.commands[:, k] for log in logs for part in log.parts])
+        if np.ptp(values) <= 0.0:
+            expected = "expected drives in which it takes several values, left and right, or forward and coasting"
+            problems.append(Diagnostic("logs", f"{name} is always {values[0]:g}", expected, code=Code.DATA))
+    if problems:
+        raise InputError(problems)
+
+
+def _trial(structure: Structure, *, chosen: bool, horizon: float) -> ModelTrial:
+    times = [share * horizon for share in HORIZON_SHARES]
+    errors = {t: float(e * t) for t, e in zip(times, np.nanmean(structure.errors, axis=0), strict=True)}
+    name = structure.graph.problem.parameters.vehicle.name
+    return ModelTrial(name, structure.terms, structure.without, errors, chosen)
+
+
+def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], settings: Settings) -> Identification:
+    """Result with the parameters of a structure; the smoothed states are those of its windows."""
+    graph, optimum = best.graph, best.optimum
+    p, problem = graph.problem.parameters, graph.problem
+    controls = problem.actuators.mean(optimum.point.rho)[0]
+    point = Point(simulated(problem, optimum.point.states, controls, optimum.point.rho), controls, optimum.point.rho)
+    scale = math.sqrt(residual_ratio(problem, point))
+    walks = graph.process_noise(search.growth, settings.horizon)
+    default = problem.noise.process
+    process = np.array([max(walks.get(n, 0.0), d) for n, d in zip(p.vehicle.state, default, strict=True)])
+    noise = replace(problem.noise, threshold=max(scale, 1.0) * problem.noise.threshold, process=process)
+    problem = replace(problem, noise=noise)
+    held = held_at_bounds(optimum.factors, p.low - point.rho, p.high - point.rho)
+    uncertainty = estimate_uncertainty(optimum.factors, p.free, held)
+    solution = Solution(
+        problem, replace(optimum, point=point), uncertainty, graph.smoothed, [log.name for log in logs],
+        not settings.noise, search.iterations,
+    )  # fmt: skip
+    off = tuple(spec.name for spec in p.specs[: p.model_size] if spec.neutral is not None and spec.name not in best.terms)
+    missing = [name for name in search.auxiliary if name not in best.terms]
+    notes = [f"terms that the logs do not need: {', '.join((*off, *missing))}"] if off or missing else []
+    found = assemble_identification(solution, warnings_of(solution, windows=True), tuple(notes))
+    found = replace(
+        found,
+        parameters={name: value for name, value in found.parameters.items() if name not in missing},
+        auxiliary=tuple(name for name in found.auxiliary if name not in missing),
+    )
+    return replace(found, off=off)
 
 
 @dataclass(frozen=True, eq=False)

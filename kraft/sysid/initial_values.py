@@ -9,8 +9,10 @@ together, as lanes; the best few are refined.  The search works for any model wh
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.stats import qmc
 
 from kraft.sysid.chains import Chains
@@ -47,9 +49,8 @@ def smooth_chains(chains: Chains) -> SmoothedPoses:
     return SmoothedPoses(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]))
 
 
-def initial_states(vehicle: Vehicle, chains: Chains, data: SmoothedPoses) -> Matrix:
-    """(chains, nx) state at the beginning of each chain, as far as the poses determine it."""
-    at = chains.first[:-1]
+def initial_states(vehicle: Vehicle, at: Ints, data: SmoothedPoses) -> Matrix:
+    """(n, nx) states at the poses of index `at` (n,), as far as the poses determine them."""
     states = np.zeros((len(at), len(vehicle.state)))
     poses, rates = data.poses[at], data.rates[at]
     states[:, vehicle.index("x")], states[:, vehicle.index("y")] = poses[:, 0], poses[:, 1]
@@ -76,7 +77,7 @@ class InitialSearch:
         steps = np.diff(chains.first) - 1
         chosen = np.unique(np.linspace(0, len(steps) - 1, min(CHAINS_MAX, len(steps))).round().astype(int))
         longest = int(min(STEPS_MAX, steps[chosen].max()))
-        self._start = initial_states(parameters.vehicle, chains, data)[chosen]
+        self._start = initial_states(parameters.vehicle, chains.first[:-1], data)[chosen]
         self._h = np.array([chains.segments[c].h for c in chosen])
         self._u = np.zeros((longest, len(chosen), discrete_model.nu))
         index, lane = [], []
@@ -191,3 +192,46 @@ def _loss(residuals: Matrix) -> Floats:
     """Cauchy loss of each candidate (candidates,), which limits the influence of windows with outliers."""
     loss: Floats = np.mean(np.log1p(residuals**2), axis=1)
     return loss
+
+
+DEAD_ZONES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
+"""Dead zones that the regression of the drive tries, as shares of the full throttle."""
+SLOW = 0.05
+"""Speed below which friction does not act in full in the regression, m/s."""
+REGRESSION_SPAN = 0.5
+"""Time over which changes of the speed are explained, s."""
+
+
+def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix) -> dict[str, float]:
+    """Drive and losses of `kraft.vehicles.car` by regression; empty for other models.
+
+    The change of the speed over a span is linear in the parameters if the dead zone is known: it is the sum of their
+    effects, integrated over the measured speed, yaw rate and throttle.
+    """
+    if not {"a_drive", "damping", "back_emf", "friction", "drag", "scrub", "dead_zone"} <= set(parameters.names):
+        return {}
+    vehicle = parameters.vehicle
+    states = np.delete(np.arange(chains.states), chains.first[1:] - 1)  # at which a step begins
+    rates, yaw = data.rates[states], data.poses[states, 2]
+    v, r = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw), rates[:, 2]
+    throttle = mean[:, list(vehicle.controls).index("throttle")] / parameters.nominal[parameters.index("full_throttle")]
+    span = max(1, round(REGRESSION_SPAN / float(chains.h[0])))
+    begin = np.concatenate(
+        [np.arange(a - c, b - c - 1 - span, max(1, span // 2)) for c, (a, b) in enumerate(pairwise(chains.first))]
+    )
+    sense, length = np.tanh(v / SLOW), parameters.nominal[parameters.index("L")]
+    best: tuple[float, dict[str, float]] = (np.inf, {})
+    for dead_zone in DEAD_ZONES:
+        u = np.sign(throttle) * np.maximum(np.abs(throttle) - dead_zone, 0.0)
+        terms = {"a_drive": u, "back_emf": -np.abs(u) * v, "damping": -v, "friction": -sense,
+                 "drag": -v * np.abs(v), "scrub": -sense * r * r * length}  # fmt: skip
+        integrals = np.column_stack([np.concatenate([[0.0], np.cumsum(t * chains.h)]) for t in terms.values()])
+        effects = integrals[begin + span] - integrals[begin]
+        change = v[begin + span] - v[begin]
+        scale = np.sqrt(np.mean(effects**2, axis=0)) + 1e-9
+        for sign in (1.0, -1.0):
+            found, left = nnls(effects / scale * np.where(np.arange(len(scale)) == 0, sign, 1.0), change)
+            if left < best[0]:
+                values = found / scale * np.where(np.arange(len(scale)) == 0, sign, 1.0)
+                best = (left, {**dict(zip(terms, map(float, values), strict=True)), "dead_zone": dead_zone})
+    return best[1]

@@ -33,6 +33,10 @@ class ParameterSpec:
     description: str
     stated: bool
     """whether the prior was stated rather than assumed"""
+    neutral: float | None = None
+    """value at which it has no effect"""
+    fixed: bool = False
+    """whether it is measured or chosen, not identified"""
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, auxiliar
         InputError: if a value in the settings is outside the bounds.
     """
     specs = tuple(_with_value(spec, settings.values) for spec in parameter_specs(vehicle, auxiliary))
-    frozen = frozenset(settings.frozen) & {spec.name for spec in specs}
+    frozen = frozenset(spec.name for spec in specs if spec.fixed or spec.name in settings.frozen)
     return Parameters(vehicle_of(vehicle), specs, frozen)
 
 
@@ -124,7 +128,7 @@ def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]
     own = (_spec(name, value, stated.get(name)) for name, value in model.parameters.items())
     known = auxiliary_parameters(model)
     added = (
-        ParameterSpec(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, False)
+        ParameterSpec(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, False, 0.0)
         for e in (known[n] for n in auxiliary)
     )
     return (*own, *added)
@@ -140,7 +144,10 @@ def _spec(name: str, value: float, stated: Parameter | None) -> ParameterSpec:
     if not low <= value <= high:  # one bound is stated, and the nominal value is far beyond the default of the other
         low, high = min(low, value), max(high, value)
     std = stated.std if stated.std is not None else high - low
-    return ParameterSpec(name, value, low, high, std, stated.unit, stated.description, stated.std is not None)
+    prior = stated.std is not None
+    return ParameterSpec(
+        name, value, low, high, std, stated.unit, stated.description, prior, stated.neutral, stated.fixed
+    )
 
 
 def _default_bounds(value: float) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from kraft.sysid.problem import Problem, assemble, simulated, starting_point
 from kraft.sysid.result import PredictionErrors
 from kraft.sysid.selection import check_settings
 from kraft.sysid.settings import Settings
-from kraft.sysid.smoothing import begins_at_rest, measured_noise
+from kraft.sysid.smoothing import begins_at_rest, constant_motion, measured_noise, thinned
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -41,6 +41,8 @@ HISTORY_PROCESS_FACTOR = 3.0
 even if the parameters are wrong."""
 HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
+RECENT = 0.3
+"""Time before a window whose poses show its speed and turning rate, s."""
 HORIZONS = (1.0, 2.0, 3.0)
 """Times after the beginning of a window at which errors are evaluated, s."""
 
@@ -79,14 +81,7 @@ def predict_windows(
     check_settings(vehicle, given)
     parameters = parameters_of(vehicle, given, auxiliary)
     usable = usable_logs(model, logs)
-    pieces = [
-        (i, before, ahead)
-        for i, log in enumerate(usable)
-        for part in log.parts
-        for before, ahead in _pieces(part, i, settings.step)
-    ]
-    if not pieces:
-        raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict", Code.DATA)
+    pieces = [(i, before, ahead) for i, _, before, ahead in _all_pieces(usable, settings)]
     problem = _problem([ahead for _, _, ahead in pieces], len(usable), parameters, settings)
     start = _starts(pieces, len(usable), parameters, settings)
     states = simulated(problem, start, problem.actuators.mean(parameters.nominal)[0], parameters.nominal)
@@ -96,6 +91,47 @@ def predict_windows(
         Window(usable[i].name, ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses], part)
         for (i, _, ahead), part in zip(pieces, np.split(predicted, ends), strict=True)
     )
+
+
+def constant_windows(
+    vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], settings: Settings | None = None
+) -> tuple[Window, ...]:
+    """Prediction of the windows of `predict_windows` without a model: constant speed and turning rate.
+
+    Raises:
+        InputError: if the logs cannot be used.
+    """
+    usable = usable_logs(vehicle_of(vehicle), logs)
+    found = []
+    for i, part, before, ahead in _all_pieces(usable, settings or Settings()):
+        times, poses = ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses]
+        seen = part.pose_times <= times[0] + 1e-9
+        x, y, yaw, speed, rate = (
+            (*poses[0], 0.0, 0.0) if before is None else constant_motion(part.pose_times[seen], part.poses[seen], RECENT)
+        )
+        since = times - times[0]
+        middle = yaw + 0.5 * rate * since
+        chord = speed * since * np.sinc(0.5 * rate * since / np.pi)
+        predicted = np.column_stack([x + chord * np.cos(middle), y + chord * np.sin(middle), yaw + rate * since])
+        found.append(Window(usable[i].name, times, poses, predicted))
+    return tuple(found)
+
+
+def _all_pieces(logs: Sequence[Log], settings: Settings) -> list[tuple[int, Part, Segment | None, Segment]]:
+    """Log, part with all poses, history and window of each window.
+
+    Raises:
+        InputError: if there is none.
+    """
+    found = [
+        (i, part, before, ahead)
+        for i, log in enumerate(logs)
+        for part in log.parts
+        for before, ahead in _pieces(thinned(part, settings.step), i, settings.step)
+    ]
+    if not found:
+        raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict", Code.DATA)
+    return found
 
 
 def prediction_errors(

@@ -88,6 +88,20 @@ class LogFit:
 
 
 @dataclass(frozen=True)
+class ModelTrial:
+    """One model of those that the identification chose from, judged on logs that it was not fitted to."""
+
+    model: str
+    terms: tuple[str, ...]
+    """parameters that could be switched off and are on"""
+    without: str
+    """the one that was switched off last; empty for the first model"""
+    errors: Mapping[float, float]
+    """position error by time since the beginning of a window (s), m"""
+    chosen: bool
+
+
+@dataclass(frozen=True)
 class Identification:
     """Identified parameters with their uncertainty, warnings and the fit of each log."""
 
@@ -122,6 +136,10 @@ class Identification:
     logs: tuple[LogFit, ...]
     rear_axle: float | None
     """distance of the tracked point ahead of the rear axle, m; None without steering"""
+    trials: tuple[ModelTrial, ...] = ()
+    """models that were compared, if the model has terms to choose"""
+    off: tuple[str, ...] = ()
+    """parameters of the model that are off"""
 
     @property
     def values(self) -> dict[str, float]:

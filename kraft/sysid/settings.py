@@ -43,5 +43,7 @@ class Settings:
     """the factor graph with states and controls eliminated in compiled code, or every factor explicit"""
     step: float = 0.05
     """time between two states, s"""
+    horizon: float = 3.0
+    """time over which a model with terms to choose is to predict well, s"""
     iterations: int = 50
     """largest number of iterations of one fit"""

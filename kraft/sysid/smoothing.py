@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -116,7 +117,7 @@ def begins_at_rest(part: Part) -> bool:
     if len(times) < 2:
         return False
     interval = float(np.median(np.diff(times)))
-    high = _high_speed(part, max(1, round(SPEED_INTERVAL / interval)))
+    high = high_speed(part)
     sigma = measured_noise([times], [poses]).position
     for span in REST_SPANS:
         count = 1 + round(span / interval)
@@ -129,8 +130,11 @@ def begins_at_rest(part: Part) -> bool:
     return False
 
 
-def _high_speed(part: Part, apart: int) -> float:
-    """Speed that a tenth of the pairs of poses `apart` from each other exceed, m/s."""
+def high_speed(part: Part) -> float:
+    """Speed that a tenth of the pairs of poses `SPEED_INTERVAL` from each other exceed, m/s."""
+    if len(part.pose_times) < 2:
+        return 0.0
+    apart = max(1, round(SPEED_INTERVAL / float(np.median(np.diff(part.pose_times)))))
     if len(part.pose_times) <= apart:
         return 0.0
     way = part.poses[apart:, :2] - part.poses[:-apart, :2]
@@ -156,3 +160,23 @@ def _first_speed(basis: Matrix, positions: Matrix, sigma: float) -> float:
         weight = 1.0 / np.maximum(off, sigma)
     way = (basis[-1] - basis[0]) @ fit
     return float(fit[1] @ way) / max(math.hypot(*way), 1e-9)
+
+
+def thinned(part: Part, step: float) -> Part:
+    """The part with about one pose per step, if it has more than two: open-loop predictions need no more."""
+    every = int(step / max(float(np.median(np.diff(part.pose_times))), 1e-6)) if len(part.pose_times) > 1 else 1
+    if every <= 2:
+        return part
+    return replace(part, pose_times=part.pose_times[::every].copy(), poses=part.poses[::every].copy())
+
+
+def constant_motion(times: Floats, poses: Matrix, span: float) -> Floats:
+    """Pose (x, y, yaw), speed (m/s) and yaw rate (rad/s) at the last pose, by parabolas through those of `span` s."""
+    first = min(int(np.searchsorted(times, times[-1] - span - 1e-9)), max(len(times) - 3, 0))
+    since = times[first:] - times[-1]
+    basis = np.vander(since, min(3, len(since)), increasing=True)
+    fit = np.linalg.lstsq(basis, poses[first:], rcond=None)[0]
+    rates = fit[1] if len(fit) > 1 else np.zeros(3)
+    speed = rates[0] * np.cos(fit[0, 2]) + rates[1] * np.sin(fit[0, 2])
+    found: Floats = np.array([*fit[0], speed, rates[2]])
+    return found

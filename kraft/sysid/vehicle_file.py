@@ -110,6 +110,7 @@ def vehicle_text(
         "",
         f"model: {_model(base.model, folder)}",
         *_parameters(base, estimated, tighten=tighten),
+        *_controls(base),
         "",
         f"footprint: {{length: {_number(shape.length)}, width: {_number(shape.width)}{offset}}}",
         f"top_speed: {base.top_speed if isinstance(base.top_speed, str) else _number(base.top_speed)}",
@@ -133,7 +134,14 @@ def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tigh
     if tighten and std is not None and not estimate.frozen:
         std = float(f"{min(std, max(STD_FACTOR * estimate.std, STD_SHARE_MIN * std)):.2g}")
     return Parameter(
-        value=value, unit=estimate.unit or "1", description=estimate.description, min=low, max=high, std=std
+        value=value,
+        unit=estimate.unit or "1",
+        description=estimate.description,
+        min=low,
+        max=high,
+        std=std,
+        neutral=parameter.neutral,
+        fixed=parameter.fixed,
     )
 
 
@@ -141,10 +149,18 @@ def _parameters(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], *
     yield "parameters:" if base.parameters else "parameters: {}"
     for name, before in base.parameters.items():
         parameter = updated_parameter(before, estimated[name], tighten=tighten)
-        limits = ((key, getattr(parameter, key)) for key in ("min", "max", "std"))
+        limits = ((key, getattr(parameter, key)) for key in ("min", "max", "std", "neutral"))
         stated = "".join(f", {key}: {_number(value)}" for key, value in limits if value is not None)
+        stated += ", fixed: true" if parameter.fixed else ""
         description = f", description: {_text(parameter.description)}" if parameter.description else ""
         yield f"  {name}: {{value: {_number(parameter.value)}, unit: {_text(parameter.unit)}{stated}{description}}}"
+
+
+def _controls(base: BaseVehicle) -> Iterator[str]:
+    if base.controls:
+        limits = ", ".join(f"{name}: [{_number(a)}, {_number(b)}]" for name, (a, b) in base.controls.items())
+        yield ""
+        yield f"controls: {{{limits}}}"
 
 
 def _model(reference: str, folder: Path) -> str:

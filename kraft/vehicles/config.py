@@ -69,6 +69,8 @@ class VehicleConfig(StrictModel):
     """the model's code, module:attribute or file.py:attribute (relative to this file)"""
     parameters: Mapping[Symbol, Parameter] = Field(default_factory=dict)
     """{symbol: {value, unit, min, max, std}}"""
+    controls: Mapping[Symbol, tuple[Number, Number]] = Field(default_factory=dict)
+    """{control: [lowest, highest]} command, where the limits differ from those of the model's code"""
     footprint: Footprint
     """{length, width, offset}"""
     top_speed: Annotated[float | str, PlainValidator(_speed, json_schema_input_type=_SpeedSchema)]
@@ -147,6 +149,14 @@ class VehicleConfig(StrictModel):
         changed._source = self._source
         return changed
 
+    def with_controls(self, limits: Mapping[str, tuple[float, float]]) -> VehicleConfig:
+        """Same vehicle with other limits of some controls."""
+        return self.model_copy(update={"controls": {**self.controls, **limits}})
+
+    def with_top_speed(self, speed: float) -> VehicleConfig:
+        """Same vehicle with another top speed, m/s."""
+        return self.model_copy(update={"top_speed": speed})
+
 
 def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
     """Load a bundled vehicle (``mushr``) or a vehicle file.
@@ -177,6 +187,10 @@ class Parameter(StrictModel):
     """largest plausible value"""
     std: Positive | None = None
     """standard deviation of what is known beforehand"""
+    neutral: Quantity | None = None
+    """value at which the parameter has no effect: `kraft sysid` chooses by prediction which ones are needed"""
+    fixed: bool = False
+    """measured or chosen, not identified: poses alone do not show it"""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -57,6 +57,19 @@ def configured(config: VehicleConfig) -> Vehicle:
         for name in config.parameters
         if name not in model.parameters
     ]
+    problems += [
+        config.source.diagnostic(
+            ("controls", name), f"{model.name} has no such control", suggestion(name, model.controls), at_key=True,
+            code=Code.UNKNOWN,
+        )
+        for name in config.controls
+        if name not in model.controls
+    ]  # fmt: skip
+    problems += [
+        config.source.diagnostic(("controls", name), f"is [{low:g}, {high:g}]", "expected the lowest command first")
+        for name, (low, high) in config.controls.items()
+        if low >= high
+    ]
     if config.speed_limit <= 0:
         problem = f"is {config.speed_limit:g} m/s"
         problems.append(config.source.diagnostic("top_speed", problem, "expected a speed greater than 0"))
@@ -66,6 +79,7 @@ def configured(config: VehicleConfig) -> Vehicle:
     return replace(
         model.with_parameters(config.values),
         name=config.name,
+        controls={**model.controls, **config.controls},
         footprint=Footprint(shape.length, shape.width, shape.offset),
         top_speed=config.speed_limit,
         ranges=config.ranges,

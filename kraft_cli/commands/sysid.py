@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 Logs = Annotated[list[Path], typer.Argument(metavar="LOGS...", help="Folders and files with logs.")]
 Model = Annotated[
     str,
-    typer.Option("--model", metavar="NAME|FILE", help="Vehicle to identify (kraft list vehicles), a file, or code."),
+    typer.Option(
+        "--model",
+        metavar="auto|NAME|FILE",
+        help="auto: a car with the terms that the logs need; or a vehicle (kraft list vehicles), a file, or code.",
+    ),
 ]
 Holdout = Annotated[
     float | None,
@@ -43,13 +47,14 @@ PoseNoise = Annotated[
 Graph = Annotated[
     str, typer.Option(metavar="fast|paper", help="Form of the graph: eliminated, or every factor explicit.")
 ]
+Horizon = Annotated[float, typer.Option(metavar="S", help="Time over which the chosen model is to predict well.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def sysid(
     context: typer.Context,
     logs: Logs,
-    model: Model = "mushr-lag",
+    model: Model = "auto",
     holdout: Holdout = None,
     out: Out = None,
     plot: Plot = None,
@@ -59,6 +64,7 @@ def sysid(
     extras: AuxiliarySelection = "auto",
     pose_noise: PoseNoise = None,
     graph: Graph = "fast",
+    horizon: Horizon = 3.0,
     json: Json = False,
 ) -> ExitStatus:
     """Identify a vehicle's parameters from logs; the exit code is 1 if the logs do not identify them."""
@@ -76,6 +82,7 @@ def sysid(
         freeze=tuple(freeze or ()),
         extras=extras,
         graph=graph,
+        horizon=horizon,
         pose_noise=pose_noise,
         param=tuple(param or ()),
     )
@@ -107,11 +114,12 @@ def _report_details(terminal: Terminal, result: SysidResult) -> None:
 
 
 def _print(terminal: Terminal, result: SysidResult) -> None:
-    from kraft_cli.work.sysid_report import parameter_table, prediction_table, summary_lines
+    from kraft_cli.work.sysid_report import model_table, parameter_table, prediction_table, summary_lines
 
-    for heading, rows in (parameter_table(result), prediction_table(result)):
-        terminal.table(heading, rows)
-        terminal.data("")
+    for heading, rows in (model_table(result), parameter_table(result), prediction_table(result)):
+        if rows:
+            terminal.table(heading, rows)
+            terminal.data("")
     for interval_note in summary_lines(result):
         terminal.data(interval_note)
     if result.request.out is not None and not result.objections:

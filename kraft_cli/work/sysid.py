@@ -14,21 +14,26 @@ from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
 from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions, objections
-from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
+from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.fast_graph import ensure_compiled
-from kraft.sysid.identify import identify
+from kraft.sysid.identify import has_terms, identify, identify_terms
 from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
+from kraft.vehicles.config import VehicleConfig
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
 
-MODEL: Final = "mushr-lag"
+AUTO: Final = "auto"
+"""Model whose terms are chosen by what they predict."""
+CAR: Final = "car-lag"
+SIMPLER_CAR: Final = "car"
+HORIZON_MIN, HORIZON_MAX = 0.5, 10.0
 GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
 PROGRESS_INTERVAL: Final = 2.0
 """Least time between two progress messages, and before the first one, s."""
@@ -42,7 +47,7 @@ class SysidRequest:
 
     Attributes:
         logs: files and folders with logs.
-        model: a bundled vehicle, a vehicle file or code.
+        model: `auto`, a bundled vehicle, a vehicle file or code.
         holdout: fraction of the logs to hold out; None for the default.
         out: vehicle file to write.
         plot: page to draw.
@@ -52,10 +57,11 @@ class SysidRequest:
         graph: form of the factor graph, one of `GRAPHS`.
         pose_noise: standard deviations of position (m) and yaw (rad), as in ``0.01,0.02``.
         param: initial values, each as ``name=value``.
+        horizon: time over which a model with terms to choose is to predict well, s.
     """
 
     logs: tuple[Path, ...]
-    model: str = MODEL
+    model: str = AUTO
     holdout: float | None = None
     out: Path | None = None
     plot: Path | None = None
@@ -65,6 +71,7 @@ class SysidRequest:
     graph: str = "fast"
     pose_noise: str | None = None
     param: tuple[str, ...] = ()
+    horizon: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -110,7 +117,7 @@ def run_sysid(
         InputError: with every problem of the request or of the files it names, before anything is identified.
         NegativeResult: if there are logs, and none of them can be used.
     """
-    base = load_base_vehicle(request.model)
+    base = load_base_vehicle(CAR if request.model == AUTO else request.model)
     settings = _checked_settings(request, base)
     logs = read_sysid_logs(request.logs, request.mapping, tuple(base.vehicle.controls), info, warn, detail)
     split = split_logs(logs.logs, request.holdout)
@@ -118,7 +125,10 @@ def run_sysid(
     ensure_compiled(base.vehicle, base.reference, info)
     began = time.perf_counter()
     try:
-        identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
+        if request.model == AUTO:
+            base, identification = _chosen_model(base, split, settings, info)
+        else:
+            identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
         seconds = time.perf_counter() - began
         evaluation = evaluate_predictions(base.definition, split, identification, settings)
     except InputError as error:  # a problem of the logs: everything else was checked
@@ -135,6 +145,19 @@ def run_sysid(
     _draw(result)
     _write(result)
     return result
+
+
+def _chosen_model(
+    base: BaseVehicle, split: LogSplit, settings: Settings, info: MessageSink
+) -> tuple[BaseVehicle, Identification]:
+    """The car with the terms that the logs need, commands in the range of the logs."""
+    simpler = load_base_vehicle(SIMPLER_CAR)
+    ensure_compiled(simpler.vehicle, simpler.reference, info)
+    cars = [for_commands(each, split.fitted) for each in (base, simpler)]
+    definitions = [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
+    choice = identify_terms(definitions[0], split.fitted, settings, ProgressReporter(info), definitions[1])
+    chosen = next(each for each in cars if each.definition is choice.vehicle)
+    return with_speed(chosen, choice.identification, split.fitted), choice.identification
 
 
 def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
@@ -154,7 +177,7 @@ def _settings(request: SysidRequest, base: BaseVehicle) -> Settings:
     Raises:
         InputError: with every option that cannot be read, else with every one that does not fit the vehicle.
     """
-    settings = _parse_settings(request)
+    settings = _parse_settings(request, base)
     try:
         check_settings(base.definition, settings)
         check_free_parameters(base.definition, settings)
@@ -163,7 +186,7 @@ def _settings(request: SysidRequest, base: BaseVehicle) -> Settings:
     return settings
 
 
-def _parse_settings(request: SysidRequest) -> Settings:
+def _parse_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
     """The settings as written; a vehicle file is for planning.
 
     Raises:
@@ -184,12 +207,15 @@ def _parse_settings(request: SysidRequest) -> Settings:
                 "graph", f"is {request.graph!r}", suggestion(request.graph, GRAPHS), code=Code.UNKNOWN, argument=True
             )
         )
+    if not HORIZON_MIN <= request.horizon <= HORIZON_MAX:
+        expected = f"expected a time from {HORIZON_MIN:g} to {HORIZON_MAX:g} s"
+        problems.append(Diagnostic("horizon", f"is {request.horizon:g}", expected, argument=True))
     if problems or graph is None:
         raise InputError(problems)
     auxiliary = _parse_extras(request.extras)
-    if request.out is not None and auxiliary == "auto":
+    if request.out is not None and auxiliary == "auto" and not has_terms(base.definition):
         auxiliary = "plan"
-    return Settings(noise=noise, frozen=_names(request.freeze), values=values, auxiliary=auxiliary, graph=graph)
+    return Settings(horizon=request.horizon, noise=noise, frozen=_names(request.freeze), values=values, auxiliary=auxiliary, graph=graph)
 
 
 def _parse_extras(text: str) -> AuxiliarySelection:

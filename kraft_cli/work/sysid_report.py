@@ -6,7 +6,7 @@ import math
 from typing import Any, Final
 
 from kraft.sysid.prediction import HORIZONS
-from kraft.sysid.result import ParameterEstimate, PredictionErrors
+from kraft.sysid.result import ModelTrial, ParameterEstimate, PredictionErrors
 from kraft.text import counted
 from kraft_cli.work.sysid import SysidResult
 
@@ -39,7 +39,10 @@ def sysid_json(result: SysidResult) -> dict[str, Any]:
             "train_initial": _errors(result.evaluation.fitted.initial_errors),
             "holdout": _errors(held_out.errors) if held_out else None,
             "holdout_initial": _errors(held_out.initial_errors) if held_out else None,
+            "train_constant": _errors(result.evaluation.fitted.constant_errors),
+            "holdout_constant": _errors(held_out.constant_errors) if held_out else None,
         },
+        "models": [_trial(trial) for trial in identification.trials],
         "logs": len(result.logs.logs),
         "held_out": [log.name for log in result.split.held_out],
         "left_out": [str(problem) for problem in result.logs.problems],
@@ -64,7 +67,8 @@ def sysid_json(result: SysidResult) -> dict[str, Any]:
 def parameter_table(result: SysidResult) -> Table:
     """Table of the parameters with value, interval, initial value and unit."""
     heading = ("PARAMETER", "VALUE", f"95 % INTERVAL ({result.identification.interval})", "INITIAL", "UNIT", "MEANING")
-    return heading, [_row(name, estimate) for name, estimate in result.identification.parameters.items()]
+    shown = result.identification.parameters.items()
+    return heading, [_row(name, estimate) for name, estimate in shown if name not in result.identification.off]
 
 
 def prediction_table(result: SysidResult) -> Table:
@@ -77,8 +81,27 @@ def prediction_table(result: SysidResult) -> Table:
     return heading, [
         ("position, identified", *_metres(after)),
         ("position, initial", *_metres(before)),
+        ("position, constant motion", *_metres(pair.constant_errors)),
         ("yaw, identified", *_degrees(after)),
         ("yaw, initial", *_degrees(before)),
+        ("yaw, constant motion", *_degrees(pair.constant_errors)),
+    ]
+
+
+def model_table(result: SysidResult) -> Table:
+    """Table of the models that were compared, on logs that each was not fitted to; no rows if there was no choice."""
+    trials = result.identification.trials
+    if not trials:
+        return (), []
+    heading = ("MODEL", "TERMS", *(f"{after:g} s" for after in trials[0].errors), "")
+    return heading, [
+        (
+            f"{trial.model}{f' without {trial.without}' if trial.without else ''}",
+            str(len(trial.terms)),
+            *(_cell(error, 100, " cm") for error in trial.errors.values()),
+            "chosen" if trial.chosen else "",
+        )
+        for trial in trials
     ]
 
 
@@ -112,6 +135,16 @@ def _parameter(estimate: ParameterEstimate, extra: bool) -> dict[str, Any]:
         "frozen": bool(estimate.frozen),
         "at_bound": bool(estimate.at_bound),
         "extra": extra,
+    }
+
+
+def _trial(trial: ModelTrial) -> dict[str, Any]:
+    return {
+        "model": trial.model,
+        "terms": list(trial.terms),
+        "without": trial.without or None,
+        "position_m": {f"{after:g}": error for after, error in trial.errors.items()},
+        "chosen": trial.chosen,
     }
 
 

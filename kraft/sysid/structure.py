@@ -1,0 +1,334 @@
+"""Choice of a model's structure by what it predicts: which of its terms the logs need.
+
+Drives are cut into windows of the horizon, each with a state of its own at its beginning.  Poses in a window weigh less
+the later they are, by the error that the model makes by then: a model that is exact is fitted as in the paper's graph,
+and one that lacks an effect is fitted to predict well over the horizon instead of being bent by every small motion.
+
+From the model with all terms, the term whose removal costs least is switched off, and so on.  Every structure is
+judged on logs that it was not fitted to (cross-validation over logs, or over parts of a single one); of those whose
+error is within one standard error of the best, the simplest is taken (Hastie, Tibshirani, Friedman: The Elements of
+Statistical Learning, 2009, Sec. 7.10).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from kraft.sysid.chains import Segment, segment_between
+from kraft.sysid.initial_values import InitialSearch, drive_values
+from kraft.sysid.multistep import MultiStep, fit, windows_of
+from kraft.sysid.observation import NoiseModel, noise_model
+from kraft.sysid.optimiser import (
+    OnIteration,
+    Optimum,
+    RhoFactors,
+    bounded_step,
+    held_at_bounds,
+)
+from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
+from kraft.sysid.problem import Point
+from kraft.sysid.settings import Settings
+from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
+from kraft.vehicles.config import VehicleConfig
+from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Log, Part
+
+
+AUXILIARY: Final = ("delay", "lever", "yaw_offset")
+"""Auxiliary parameters beside the terms of the model; lags, dead bands and friction are terms of it."""
+WINDOW_MIN: Final = 0.5
+"""Least length of a window, s."""
+FIRST_GROWTH: Final = (0.2, 0.2, 0.3)
+"""Growth of the model's error in the first fit: m/s, m/s, rad/s."""
+GROWTH_ROUNDS: Final = 2
+"""Fits after which the growth of the error is estimated again."""
+LARGE_SHARE: Final = 0.99
+"""Quantile of the squared residuals up to which they count in full for the growth."""
+FIRST_TERMS: Final = ("friction", "lever")
+"""Terms in the search for first values."""
+FOLDS_MIN: Final = 5
+"""Least number of folds: fewer logs are cut into blocks of windows."""
+FIRST_ITERATIONS: Final = 20
+"""Most iterations of a fit whose weights are not final."""
+REFIT_ITERATIONS: Final = 6
+"""Most iterations after a term is switched off."""
+HORIZON_SHARES: Final = (1.0 / 3.0, 2.0 / 3.0, 1.0)
+"""Times in a window at which errors are compared, as shares of the horizon."""
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """A fitted structure: the terms that are on, and its errors on logs that it was not fitted to."""
+
+    terms: tuple[str, ...]
+    """parameters that could be switched off and are on"""
+    graph: MultiStep
+    optimum: Optimum
+    errors: Matrix
+    """(folds, horizons) over their time, m/s"""
+    without: str = ""
+    """term that was switched off last"""
+
+    @cached_property
+    def scores(self) -> Floats:
+        """(folds,) mean of the errors over their time, m/s."""
+        scores: Floats = np.nanmean(self.errors, axis=1)
+        return scores
+
+
+class StructureSearch:
+    """Fits of the same logs with terms on and off."""
+
+    def __init__(
+        self,
+        vehicle: VehicleConfig,
+        logs: Sequence[Log],
+        settings: Settings,
+        on_iteration: OnIteration,
+    ) -> None:
+        """Cut the logs into windows, and measure the noise of the poses."""
+        self.vehicle, self.settings = vehicle, settings
+        chosen = settings.auxiliary
+        self.auxiliary = chosen if isinstance(chosen, tuple) else () if chosen == "none" else AUXILIARY
+        self.model: Vehicle = vehicle_of(vehicle)
+        self.iterations, self._on_iteration = 0, on_iteration
+        parts = [part for log in logs for part in log.parts]
+        noise = settings.noise or measured_noise([p.pose_times for p in parts], [p.poses for p in parts])
+        found = [
+            (segment, part)
+            for i, log in enumerate(logs)
+            for part in log.parts
+            for segment in _windows(thinned(part, settings.step), i, settings)
+        ]
+        segments = [segment for segment, _ in found]
+        self.noise: NoiseModel = noise_model(self.model, settings, noise)
+        self.growth: Floats = np.array(FIRST_GROWTH)
+        self.windows = windows_of(segments, [part for _, part in found], _folds(segments, len(logs)))
+
+    def parameters(self, terms: Sequence[str]) -> Parameters:
+        """Parameters with the given terms on, and the others at their neutral value and frozen."""
+        known = parameters_of(self.vehicle, self.settings, self.auxiliary)
+        off = [spec for spec in known.specs if spec.neutral is not None and spec.name not in terms]
+        settings = replace(
+            self.settings,
+            values={**{spec.name: spec.neutral for spec in off if spec.neutral is not None}, **self.settings.values},
+            frozen=(*self.settings.frozen, *(spec.name for spec in off)),
+        )
+        return parameters_of(self.vehicle, settings, self.auxiliary)
+
+    @cached_property
+    def candidates(self) -> tuple[str, ...]:
+        """Terms that may be switched off: those that the settings leave open."""
+        known = parameters_of(self.vehicle, self.settings, self.auxiliary)
+        given = {*self.settings.values, *known.frozen}
+        return tuple(spec.name for spec in known.specs if spec.neutral is not None and spec.name not in given)
+
+    def graph(self, terms: Sequence[str]) -> MultiStep:
+        """The multi-step problem with some terms on."""
+        return MultiStep(self.windows, self.parameters(terms), self.noise, self.growth)
+
+    def full(self) -> Structure:
+        """Fit of all terms, from the best of several first values."""
+        graph = self.graph(self.candidates)
+        fits = [self._optimise(graph, graph.start(rho), FIRST_ITERATIONS) for rho in self._first_values(graph)]
+        optimum = min(fits, key=lambda found: found.cost)
+        for _ in range(GROWTH_ROUNDS):
+            self.growth = _error_growth(graph, optimum.point)
+            graph = self.graph(self.candidates)
+            optimum = self._optimise(graph, optimum.point)
+        return self._judged(self.candidates, graph, optimum)
+
+    def _first_values(self, graph: MultiStep) -> list[Floats]:
+        """First values of rho: the nominal ones with the signs that fit best, and a search with few terms on."""
+        p = graph.problem.parameters
+        signed = [k for k, spec in enumerate(p.specs) if p.free[k] and spec.min == -spec.max and spec.value != 0.0]
+        signs = [np.where(np.isin(np.arange(len(p.nominal)), flipped), -1.0, 1.0) * p.nominal
+                 for count in range(len(signed) + 1) for flipped in itertools.combinations(signed, count)]  # fmt: skip
+        nominal = min(signs, key=lambda rho: graph.cost(graph.start(rho)))
+        problem = graph.problem
+        known = drive_values(p, problem.chains, graph.smoothed, problem.actuators.mean(nominal)[0])
+        if known:
+            regressed = np.array([known.get(name, value) for name, value in zip(p.names, nominal, strict=True)])
+            return [p.within_bounds(np.where(p.free, regressed, p.nominal))]
+        few = self.graph(FIRST_TERMS)
+        q, problem = few.problem.parameters, few.problem
+        search = InitialSearch(
+            q, problem.dynamics.discrete_model, problem.chains, few.smoothed, problem.actuators.mean(q.nominal)[0]
+        )
+        found = self._optimise(few, few.start(search.best()), FIRST_ITERATIONS).point.rho
+        return [nominal, np.where(p.free & q.free, found, p.nominal)]
+
+    def _optimise(self, graph: MultiStep, start: Point, iterations: int | None = None) -> Optimum:
+        before = self.iterations
+        optimum = fit(
+            graph,
+            start,
+            iterations or self.settings.iterations,
+            lambda made, cost: self._on_iteration(before + made, cost),
+        )
+        self.iterations += optimum.iterations
+        return optimum
+
+    def without(self, structure: Structure, term: str) -> Structure:
+        """The structure with one term fewer, fitted again."""
+        terms = tuple(name for name in structure.terms if name != term)
+        graph, before = self.graph(terms), structure.optimum.point
+        p = graph.problem.parameters
+        k = p.index(term)
+        low, high = p.low - before.rho, p.high - before.rho
+        low[k] = high[k] = p.nominal[k] - before.rho[k]
+        rho = p.within_bounds(before.rho + _step_with(structure.optimum.factors, low, high, p.free, k))
+        rho[k] = p.nominal[k]
+        kept = before.rho.copy()
+        kept[k] = p.nominal[k]
+        points = [replace(before, states=graph.shifted(before.states, before.rho, r), rho=r) for r in (rho, kept)]
+        start = min(points, key=graph.cost)  # the linearised step may lead far off where the term matters
+        return replace(self._judged(terms, graph, self._optimise(graph, start, REFIT_ITERATIONS)), without=term)
+
+    def converged(self, structure: Structure) -> Structure:
+        """The structure after a fit to the end."""
+        optimum = self._optimise(structure.graph, structure.optimum.point)
+        return replace(self._judged(structure.terms, structure.graph, optimum), without=structure.without)
+
+    def _judged(self, terms: tuple[str, ...], graph: MultiStep, optimum: Optimum) -> Structure:
+        """Errors of each fold with the parameters that the other folds give, to first order about the optimum."""
+        p, point, windows = graph.problem.parameters, optimum.point, self.windows
+        low, high = p.low - point.rho, p.high - point.rho
+        rhos = [
+            p.within_bounds(point.rho + bounded_step(_without_fold(optimum.factors, fold), 0.0, low, high, p.free))
+            for fold in range(windows.folds)
+        ]
+        poses = graph.predict([graph.shifted(point.states, point.rho, rho) for rho in rhos], rhos)
+        errors = np.full((windows.folds, len(HORIZON_SHARES)), np.nan)
+        for fold in range(windows.folds):
+            off = poses[fold] - windows.poses
+            square, own = off[..., 0] ** 2 + off[..., 1] ** 2, windows.seen & (windows.fold == fold)[:, None]
+            for i, share in enumerate(HORIZON_SHARES):
+                after = share * self.settings.horizon
+                at = own & (np.abs(windows.since - after) <= 0.75 * self.settings.step)
+                if at.any():
+                    errors[fold, i] = math.sqrt(float(np.mean(square[at]))) / after
+        return Structure(terms, graph, optimum, errors)
+
+    def path(self) -> list[Structure]:
+        """Structures from all terms to none, each without the term that costs least."""
+        found = [self.full()]
+        while found[-1].terms:
+            found.append(self.without(found[-1], _cheapest(found[-1])))
+        return found
+
+    def alike(self, other: Structure) -> Structure:
+        """The structure with the terms of one of another model, as far as this model has them."""
+        terms = tuple(name for name in other.terms if name in self.candidates)
+        graph, before = self.graph(terms), other.graph.problem.parameters
+        p = graph.problem.parameters
+        known = dict(zip(before.names, other.optimum.point.rho, strict=True))
+        rho = np.array([known.get(n, v) for n, v in zip(p.names, p.nominal, strict=True)])
+        start = graph.start(p.within_bounds(np.where(p.free, rho, p.nominal)))
+        return self._judged(terms, graph, self._optimise(graph, start))
+
+
+def chosen(path: Sequence[Structure]) -> Structure:
+    """The simplest structure whose error is within one standard error of the best."""
+    best = min(path, key=lambda s: float(s.scores.mean()))
+    near = [s for s in path if excess(s, best) <= 0.0]
+    return min(near, key=lambda s: (len(s.terms), float(s.scores.mean())))
+
+
+def excess(structure: Structure, best: Structure) -> float:
+    """Mean difference of the errors from those of the best, beyond one standard error of that mean."""
+    difference = structure.scores - best.scores
+    return float(difference.mean() - difference.std(ddof=1) / math.sqrt(len(difference)))
+
+
+def _cheapest(structure: Structure) -> str:
+    """Term whose switching off raises the linearised cost least."""
+    p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
+    held = held_at_bounds(factors, p.low - rho, p.high - rho)
+    cost = {}
+    for name in structure.terms:
+        k = p.index(name)
+        neutral = p.specs[k].neutral
+        assert neutral is not None  # candidates have one
+        move = neutral - rho[k]
+        others = p.free & ~held & (np.arange(len(rho)) != k)
+        total = factors.total_information
+        schur = total[k, k] - total[k, others] @ np.linalg.lstsq(
+            total[np.ix_(others, others)], total[others, k], rcond=None
+        )[0]
+        cost[name] = schur * move**2
+    return min(cost, key=lambda name: cost[name])
+
+
+def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: np.ndarray, k: int) -> Floats:
+    """Change of rho that moves component k by low[k] and the other free ones to their best."""
+    shift = np.zeros(len(low))
+    shift[k] = low[k]
+    moved = RhoFactors(
+        factors.information,
+        factors.gradient + factors.information @ shift,
+        factors.prior_information,
+        factors.prior_gradient + factors.prior_information * shift,
+    )
+    rest = free.copy()
+    rest[k] = False
+    step: Floats = bounded_step(moved, 0.0, low, high, rest) + shift
+    return step
+
+
+def _without_fold(factors: RhoFactors, fold: int) -> RhoFactors:
+    keep = np.arange(len(factors.information)) != fold
+    return replace(factors, information=factors.information[keep], gradient=factors.gradient[keep])
+
+
+def _error_growth(graph: MultiStep, point: Point) -> Floats:
+    """(3,) growth of the model's error in x, y and yaw per second, from typical residuals of a fit."""
+    windows = graph.windows
+    late = windows.seen & (windows.since > 0.1 * windows.since.max())
+    off, since = graph.residuals(point)[late], windows.since[late]
+    square = off**2 / since[:, None] ** 2
+    square = np.mean(np.minimum(square, np.quantile(square, LARGE_SHARE, axis=0)), axis=0)
+    square -= np.mean(1.0 / since**2) * graph.noise.pose_sigmas**2
+    position = max(0.5 * (square[0] + square[1]), 0.0)
+    growth: Floats = np.sqrt([position, position, max(square[2], 0.0)])
+    return growth
+
+
+def _windows(part: Part, log: int, settings: Settings) -> list[Segment]:
+    """Windows of the horizon, one after the other; the whole part if it is shorter."""
+    times = part.pose_times
+    if part.duration < WINDOW_MIN:
+        return []
+    count = max(1, int(part.duration / settings.horizon + 1e-6))
+    length = min(part.duration, settings.horizon)
+    resting = begins_at_rest(part)
+    found = []
+    for k in range(count):
+        first = int(np.searchsorted(times, times[0] + k * length - 1e-9))
+        last = int(np.searchsorted(times, times[0] + (k + 1) * length + 0.5 * settings.step, side="right"))
+        if last - first >= 4 and times[last - 1] - times[first] >= WINDOW_MIN:
+            found.append(segment_between(part, log, settings.step, first, last, resting and k == 0))
+    return found
+
+
+def _folds(segments: Sequence[Segment], logs: int) -> Ints:
+    """(windows,) fold of each window: its log, or a block of a log if there are few logs."""
+    log = np.array([s.log for s in segments])
+    if logs >= FOLDS_MIN:
+        return np.unique(log, return_inverse=True)[1].astype(np.int64)
+    blocks = math.ceil(FOLDS_MIN / max(logs, 1)) if logs > 1 else FOLDS_MIN
+    fold = np.zeros(len(segments), dtype=np.int64)
+    for i in np.unique(log):
+        own = np.flatnonzero(log == i)
+        fold[own] = i * blocks + np.arange(len(own)) * blocks // max(len(own), 1)
+    return np.unique(fold, return_inverse=True)[1].astype(np.int64)

@@ -1,0 +1,158 @@
+"""Car whose drive, steering and tyres are described by terms that identification can switch off.
+
+State [x, y, theta, v] of the point between the rear wheels (m, rad, m/s), for the car with lags also the wheels' angle
+delta (rad) and the yaw rate r (rad/s); controls [throttle, steering] in any unit, forward and left positive.  The
+commands are divided by `full_throttle` and `full_steering` first.
+
+A term is off at the neutral value of its parameter (`neutral` in the vehicle file, 0 except for `brake`, which is 1):
+
+    drive     a (1 + progression |u|) u, u the throttle less its dead zone; times `brake` against the motion
+    losses    (damping + back_emf |u|) v + drag v |v|, friction against the motion, scrub of turned wheels
+    steering  phi_diff + steer (1 +- asymmetry) n / sqrt(1 + (saturation n)^2), n the steering
+    tyres     curvature tan(delta) / (L (1 + understeer v^2)); lateral acceleration at most 1 / slide; slip of the body
+    lags      tau_steer and rate_limit (its inverse) of the wheels, tau_yaw of the yaw rate
+
+At standstill friction holds the car as long as the drive does not exceed it (stiction).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import sqrt
+
+from ompl_ext.trigonometry import cos, sin, tan
+from ompl_ext.vehicle import Footprint, Vehicle, derivative
+
+Values = tuple[float, ...]
+
+STANDSTILL = 0.1
+"""Speed over which friction changes its direction, m/s: integration steps of 0.1 s cross standstill without ringing."""
+HOLD = 8.0
+"""Rate at which friction brings a held car to rest, 1/s."""
+SOFT_THROTTLE = 0.02
+"""Share of full throttle over which the dead zone ends, so that derivatives exist."""
+SOFT_SIDE = 0.05
+"""Share of full steering over which one side's gain changes to the other's."""
+BRAKING = 1.0
+"""Throttle against the motion over speed in emergency manoeuvres, s/m."""
+
+
+@derivative
+def positive(value: float) -> float:
+    """The value if it is positive, else 0; smooth."""
+    return 0.5 * (value + sqrt(value * value + SOFT_THROTTLE * SOFT_THROTTLE)) - 0.5 * SOFT_THROTTLE
+
+
+@derivative
+def actuation(u: Values, p: Values) -> Values:
+    """Throttle and steering to throttle beyond the dead zone (share), wheel angle (rad)."""
+    throttle, steering = u[0] / p[0], u[1] / p[1]
+    effective = positive(throttle - p[9]) - positive(-throttle - p[9])
+    side = steering / sqrt(steering * steering + SOFT_SIDE * SOFT_SIDE)
+    turned = steering / sqrt(1.0 + p[7] * p[7] * steering * steering)
+    return effective, p[4] + p[5] * turned * (1.0 + p[6] * side)
+
+
+@derivative
+def acceleration(v: float, effective: float, lateral: float, turned: float, p: Values) -> float:
+    """Acceleration along the car (m/s^2), `lateral` its lateral acceleration, `turned` the tangent of the angle."""
+    size = effective if effective > 0.0 else -effective
+    against = -effective * v
+    opposed = against / sqrt(against * against + 1e-6) if against > 0.0 else 0.0
+    pushed = p[8] * effective * (1.0 + p[10] * size) * (1.0 + (p[11] - 1.0) * opposed)
+    drag = lateral * turned
+    brake = p[14] + p[16] * (drag if drag > 0.0 else -drag)
+    beyond = (pushed - brake if pushed > brake else 0.0) + (pushed + brake if pushed < -brake else 0.0)
+    held = HOLD * v if beyond == 0.0 else 0.0
+    speed = sqrt(v * v + STANDSTILL * STANDSTILL)
+    moving = v * v / (speed * speed)
+    driven = moving * (pushed - brake * v / speed) + (1.0 - moving) * (beyond - held)
+    return driven - (p[13] + p[12] * size) * v - p[15] * v * (v if v > 0.0 else -v)
+
+
+@derivative
+def curvature(v: float, turned: float, p: Values) -> float:
+    """Curvature of the path (1/m) with wheels turned by an angle of the given tangent."""
+    wanted = turned / (p[3] * (1.0 + p[17] * v * v))
+    demand = v * v * wanted * p[18]
+    return wanted / sqrt(sqrt(1.0 + demand * demand * demand * demand))
+
+
+@derivative
+def prompt(x: Values, u: Values, p: Values) -> Values:
+    """Derivative of the car whose wheels and yaw rate follow without lag."""
+    _, _, theta, v = x
+    turned = tan(u[1])
+    turning = v * curvature(v, turned, p)
+    beta = -p[19] * v * turning
+    return v * cos(theta + beta), v * sin(theta + beta), turning, acceleration(v, u[0], v * turning, turned, p)
+
+
+@derivative
+def lagging(x: Values, u: Values, p: Values) -> Values:
+    """Derivative of the car whose wheels and yaw rate follow with a lag."""
+    _, _, theta, v, delta, r = x
+    turned = tan(delta)
+    beta = -p[19] * v * r
+    rate = (u[1] - delta) / p[20]
+    limited = rate / sqrt(1.0 + rate * rate * p[22] * p[22])
+    return (
+        v * cos(theta + beta),
+        v * sin(theta + beta),
+        r,
+        acceleration(v, u[0], v * r, turned, p),
+        limited,
+        (v * curvature(v, turned, p) - r) / p[21],
+    )
+
+
+@derivative
+def stop(x: Values, p: Values, k: int) -> Values:
+    """Throttle against the motion, down to `full_reverse` of the full one; wheels straight, half or fully turned."""
+    share = -BRAKING * x[3]
+    share = -p[2] if share < -p[2] else (p[2] if share > p[2] else share)
+    return p[0] * share, p[1] * (0.0, 0.5, -0.5, 1.0, -1.0)[k]
+
+
+CAR = Vehicle(
+    name="car",
+    derivative=prompt,
+    actuation=actuation,
+    inputs=("throttle", "wheel_angle"),
+    stop=stop,
+    manoeuvres=("straight", "left", "right", "hard-left", "hard-right"),
+    state=("x", "y", "theta", "v"),
+    controls={"throttle": (-1.0, 1.0), "steering": (-1.0, 1.0)},
+    parameters={
+        "full_throttle": 1.0,
+        "full_steering": 1.0,
+        "full_reverse": 0.0,
+        "L": 0.3,
+        "phi_diff": 0.0,
+        "steer": 0.35,
+        "asymmetry": 0.0,
+        "saturation": 0.0,
+        "a_drive": 4.0,
+        "dead_zone": 0.0,
+        "progression": 0.0,
+        "brake": 1.0,
+        "back_emf": 0.0,
+        "damping": 1.0,
+        "friction": 0.0,
+        "drag": 0.0,
+        "scrub": 0.0,
+        "understeer": 0.0,
+        "slide": 0.0,
+        "slip": 0.0,
+    },
+    footprint=Footprint(0.45, 0.28, 0.13),
+    top_speed=5.0,
+)
+
+CAR_LAG = replace(
+    CAR,
+    name="car-lag",
+    derivative=lagging,
+    state=("x", "y", "theta", "v", "delta", "r"),
+    parameters={**CAR.parameters, "tau_steer": 0.08, "tau_yaw": 0.08, "rate_limit": 0.0},
+)
