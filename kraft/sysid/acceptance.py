@@ -83,7 +83,6 @@ def evaluate_predictions(
     Raises:
         InputError: if the fitted logs are too short to predict anything.
     """
-
     if result.trials:  # the process noise was identified with the parameters
         settings = replace(settings, process={**result.process, **settings.process})
 

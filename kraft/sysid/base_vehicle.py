@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 SPEED_SETTLING, SPEED_STEP = 20.0, 0.05
 """Time after which full throttle has led to the top speed, and step of the simulation, s."""
 
+
 @dataclass(frozen=True)
 class BaseVehicle:
     """The vehicle whose parameters are identified.

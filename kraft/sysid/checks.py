@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -78,8 +78,9 @@ def warnings_of(solution: Solution, *, windows: bool = False) -> tuple[str, ...]
     With `windows`, those of a fit of open-loop windows: its residuals are the model's errors and no noise, and how well
     its terms are known shows in its predictions.
     """
-    checks = (_convergence, _steering, _bounds, _unidentified, _unbounded, _correlation, _residuals, _disagreement)
-    checks = (_convergence, _steering, _bounds) if windows else checks
+    checks: list[Callable[[Solution], Iterator[str]]] = [_convergence, _steering, _bounds]
+    if not windows:
+        checks += [_unidentified, _unbounded, _correlation, _residuals, _disagreement]
     return tuple(warning for check in checks for warning in check(solution))
 
 

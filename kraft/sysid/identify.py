@@ -191,7 +191,9 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
         problem, replace(optimum, point=point), uncertainty, graph.smoothed, [log.name for log in logs],
         not settings.noise, search.iterations,
     )  # fmt: skip
-    off = tuple(spec.name for spec in p.specs[: p.model_size] if spec.neutral is not None and spec.name not in best.terms)
+    off = tuple(
+        spec.name for spec in p.specs[: p.model_size] if spec.neutral is not None and spec.name not in best.terms
+    )
     missing = [name for name in search.auxiliary if name not in best.terms]
     notes = [f"terms that the logs do not need: {', '.join((*off, *missing))}"] if off or missing else []
     found = assemble_identification(solution, warnings_of(solution, windows=True), tuple(notes))
@@ -200,7 +202,8 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
         parameters={name: value for name, value in found.parameters.items() if name not in missing},
         auxiliary=tuple(name for name in found.auxiliary if name not in missing),
     )
-    return replace(found, off=off)
+    others = [dict(zip(p.names, map(float, rho), strict=True)) for rho in best.others]
+    return replace(found, off=off, without_log=tuple(others) if len(others) == len(logs) else ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +333,8 @@ def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes
     """The result of an identification."""
     p, noise = solution.problem.parameters, solution.problem.noise
     vehicle, rho = p.vehicle, solution.optimum.point.rho
-    axle = ahead_of_axle(p, solution.problem.dynamics.discrete_model, rho)
+    terms = any(spec.neutral is not None for spec in p.specs[: p.model_size])  # its point is that of the rear axle
+    axle = 0.0 if terms else ahead_of_axle(p, solution.problem.dynamics.discrete_model, rho)
     lever = float(rho[k]) if (k := p.auxiliary_index("lever")) >= 0 else 0.0
     return Identification(
         model=vehicle.name,
@@ -351,7 +355,17 @@ def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes
         notes=notes,
         logs=_log_fits(solution),
         rear_axle=None if axle is None else axle + lever,
+        without_log=_without_log(solution),
     )
+
+
+def _without_log(solution: Solution) -> tuple[dict[str, float], ...]:
+    p, shifts = solution.problem.parameters, solution.uncertainty.shifts
+    if len(shifts) != len(solution.logs) or len(shifts) < 2:
+        return ()
+    rhos = np.tile(solution.optimum.point.rho, (len(shifts), 1))
+    rhos[:, p.free] += shifts
+    return tuple(dict(zip(p.names, map(float, p.within_bounds(rho)), strict=True)) for rho in rhos)
 
 
 def _estimated(solution: Solution) -> dict[str, ParameterEstimate]:

@@ -35,7 +35,7 @@ START_NOISE = 3.0
 POSITION_FREE, YAW_FREE, SPEED_FREE, YAW_RATE_FREE, HIDDEN_FREE = 0.003, 0.005, 0.01, 0.02, 0.002
 """Least standard deviations of an initial state from its first values, m, rad, m/s, rad/s; others in their unit,
 which follow from the commands."""
-CONVERGED = 1e-4
+CONVERGED = 1e-5
 """Relative decrease of the cost by a step below which a fit has converged, if the one before was as small."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-7, 1e7
 SETTLING = 1.0
@@ -112,7 +112,9 @@ class MultiStep:
         self._free = np.flatnonzero(parameters.free)
         self._commands: dict[bytes, Floats] = {}
         acts = ("delay", "lag_", "dead_band_")
-        self._acting = [k for k, name in enumerate(parameters.names) if k >= parameters.model_size and name.startswith(acts)]
+        self._acting = [
+            k for k, name in enumerate(parameters.names) if k >= parameters.model_size and name.startswith(acts)
+        ]
 
     @cached_property
     def smoothed(self) -> SmoothedPoses:
@@ -123,7 +125,9 @@ class MultiStep:
     def _observed(self) -> tuple[Matrix, Floats]:
         """Initial states (W, nx) as the smoothed poses of the tracked point show them, and deviations (nx,)."""
         vehicle, noise = self.problem.parameters.vehicle, self.noise.noise
-        slope = START_NOISE / (self.windows.interval * math.sqrt(NEIGHBOURS * (NEIGHBOURS**2 - 1) / 12.0))  # of a parabola's middle
+        slope = START_NOISE / (
+            self.windows.interval * math.sqrt(NEIGHBOURS * (NEIGHBOURS**2 - 1) / 12.0)
+        )  # of a parabola's middle
         spread = np.full(self._nx, HIDDEN_FREE)
         for k, name in enumerate(vehicle.state):
             if name in ("x", "y"):
@@ -138,19 +142,31 @@ class MultiStep:
 
     def prior_states(self, rho: Floats) -> Matrix:
         """(W, nx) expected initial states: smoothed poses and rates, and what the first command leads to."""
-        vehicle = self.problem.parameters.vehicle
-        states = self.shifted(self._observed[0], np.zeros(len(rho)), rho)
-        seen = {speed_index(vehicle)} | {k for k, n in enumerate(vehicle.state) if n in ("x", "y", "theta", *YAW_RATES)}
-        hidden = [k for k in range(self._nx) if k not in seen]
-        if hidden:
+        states = self._shown_alike(self._observed[0], np.zeros(len(rho)), rho)
+        if self._hidden:
             steps = round(SETTLING / float(self.windows.h.min()))
             controls = np.repeat(self._controls(rho)[:1], steps, axis=0)
             values = np.tile(self.problem.parameters.model_values(rho), (len(states), 1))
             settled = self._kernel.simulate(states, controls, values, self.windows.h)[-1]
-            states[:, hidden] = settled[:, hidden]
+            states[:, self._hidden] = settled[:, self._hidden]
         return states
 
+    @cached_property
+    def _hidden(self) -> list[int]:
+        """Components of the state that poses do not show."""
+        vehicle = self.problem.parameters.vehicle
+        shown = {speed_index(vehicle), *(vehicle.index(name) for name in ("x", "y", "theta", *YAW_RATES))}
+        return [k for k in range(self._nx) if k not in shown]
+
     def shifted(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
+        """Initial states for `rho` that differ from the expected ones as those for `before` do, with the same poses."""
+        moved = self._shown_alike(states, before, rho)
+        if self._hidden and not np.array_equal(before, rho):
+            change = self.prior_states(rho)[:, self._hidden] - self.prior_states(before)[:, self._hidden]
+            moved[:, self._hidden] += change
+        return moved
+
+    def _shown_alike(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
         """States moved so that they show with `rho` the poses that they show with `before`; zeros show themselves."""
         observation, vehicle = self.problem.observation, self.problem.parameters.vehicle
         shown, moved = observation.predict(states, before), states.copy()
@@ -209,7 +225,8 @@ class MultiStep:
 
     def residuals(self, point: Point) -> Floats:
         """(W, n, 3) predicted less observed, 0 where there is no pose."""
-        off = (self.predict([point.states], [point.rho])[0] - self.windows.poses) * self.windows.seen[..., None]
+        predicted = self.predict([point.states], [point.rho])[0]
+        off: Floats = (predicted - self.windows.poses) * self.windows.seen[..., None]
         if not self.problem.observation.turns:
             off[..., 2] = 0.0
         return off
@@ -219,7 +236,8 @@ class MultiStep:
         if not self.noise.robust:
             return np.ones(off.shape[:2])
         distance = np.sqrt(np.sum((off / self.sigmas) ** 2, axis=2))
-        return self.noise.threshold / np.maximum(distance, self.noise.threshold)
+        weights: Floats = self.noise.threshold / np.maximum(distance, self.noise.threshold)
+        return weights
 
     def cost(self, point: Point) -> float:
         """Half of the sum of squared residuals in standard deviations, with the robust loss for poses."""
@@ -239,7 +257,7 @@ class MultiStep:
         pose = [p.vehicle.index(name) for name in ("x", "y", "theta") if name in p.vehicle.state]
         others = [k for k in range(nx) if k not in pose]
         starts, rhos = [point.states], [point.rho]
-        for k in self._free:
+        for k in self._free.tolist():
             rhos.append(point.rho + changes * (np.arange(len(changes)) == k))
             starts.append(self.shifted(point.states, point.rho, rhos[-1]))  # a lever turns about the tracked point
         for k in others:

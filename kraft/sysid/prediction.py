@@ -107,7 +107,9 @@ def constant_windows(
         times, poses = ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses]
         seen = part.pose_times <= times[0] + 1e-9
         x, y, yaw, speed, rate = (
-            (*poses[0], 0.0, 0.0) if before is None else constant_motion(part.pose_times[seen], part.poses[seen], RECENT)
+            (*poses[0], 0.0, 0.0)
+            if before is None
+            else constant_motion(part.pose_times[seen], part.poses[seen], RECENT)
         )
         since = times - times[0]
         middle = yaw + 0.5 * rate * since

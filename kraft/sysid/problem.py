@@ -92,7 +92,9 @@ def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noi
 def starting_point(problem: Problem, data: SmoothedPoses, rho: Floats) -> Point:
     """Initial point: smoothed poses, other components of the state simulated with rho, controls as commanded."""
     controls = problem.actuators.mean(rho)[0]
-    states = simulated(problem, initial_states(problem.parameters.vehicle, problem.chains.first[:-1], data), controls, rho)
+    states = simulated(
+        problem, initial_states(problem.parameters.vehicle, problem.chains.first[:-1], data), controls, rho
+    )
     for k, name in enumerate(("x", "y", "theta")):
         if name in problem.parameters.vehicle.state:
             states[:, problem.parameters.vehicle.index(name)] = data.poses[:, k]

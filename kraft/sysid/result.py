@@ -136,10 +136,14 @@ class Identification:
     logs: tuple[LogFit, ...]
     rear_axle: float | None
     """distance of the tracked point ahead of the rear axle, m; None without steering"""
+    models: tuple[ModelTrial, ...] = ()
+    """models that were compared by predicting logs that they were not fitted to from the poses before each window"""
     trials: tuple[ModelTrial, ...] = ()
-    """models that were compared, if the model has terms to choose"""
+    """steps of the choice of terms, if the model has such, each compared over windows with fitted initial states"""
     off: tuple[str, ...] = ()
     """parameters of the model that are off"""
+    without_log: tuple[Mapping[str, float], ...] = ()
+    """for each log, the values that the others give, to first order; empty if there is only one"""
 
     @property
     def values(self) -> dict[str, float]:

@@ -37,7 +37,7 @@ from kraft.sysid.problem import Point
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
 from kraft.vehicles.config import VehicleConfig
-from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -76,6 +76,8 @@ class Structure:
     optimum: Optimum
     errors: Matrix
     """(folds, horizons) over their time, m/s"""
+    others: Matrix
+    """(folds, np) parameters that the other folds give, to first order"""
     without: str = ""
     """term that was switched off last"""
 
@@ -130,8 +132,17 @@ class StructureSearch:
     def candidates(self) -> tuple[str, ...]:
         """Terms that may be switched off: those that the settings leave open."""
         known = parameters_of(self.vehicle, self.settings, self.auxiliary)
-        given = {*self.settings.values, *known.frozen}
+        given = {*self.settings.values, *known.frozen, *self._unexcited}
         return tuple(spec.name for spec in known.specs if spec.neutral is not None and spec.name not in given)
+
+    @cached_property
+    def _unexcited(self) -> frozenset[str]:
+        """Terms that no log can show: braking without throttle backwards."""
+        if "throttle" not in self.model.controls:
+            return frozenset()
+        k = list(self.model.controls).index("throttle")
+        low = min(float(s.part.commands[:, k].min()) for s in self.windows.segments)
+        return frozenset() if low < 0.0 else frozenset({"brake"})
 
     def graph(self, terms: Sequence[str]) -> MultiStep:
         """The multi-step problem with some terms on."""
@@ -218,7 +229,7 @@ class StructureSearch:
                 at = own & (np.abs(windows.since - after) <= 0.75 * self.settings.step)
                 if at.any():
                     errors[fold, i] = math.sqrt(float(np.mean(square[at]))) / after
-        return Structure(terms, graph, optimum, errors)
+        return Structure(terms, graph, optimum, errors, np.array(rhos))
 
     def path(self) -> list[Structure]:
         """Structures from all terms to none, each without the term that costs least."""
@@ -263,14 +274,15 @@ def _cheapest(structure: Structure) -> str:
         move = neutral - rho[k]
         others = p.free & ~held & (np.arange(len(rho)) != k)
         total = factors.total_information
-        schur = total[k, k] - total[k, others] @ np.linalg.lstsq(
-            total[np.ix_(others, others)], total[others, k], rcond=None
-        )[0]
+        schur = (
+            total[k, k]
+            - total[k, others] @ np.linalg.lstsq(total[np.ix_(others, others)], total[others, k], rcond=None)[0]
+        )
         cost[name] = schur * move**2
     return min(cost, key=lambda name: cost[name])
 
 
-def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: np.ndarray, k: int) -> Floats:
+def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, k: int) -> Floats:
     """Change of rho that moves component k by low[k] and the other free ones to their best."""
     shift = np.zeros(len(low))
     shift[k] = low[k]

@@ -104,6 +104,7 @@ def sysid(
 def _report_details(terminal: Terminal, result: SysidResult) -> None:
     """Report the details that -v requests."""
     from kraft.text import counted
+    from kraft_cli.work.sysid_report import model_table
 
     initial = ", ".join(f"{name} {value:g}" for name, value in result.base.vehicle.parameters.items())
     terminal.detail(f"model {result.base.model}, from {initial}")
@@ -111,12 +112,14 @@ def _report_details(terminal: Terminal, result: SysidResult) -> None:
     terminal.detail(
         f"identified in {result.seconds:.2f} s: {state} after {counted(result.identification.iterations, 'iteration')}"
     )
+    for cells in model_table(result.identification.trials)[1]:
+        terminal.detail("  ".join(cells).rstrip())
 
 
 def _print(terminal: Terminal, result: SysidResult) -> None:
     from kraft_cli.work.sysid_report import model_table, parameter_table, prediction_table, summary_lines
 
-    for heading, rows in (model_table(result), parameter_table(result), prediction_table(result)):
+    for heading, rows in (model_table(result.identification.models), parameter_table(result), prediction_table(result)):
         if rows:
             terminal.table(heading, rows)
             terminal.data("")

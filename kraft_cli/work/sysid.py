@@ -14,25 +14,23 @@ from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
 from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions, objections
-from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
+from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.fast_graph import ensure_compiled
-from kraft.sysid.identify import has_terms, identify, identify_terms
+from kraft.sysid.identify import has_terms, identify
+from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
-from kraft.vehicles.config import VehicleConfig
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
 
 AUTO: Final = "auto"
 """Model whose terms are chosen by what they predict."""
-CAR: Final = "car-lag"
-SIMPLER_CAR: Final = "car"
 HORIZON_MIN, HORIZON_MAX = 0.5, 10.0
 GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
 PROGRESS_INTERVAL: Final = 2.0
@@ -117,7 +115,7 @@ def run_sysid(
         InputError: with every problem of the request or of the files it names, before anything is identified.
         NegativeResult: if there are logs, and none of them can be used.
     """
-    base = load_base_vehicle(CAR if request.model == AUTO else request.model)
+    base = load_base_vehicle(models_of_cars()[0] if request.model == AUTO else request.model)
     settings = _checked_settings(request, base)
     logs = read_sysid_logs(request.logs, request.mapping, tuple(base.vehicle.controls), info, warn, detail)
     split = split_logs(logs.logs, request.holdout)
@@ -126,7 +124,11 @@ def run_sysid(
     began = time.perf_counter()
     try:
         if request.model == AUTO:
-            base, identification = _chosen_model(base, split, settings, info)
+            for name in models_of_cars():
+                other = load_base_vehicle(name)
+                ensure_compiled(other.vehicle, other.reference, info)
+            model = identify_car(split.fitted, settings, ProgressReporter(info))
+            base, identification = model.base, model.identification
         else:
             identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
         seconds = time.perf_counter() - began
@@ -138,26 +140,13 @@ def run_sysid(
     identification = replace(
         identification,
         warnings=(*identification.warnings, *evaluation.warnings, *_unknown_to_planning(request, identification)),
-        notes=(*identification.notes, *_excluded_note(base, settings)),
+        notes=(*identification.notes, *(() if has_terms(base.definition) else _excluded_note(base, settings))),
     )
     found = objections(identification, evaluation)
     result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds)
     _draw(result)
     _write(result)
     return result
-
-
-def _chosen_model(
-    base: BaseVehicle, split: LogSplit, settings: Settings, info: MessageSink
-) -> tuple[BaseVehicle, Identification]:
-    """The car with the terms that the logs need, commands in the range of the logs."""
-    simpler = load_base_vehicle(SIMPLER_CAR)
-    ensure_compiled(simpler.vehicle, simpler.reference, info)
-    cars = [for_commands(each, split.fitted) for each in (base, simpler)]
-    definitions = [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
-    choice = identify_terms(definitions[0], split.fitted, settings, ProgressReporter(info), definitions[1])
-    chosen = next(each for each in cars if each.definition is choice.vehicle)
-    return with_speed(chosen, choice.identification, split.fitted), choice.identification
 
 
 def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
@@ -213,9 +202,16 @@ def _parse_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
     if problems or graph is None:
         raise InputError(problems)
     auxiliary = _parse_extras(request.extras)
-    if request.out is not None and auxiliary == "auto" and not has_terms(base.definition):
+    if request.out is not None and auxiliary == "auto" and (request.model == AUTO or not has_terms(base.definition)):
         auxiliary = "plan"
-    return Settings(horizon=request.horizon, noise=noise, frozen=_names(request.freeze), values=values, auxiliary=auxiliary, graph=graph)
+    return Settings(
+        horizon=request.horizon,
+        noise=noise,
+        frozen=_names(request.freeze),
+        values=values,
+        auxiliary=auxiliary,
+        graph=graph,
+    )
 
 
 def _parse_extras(text: str) -> AuxiliarySelection:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 from kraft.sysid.prediction import HORIZONS
@@ -42,7 +43,8 @@ def sysid_json(result: SysidResult) -> dict[str, Any]:
             "train_constant": _errors(result.evaluation.fitted.constant_errors),
             "holdout_constant": _errors(held_out.constant_errors) if held_out else None,
         },
-        "models": [_trial(trial) for trial in identification.trials],
+        "models": [_trial(trial) for trial in identification.models],
+        "terms": [_trial(trial) for trial in identification.trials],
         "logs": len(result.logs.logs),
         "held_out": [log.name for log in result.split.held_out],
         "left_out": [str(problem) for problem in result.logs.problems],
@@ -88,9 +90,8 @@ def prediction_table(result: SysidResult) -> Table:
     ]
 
 
-def model_table(result: SysidResult) -> Table:
-    """Table of the models that were compared, on logs that each was not fitted to; no rows if there was no choice."""
-    trials = result.identification.trials
+def model_table(trials: Sequence[ModelTrial]) -> Table:
+    """Table of models that were compared, by their errors on logs that each was not fitted to."""
     if not trials:
         return (), []
     heading = ("MODEL", "TERMS", *(f"{after:g} s" for after in trials[0].errors), "")
