@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,17 +36,28 @@ INTERVAL, STRIDE = 0.1, 0.35  # longest interval of a guess (s), and motion in i
 MOST_INTERVALS = 300  # of a guess; longer plans have longer ones
 RANGE = (0.2, 2.0)  # shortest and longest interval after an improvement, as multiples of those of the guess
 CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
-SOFT, HARD, HARDENING = 100.0, 1e6, 10.0  # first and last stiffness of the model, and the factor between rounds
-PENALTY, LAST_PENALTY = 100.0, 3e3  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
-SMOOTHNESS = 0.7  # weight of the changes of controls: times the square of the time for a footprint's length, per interval
+HARD = 1e6  # last stiffness of the model
 SMOOTHNESS_COST = (0.004, 0.0005)  # share of the time that they count for at most, in the last rounds; in turn
-EVENNESS = 10.0  # weight of the deviations of the durations from their mean, per interval
 INSIDE, NEAR_BORDER = 0.6, 1e-3  # share of the goal's tolerances that is aimed for; least distance from its border (m)
-TRIALS, LAST_TRIALS = 5, 20  # steps of a round, of a last one
+TRIALS, LAST_TRIALS = 10, 20  # steps of a round, of a last one
 REPLAYS = 10  # last rounds, each with more clearance
 CONVERGED = 1e-4  # share of the time that a step must save
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e8  # of the steps
 TRUST = 3.0  # damping of the states over that of the controls
+
+
+class Weights(NamedTuple):
+    """Weights of an optimisation, see `ompl_ext.kernels.gauss_newton`."""
+
+    soft: float  # first stiffness of the model
+    hardening: float  # factor of the stiffness from round to round
+    penalty: tuple[float, float]  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
+    smoothness: float  # of changes of controls: times the square of the time for a footprint's length, per interval
+    evenness: float  # of the deviations of the durations from their mean, per interval
+
+
+USUAL = Weights(10.0, 30.0, (100.0, 3e3), 0.7, 10.0)
+MANOEUVRE = Weights(30.0, 6.0, (1e4, 1e5), 0.02, 0.1)  # with a heading: many changes of controls in little space
 
 
 @dataclass(frozen=True)
@@ -74,6 +86,7 @@ class Polish:
         self._lanes = make_lanes(*sizes, int(problem.option[at.STEPS]))
         self._braking = make_lanes(*sizes, int(problem.option[at.BRAKE_STEPS]))
         self._setting, self._n, self._capacity = np.zeros(st.SETTINGS), 0, 0
+        self._weights = USUAL
 
     def improve(
         self, guess: Guess, goal: Goal, begin: float = 0.0, urgency: float = 1.0, cost_of_smoothness: float = SMOOTHNESS_COST[0]
@@ -88,10 +101,10 @@ class Polish:
             cost_of_smoothness: share of the time that the changes of the controls count for at most.
         """
         self._load(guess, goal, begin, urgency)
-        stiffness, damping, setting = SOFT, DAMPING, self._setting
+        damping, setting, stiffness = DAMPING, self._setting, self._weights.soft
         while stiffness < HARD:
             damping = self._round(stiffness, TRIALS, damping)
-            stiffness *= HARDENING
+            stiffness *= self._weights.hardening
         setting[st.SMOOTHNESS_COST] = cost_of_smoothness
         for _ in range(REPLAYS):
             damping = self._round(HARD, LAST_TRIALS, damping)
@@ -107,7 +120,8 @@ class Polish:
         kernels, setting, n = self._kernels, self._setting, self._n
         work, stages, backward = self._work, self._stages, self._backward
         setting[st.STIFFNESS] = stiffness
-        setting[st.PENALTY] = min(max(stiffness, PENALTY), LAST_PENALTY)
+        least, most = self._weights.penalty
+        setting[st.PENALTY] = min(max(stiffness, least), most)
         merit = kernels.approximate(n, self._problem, self._signed, setting, work, stages)
         for _ in range(trials):
             found = math.inf
@@ -127,14 +141,15 @@ class Polish:
 
     def _load(self, guess: Guess, goal: Goal, begin: float, urgency: float) -> None:
         n, setting, shape = len(guess.durations), self._setting, self._vehicle.footprint
+        self._weights = weights = MANOEUVRE if goal.has_heading else USUAL
         self._n = n
         self._reserve(n)
         work, interval = self._work, guess.time / n
         work.states[: n + 1], work.inputs[:n, :-1], work.inputs[:n, -1] = guess.states, guess.controls, guess.durations
         work.margin[: n + 1] = 0.0
         length = shape.length / self._vehicle.top_speed
-        setting[[st.URGENCY, st.SMOOTHNESS, st.SMOOTHNESS_COST]] = urgency, SMOOTHNESS * length**2 / interval, math.inf
-        setting[[st.EVENNESS, st.BEGIN]] = EVENNESS / interval, begin
+        setting[[st.URGENCY, st.SMOOTHNESS, st.SMOOTHNESS_COST]] = urgency, weights.smoothness * length**2 / interval, math.inf
+        setting[[st.EVENNESS, st.BEGIN]] = weights.evenness / interval, begin
         setting[[st.SHORTEST, st.LONGEST]] = RANGE[0] * interval, RANGE[1] * interval
         inside = INSIDE if goal.has_heading or goal.limits else 1.0
         setting[st.GOAL_DISTANCE] = min(inside * goal.radius, max(goal.radius - NEAR_BORDER, 0.5 * goal.radius))

@@ -121,7 +121,7 @@ class DirtSolver(EdgeChecker):
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self._rounds = 0
         self._progress = Progress()
-        self._polish = self._make_polish()
+        self._polish: Polish | None = None  # made when it is needed: it may have to be compiled
         self._polished = _Polished()
         self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
 
@@ -226,6 +226,8 @@ class DirtSolver(EdgeChecker):
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
+        if self._wants_polish and self._polish is None and self._reaches_polish(iterations):
+            self._polish = Polish(self.vehicle, self._problem)
         if self._pool is not None:
             return self._grow_together(self._pool, iterations, seconds, stop)
         left = iterations if iterations is not None else 2**62
@@ -306,14 +308,15 @@ class DirtSolver(EdgeChecker):
         for each in self._trees[1:]:
             each.tree.best[0] = min(self._tree.best[0], each.tree.best[0])
 
-    def _make_polish(self) -> Polish | None:
-        """Local optimisation, if the settings ask for it and durations are free."""
+    @property
+    def _wants_polish(self) -> bool:
+        """Whether plans are improved by local optimisation: if durations are free, as the settings say."""
         wanted = self.settings.polish
-        if self.goal is None or self.settings.quantum > 0.0:
-            return None
-        if wanted is None:
-            wanted = self._has_heading
-        return Polish(self.vehicle, self._problem) if wanted else None
+        return self.settings.quantum == 0.0 and (self._has_heading if wanted is None else wanted)
+
+    def _reaches_polish(self, iterations: int | None) -> bool:
+        """Whether a budget of iterations lasts until the next optimisation."""
+        return iterations is None or self._progress.iterations + iterations >= self._polish_due * len(self._trees)
 
     @property
     def _has_heading(self) -> bool:
