@@ -89,7 +89,12 @@ class Polish:
         self._weights = USUAL
 
     def improve(
-        self, guess: Guess, goal: Goal, begin: float = 0.0, urgency: float = 1.0, cost_of_smoothness: float = SMOOTHNESS_COST[0]
+        self,
+        guess: Guess,
+        goal: Goal,
+        begin: float = 0.0,
+        urgency: float = 1.0,
+        cost_of_smoothness: float = SMOOTHNESS_COST[0],
     ) -> Guess | None:
         """Trajectory that obeys the model, passes all checks and takes less time, as far as one was found.
 
@@ -148,7 +153,11 @@ class Polish:
         work.states[: n + 1], work.inputs[:n, :-1], work.inputs[:n, -1] = guess.states, guess.controls, guess.durations
         work.margin[: n + 1] = 0.0
         length = shape.length / self._vehicle.top_speed
-        setting[[st.URGENCY, st.SMOOTHNESS, st.SMOOTHNESS_COST]] = urgency, weights.smoothness * length**2 / interval, math.inf
+        setting[[st.URGENCY, st.SMOOTHNESS, st.SMOOTHNESS_COST]] = (
+            urgency,
+            weights.smoothness * length**2 / interval,
+            math.inf,
+        )
         setting[[st.EVENNESS, st.BEGIN]] = weights.evenness / interval, begin
         setting[[st.SHORTEST, st.LONGEST]] = RANGE[0] * interval, RANGE[1] * interval
         inside = INSIDE if goal.has_heading or goal.limits else 1.0
@@ -166,8 +175,14 @@ class Polish:
             return
         self._capacity = n
         nx, m = len(self._vehicle.state), len(self._vehicle.controls) + 1
-        self._work, self._stages, self._backward = st.shooting(n, nx, m, self._kernels.block), st.stages(n, nx, m), st.backward(n, nx, m)
-        self._stages.scale[:] = np.append(1.0 / np.append(np.ptp(self._vehicle.control_bounds, axis=1), 1.0) ** 2, TRUST)
+        self._work, self._stages, self._backward = (
+            st.shooting(n, nx, m, self._kernels.block),
+            st.stages(n, nx, m),
+            st.backward(n, nx, m),
+        )
+        self._stages.scale[:] = np.append(
+            1.0 / np.append(np.ptp(self._vehicle.control_bounds, axis=1), 1.0) ** 2, TRUST
+        )
 
 
 def interval_of(vehicle: Vehicle, time: float) -> float:

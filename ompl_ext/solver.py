@@ -371,7 +371,9 @@ class DirtSolver(EdgeChecker):
         for head in heads:
             nu = len(self.vehicle.controls)
             controls, durations = tree.edge[path[head + 1 :], :nu], tree.edge[path[head + 1 :], nu]
-            guess = guess_of(self.vehicle, *self._trajectory(tree.state[path[head]], controls, durations), controls, durations)
+            guess = guess_of(
+                self.vehicle, *self._trajectory(tree.state[path[head]], controls, durations), controls, durations
+            )
             if self._improve(guess, path[1 : head + 1], 1.0):
                 return
 

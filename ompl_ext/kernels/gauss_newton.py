@@ -36,7 +36,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     REACH,
     Lanes,
     Problem,
-    )
+)
 from ompl_ext.kernels.runge_kutta import runge_kutta_4
 from ompl_ext.kernels.specialise import module_of, vehicle_being_compiled, vehicle_cache_folder
 from ompl_ext.kernels.trajectory_types import (  # fmt: skip
@@ -96,7 +96,9 @@ store_input = store_components(NI, WIDTH)
 
 
 @part
-def integrate(first: int, lanes: int, column: int, change: float, problem: Problem, states: Matrix, inputs: Matrix, block: Floats) -> None:
+def integrate(
+    first: int, lanes: int, column: int, change: float, problem: Problem, states: Matrix, inputs: Matrix, block: Floats
+) -> None:
     """Integrate intervals `first` ... with one component of state, control and duration changed; this vectorises."""
     p = load_parameters(problem.parameters)
     for i in range(lanes):
@@ -204,7 +206,14 @@ def add_square(stages: Stages, k: int, penalty: float, residual: float, gradient
 
 @inlined
 def clearance_penalty(
-    problem: Problem, signed: Matrix32, work: Shooting, stages: Stages, state: Floats, k: int, time: float, penalty: float
+    problem: Problem,
+    signed: Matrix32,
+    work: Shooting,
+    stages: Stages,
+    state: Floats,
+    k: int,
+    time: float,
+    penalty: float,
 ) -> float:
     """Sum of squared lacks of clearance at a state; with a positive `penalty` the stages get it, too."""
     scalar, required, growth = problem.scalar, work.margin[k], 0.0
@@ -257,7 +266,9 @@ def limit_penalty(problem: Problem, stages: Stages, state: Floats, k: int, penal
 
 
 @inlined
-def goal_penalty(problem: Problem, setting: Floats, work: Shooting, stages: Stages, state: Floats, k: int, penalty: float) -> float:
+def goal_penalty(
+    problem: Problem, setting: Floats, work: Shooting, stages: Stages, state: Floats, k: int, penalty: float
+) -> float:
     """Sum of squared distances of the last state from the goal; with a positive `penalty` the stages get it, too."""
     total = 0.0
     for residual in range(NX + 2):
@@ -276,8 +287,15 @@ def goal_penalty(problem: Problem, setting: Floats, work: Shooting, stages: Stag
 
 @part
 def state_penalties(
-    n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages,
-    states: Matrix, inputs: Matrix, penalty: float,
+    n: int,
+    problem: Problem,
+    signed: Matrix32,
+    setting: Floats,
+    work: Shooting,
+    stages: Stages,
+    states: Matrix,
+    inputs: Matrix,
+    penalty: float,
 ) -> float:
     """Sum of squared violations of clearance, limits and goal; with a positive `penalty` the stages get it, too."""
     total, time = 0.0, setting[BEGIN]
@@ -291,8 +309,14 @@ def state_penalties(
 
 @inlined
 def merit(
-    n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages,
-    states: Matrix, inputs: Matrix,
+    n: int,
+    problem: Problem,
+    signed: Matrix32,
+    setting: Floats,
+    work: Shooting,
+    stages: Stages,
+    states: Matrix,
+    inputs: Matrix,
 ) -> float:
     """Cost of a trajectory with its penalties (s); `after` receives what the model predicts."""
     predict(n, problem, states, inputs, work.after, work.block)
@@ -383,9 +407,7 @@ def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: La
     return failed + (0 if lanes.at_goal[0] == 1 else 1)
 
 
-def _approximate(
-    n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages
-) -> float:
+def _approximate(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> float:
     """Merit of the current trajectory, and the linear-quadratic problem around it."""
     weigh(n, problem, setting, work, stages)
     cost = merit(n, problem, signed, setting, work, stages, work.states, work.inputs)
@@ -409,4 +431,6 @@ def _evaluate(
 _ARGUMENTS = types.int64, PROBLEM, types.float32[:, ::1], types.float64[::1], SHOOTING, STAGES
 approximate = compiled(_approximate, folder=FOLDER, signature=types.float64(*_ARGUMENTS))
 evaluate = compiled(_evaluate, folder=FOLDER, signature=types.float64(*_ARGUMENTS, BACKWARD))
-replay = compiled(_replay, folder=FOLDER, signature=types.int64(types.int64, PROBLEM, types.float64[::1], SHOOTING, LANES, LANES))
+replay = compiled(
+    _replay, folder=FOLDER, signature=types.int64(types.int64, PROBLEM, types.float64[::1], SHOOTING, LANES, LANES)
+)
