@@ -42,6 +42,7 @@ INSIDE, NEAR_BORDER = 0.6, 1e-3  # share of the goal's tolerances that is aimed 
 TRIALS, LAST_TRIALS = 10, 20  # steps of a round, of a last one
 REPLAYS = 10  # last rounds, each with more clearance
 CONVERGED = 1e-4  # share of the time that a step must save
+ROUNDING = 1e-6  # of a time step by which a trajectory may exceed a multiple of it
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e8  # of the steps
 TRUST = 3.0  # damping of the states over that of the controls
 
@@ -113,6 +114,9 @@ class Polish:
         setting[st.SMOOTHNESS_COST] = cost_of_smoothness
         for _ in range(REPLAYS):
             damping = self._round(HARD, LAST_TRIALS, damping)
+            if self._problem.scalar[at.QUANTUM] > 0.0 and not self._has_fixed_durations:
+                self._fix_durations(float(self._problem.scalar[at.QUANTUM]))
+                damping = self._round(HARD, LAST_TRIALS, damping)
             failed = self._kernels.replay(self._n, self._problem, setting, self._work, self._lanes, self._braking)
             if failed == 0:
                 return self._result()
@@ -127,12 +131,18 @@ class Polish:
         setting[st.STIFFNESS] = stiffness
         least, most = self._weights.penalty
         setting[st.PENALTY] = min(max(stiffness, least), most)
-        merit = kernels.approximate(n, self._problem, self._signed, setting, work, stages)
+        arguments = n, self._problem, self._signed, setting, work, stages
+        kernels.evaluate(*arguments, backward, False)
+        merit, improved = math.inf, True
         for _ in range(trials):
+            if improved:
+                kernels.approximate(*arguments)
+                merit = kernels.evaluate(*arguments, backward, False)
             found = math.inf
             if kernels.solve(stages, n, damping, stiffness, backward):
-                found = kernels.evaluate(n, self._problem, self._signed, setting, work, stages, backward)
-            if not found < merit:
+                found = kernels.evaluate(*arguments, backward, True)
+            improved = found < merit
+            if not improved:
                 damping *= 10.0
                 if damping > MOST_DAMPING:
                     break
@@ -141,17 +151,30 @@ class Polish:
             damping = max(0.2 * damping, LEAST_DAMPING)
             if merit - found < CONVERGED * setting[st.EVEN] * n:
                 break
-            merit = kernels.approximate(n, self._problem, self._signed, setting, work, stages)
         return min(damping, 1e3)
 
+    @property
+    def _has_fixed_durations(self) -> bool:
+        return bool(self._setting[st.SHORTEST] >= self._setting[st.LONGEST])
+
+    def _fix_durations(self, quantum: float) -> None:
+        """Divide the trajectory into intervals that are multiples of a time step (s); from now on they stay that long.
+
+        The last ones are single steps, so that the total is at most one step longer than before.
+        """
+        guess = self._result()
+        steps = max(1, math.ceil(guess.time / quantum - ROUNDING))
+        each = max(1, min(round(self._setting[st.EVEN] / quantum), int(self._problem.option[at.STEPS])))
+        whole = np.full(steps // each, each)
+        durations = quantum * np.concatenate([whole, np.ones(steps % each)])
+        self._store(divided(guess, durations))
+        self._setting[[st.SHORTEST, st.LONGEST]] = quantum
+
     def _load(self, guess: Guess, goal: Goal, begin: float, urgency: float) -> None:
-        n, setting, shape = len(guess.durations), self._setting, self._vehicle.footprint
+        self._store(guess)
+        n, setting, shape = self._n, self._setting, self._vehicle.footprint
         self._weights = weights = MANOEUVRE if goal.has_heading else USUAL
-        self._n = n
-        self._reserve(n)
-        work, interval = self._work, guess.time / n
-        work.states[: n + 1], work.inputs[:n, :-1], work.inputs[:n, -1] = guess.states, guess.controls, guess.durations
-        work.margin[: n + 1] = 0.0
+        interval = guess.time / n
         length = shape.length / self._vehicle.top_speed
         setting[[st.URGENCY, st.SMOOTHNESS, st.SMOOTHNESS_COST]] = (
             urgency,
@@ -164,6 +187,14 @@ class Polish:
         setting[st.GOAL_DISTANCE] = min(inside * goal.radius, max(goal.radius - NEAR_BORDER, 0.5 * goal.radius))
         setting[[st.GOAL_HEADING, st.GOAL_SHARE]] = goal.heading, INSIDE
         setting[st.GOAL_TURN] = INSIDE * goal.tolerance if goal.has_heading else math.inf
+
+    def _store(self, guess: Guess) -> None:
+        """Make a trajectory the current one."""
+        n = self._n = len(guess.durations)
+        self._reserve(n)
+        work = self._work
+        work.states[: n + 1], work.inputs[:n, :-1], work.inputs[:n, -1] = guess.states, guess.controls, guess.durations
+        work.margin[: n + 1] = 0.0
 
     def _result(self) -> Guess:
         n, work = self._n, self._work
@@ -193,13 +224,18 @@ def interval_of(vehicle: Vehicle, time: float) -> float:
 
 def resampled(guess: Guess, interval: float) -> Guess:
     """The same trajectory in intervals of about `interval` s; states in between are interpolated."""
+    count = max(math.ceil(guess.time / interval), 2)
+    return divided(guess, np.full(count, guess.time / count))
+
+
+def divided(guess: Guess, durations: Floats) -> Guess:
+    """The same trajectory in intervals of `durations` (n,) s; beyond its end it stays in its last state."""
     ends = np.concatenate([[0.0], np.cumsum(guess.durations)])
-    count = max(math.ceil(ends[-1] / interval), 2)
-    times = np.linspace(0.0, ends[-1], count + 1)
+    times = np.concatenate([[0.0], np.cumsum(durations)])
     states = np.column_stack([np.interp(times, ends, column) for column in guess.states.T])
     middle = 0.5 * (times[:-1] + times[1:])
     index = np.clip(np.searchsorted(ends, middle, side="right") - 1, 0, len(guess.durations) - 1)
-    return Guess(states, guess.controls[index], np.diff(times))
+    return Guess(states, guess.controls[index], durations)
 
 
 def guess_along(path: PosePath, vehicle: Vehicle, start: Floats) -> Guess:

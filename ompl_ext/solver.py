@@ -55,8 +55,9 @@ PATIENCE = 0.1  # weight of the time for a first guess: at first it has to becom
 class _Polished:
     """Local optimisation of the query so far.
 
-    `searched` is the cost of the tree's plan that was optimised last, `cost` that of the best result, of which `controls`
-    and `durations` are the edges from the root until they are in the tree; `seconds` is how long the last one took.
+    `searched` is the cost of the tree's plan that was optimised last, `cost` that of the best result, of which
+    `controls` and `durations` are the edges from the root until they are in the tree; `seconds` is how long the last
+    one took.
     """
 
     attempts: int = 0
@@ -310,9 +311,12 @@ class DirtSolver(EdgeChecker):
 
     @property
     def _wants_polish(self) -> bool:
-        """Whether plans are improved by local optimisation: if durations are free, as the settings say."""
+        """Whether plans are improved by local optimisation; by default they are if the goal has a heading.
+
+        Where durations are multiples of a step, they are improved only if the settings say so.
+        """
         wanted = self.settings.polish
-        return self.settings.quantum == 0.0 and (self._has_heading if wanted is None else wanted)
+        return self._has_heading and self.settings.quantum == 0.0 if wanted is None else wanted
 
     def _reaches_polish(self, iterations: int | None) -> bool:
         """Whether a budget of iterations lasts until the next optimisation."""

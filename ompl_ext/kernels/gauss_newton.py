@@ -40,6 +40,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
 from ompl_ext.kernels.runge_kutta import runge_kutta_4
 from ompl_ext.kernels.specialise import module_of, vehicle_being_compiled, vehicle_cache_folder
 from ompl_ext.kernels.trajectory_types import (  # fmt: skip
+    BACKWARD,
     BEGIN,
     EVEN,
     EVENNESS,
@@ -49,15 +50,14 @@ from ompl_ext.kernels.trajectory_types import (  # fmt: skip
     GOAL_TURN,
     LONGEST,
     PENALTY,
+    SHOOTING,
     SHORTEST,
     SMOOTHNESS,
     SMOOTHNESS_COST,
+    STAGES,
     STIFFNESS,
     UNSAFE,
     URGENCY,
-    BACKWARD,
-    SHOOTING,
-    STAGES,
     Backward,
     Shooting,
     Stages,
@@ -357,7 +357,9 @@ def expand(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Sh
             stages.high[k, i] = problem.controls[i, 1] - inputs[k, i]
         stages.r[k, NU] = setting[URGENCY] + setting[EVENNESS] * (inputs[k, NU] - setting[EVEN])
         stages.r_diagonal[k, NU] = setting[EVENNESS]
-        stages.low[k, NU], stages.high[k, NU] = setting[SHORTEST] - inputs[k, NU], setting[LONGEST] - inputs[k, NU]
+        fixed = setting[SHORTEST] >= setting[LONGEST]
+        stages.low[k, NU] = 0.0 if fixed else setting[SHORTEST] - inputs[k, NU]
+        stages.high[k, NU] = 0.0 if fixed else setting[LONGEST] - inputs[k, NU]
 
 
 @inlined
@@ -407,30 +409,35 @@ def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: La
     return failed + (0 if lanes.at_goal[0] == 1 else 1)
 
 
-def _approximate(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> float:
-    """Merit of the current trajectory, and the linear-quadratic problem around it."""
+def _approximate(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> None:
+    """Weights, and the linear-quadratic problem around the current trajectory, whose prediction is in `after`."""
     weigh(n, problem, setting, work, stages)
-    cost = merit(n, problem, signed, setting, work, stages, work.states, work.inputs)
     expand(n, problem, signed, setting, work, stages)
-    return cost
 
 
 def _evaluate(
-    n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages, backward: Backward
+    n: int,
+    problem: Problem,
+    signed: Matrix32,
+    setting: Floats,
+    work: Shooting,
+    stages: Stages,
+    backward: Backward,
+    stepping: bool,
 ) -> float:
-    """Merit of the trajectory after a step, `tried`."""
+    """Merit of the current trajectory, or after a step, which becomes `tried`; `after` receives its prediction."""
     for k in range(n + 1):
         for i in range(NX):
-            work.tried_states[k, i] = work.states[k, i] + backward.dx[k, i]
+            work.tried_states[k, i] = work.states[k, i] + (backward.dx[k, i] if stepping else 0.0)
     for k in range(n):
         for i in range(M):
-            work.tried_inputs[k, i] = work.inputs[k, i] + backward.du[k, i]
+            work.tried_inputs[k, i] = work.inputs[k, i] + (backward.du[k, i] if stepping else 0.0)
     return merit(n, problem, signed, setting, work, stages, work.tried_states, work.tried_inputs)
 
 
 _ARGUMENTS = types.int64, PROBLEM, types.float32[:, ::1], types.float64[::1], SHOOTING, STAGES
-approximate = compiled(_approximate, folder=FOLDER, signature=types.float64(*_ARGUMENTS))
-evaluate = compiled(_evaluate, folder=FOLDER, signature=types.float64(*_ARGUMENTS, BACKWARD))
+approximate = compiled(_approximate, folder=FOLDER, signature=types.void(*_ARGUMENTS))
+evaluate = compiled(_evaluate, folder=FOLDER, signature=types.float64(*_ARGUMENTS, BACKWARD, types.boolean))
 replay = compiled(
     _replay, folder=FOLDER, signature=types.int64(types.int64, PROBLEM, types.float64[::1], SHOOTING, LANES, LANES)
 )

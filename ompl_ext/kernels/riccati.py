@@ -4,8 +4,8 @@ Minimises the sum over the stages of 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du + 1
 1/2 weight (jump + du - du of the stage before)^2 for each control but the last, the duration, with
 dx+ = A dx + B du + c + w and low <= du <= high.  The controls of the stage before are part of the state, so that the
 costs of their changes are exact.  The virtual controls w let a trajectory deviate from the model; a rising stiffness
-leads to one that obeys it (Mao et al., Successive convexification of non-convex optimal control problems, 2016).  Bounds
-are treated as in box-DDP (Tassa et al., Control-limited differential dynamic programming, 2014).
+leads to one that obeys it (Mao et al., Successive convexification of non-convex optimal control problems, 2016).
+Bounds are treated as in box-DDP (Tassa et al., Control-limited differential dynamic programming, 2014).
 
 `specialise` executes this module once per vehicle, so that all sizes are constants: that is four times faster.
 """
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from numba import types
 
-from ompl_ext.arrays import Matrix
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.cholesky import factorise, solve_factorised
 from ompl_ext.kernels.specialise import vehicle_being_compiled, vehicle_cache_folder
@@ -55,8 +54,8 @@ def _soften(work: Backward, stage: int, stiffness: float) -> bool:
 
 
 @inlined
-def _expand(stages: Stages, work: Backward, stage: int, damping: float) -> None:
-    """Quadratic model in the controls of a stage; `slope` becomes v + V c."""
+def _multiply(stages: Stages, work: Backward, stage: int) -> None:
+    """Products of the value with A and B; `slope` becomes v + V c."""
     a, b, c, value, slope = stages.a[stage], stages.b[stage], stages.c[stage], work.value, work.slope
     for i in range(NS):
         for k in range(NX):
@@ -71,6 +70,12 @@ def _expand(stages: Stages, work: Backward, stage: int, damping: float) -> None:
             for k in range(NX):
                 total += value[i, k] * b[k, j]
             work.vb[i, j] = total
+
+
+@inlined
+def _expand(stages: Stages, work: Backward, stage: int, damping: float) -> None:
+    """Quadratic model in the controls of a stage."""
+    b, slope = stages.b[stage], work.slope
     for i in range(M):
         total = stages.r[stage, i]
         for k in range(NX):
@@ -81,17 +86,21 @@ def _expand(stages: Stages, work: Backward, stage: int, damping: float) -> None:
             for k in range(NX):
                 total += b[k, i] * work.vb[k, j]
             work.quu[i, j] = total
-        for j in range(NX):
+        for j in range(NS):
             total = 0.0
-            for k in range(NX):
-                total += b[k, i] * work.va[k, j]
+            if j < NX:
+                for k in range(NX):
+                    total += b[k, i] * work.va[k, j]
             work.qux[i, j] = total
-        for j in range(NX, NS):
-            work.qux[i, j] = 0.0
         work.quu[i, i] += stages.r_diagonal[stage, i] + damping * stages.scale[i]
+
+
+@inlined
+def _add_jumps(stages: Stages, work: Backward, stage: int) -> None:
+    """Add what the next stage and the changes of the controls contribute to the quadratic model in the controls."""
     for i in range(NU):
         weight = stages.jump_weight[stage, i]
-        work.qu[i] += slope[NX + i] + weight * stages.jump[stage, i]
+        work.qu[i] += work.slope[NX + i] + weight * stages.jump[stage, i]
         work.quu[i, i] += weight
         work.qux[i, NX + i] -= weight
         for j in range(M):
@@ -142,47 +151,55 @@ def _choose_controls(stages: Stages, work: Backward, stage: int) -> bool:
 
 
 @inlined
-def _update_costs(stages: Stages, work: Backward, stage: int, damping: float) -> None:
-    """Costs from a stage on: v = q + A'v + K'(Quu k + Qu) + Qux'k, V = Q + A'VA + K'(Quu K + Qux) + Qux'K."""
+def _update_slope(stages: Stages, work: Backward, stage: int) -> None:
+    """Linear part of the costs from a stage on: v = q + A'v + K'(Quu k + Qu) + Qux'k.
+
+    `right` receives Quu [k K] + [Qu Qux].
+    """
     a, gain, shift, right, slope = stages.a[stage], work.gain[stage], work.shift[stage], work.right, work.slope
     for i in range(M):
-        total = work.qu[i]
-        for k in range(M):
-            total += work.quu[i, k] * shift[k]
-        right[i, 0] = total
+        right[i, 0] = work.qu[i]
         for j in range(NS):
-            total = work.qux[i, j]
-            for k in range(M):
-                total += work.quu[i, k] * gain[k, j]
-            right[i, 1 + j] = total
+            right[i, 1 + j] = work.qux[i, j]
+        for k in range(M):
+            right[i, 0] += work.quu[i, k] * shift[k]
+            for j in range(NS):
+                right[i, 1 + j] += work.quu[i, k] * gain[k, j]
     for i in range(NS):
-        if i < NX:
-            total = stages.q[stage, i]
-            for k in range(NX):
-                total += a[k, i] * slope[k]
-        else:
-            total = -stages.jump_weight[stage, i - NX] * stages.jump[stage, i - NX]
+        total = 0.0
+        for k in range(NX):
+            total += a[k, i] * slope[k] if i < NX else 0.0
         for k in range(M):
             total += work.qux[k, i] * shift[k] + gain[k, i] * right[k, 0]
         work.copy[0, i] = total
+    for i in range(NX):
+        slope[i] = work.copy[0, i] + stages.q[stage, i]
+    for i in range(NU):
+        slope[NX + i] = work.copy[0, NX + i] - stages.jump_weight[stage, i] * stages.jump[stage, i]
+
+
+@inlined
+def _update_value(stages: Stages, work: Backward, stage: int, damping: float) -> None:
+    """Quadratic part of the costs from a stage on: V = Q + A'VA + K'(Quu K + Qux) + Qux'K, of which `right` has one."""
+    a, gain, right, value = stages.a[stage], work.gain[stage], work.right, work.value
     for i in range(NS):
-        slope[i] = work.copy[0, i]
         for j in range(i + 1):
             total = 0.0
-            if i < NX:
-                total = stages.q_matrix[stage, i, j]
-                for k in range(NX):
-                    total += a[k, i] * work.va[k, j]
             for k in range(M):
                 total += work.qux[k, i] * gain[k, j] + gain[k, i] * right[k, 1 + j]
-            work.value[i, j] = total
+            value[i, j] = total
+    for i in range(NX):
+        for j in range(i + 1):
+            total = stages.q_matrix[stage, i, j]
+            for k in range(NX):
+                total += a[k, i] * work.va[k, j]
+            value[i, j] += total
+        value[i, i] += stages.scale[M] * damping
     for i in range(NU):
-        work.value[NX + i, NX + i] += stages.jump_weight[stage, i]
+        value[NX + i, NX + i] += stages.jump_weight[stage, i]
     for i in range(NS):
-        if i < NX:
-            work.value[i, i] += stages.scale[M] * damping
         for j in range(i):
-            work.value[j, i] = work.value[i, j]
+            value[j, i] = value[i, j]
 
 
 @inlined
@@ -227,10 +244,13 @@ def _solve(stages: Stages, n: int, damping: float, stiffness: float, work: Backw
     for stage in range(n - 1, -1, -1):
         if not _soften(work, stage, stiffness):
             return False
+        _multiply(stages, work, stage)
         _expand(stages, work, stage, damping)
+        _add_jumps(stages, work, stage)
         if not _choose_controls(stages, work, stage):
             return False
-        _update_costs(stages, work, stage, damping)
+        _update_slope(stages, work, stage)
+        _update_value(stages, work, stage, damping)
     _roll_out(stages, n, work)
     return True
 

@@ -104,7 +104,7 @@ def step_kernels(vehicle: Vehicle) -> StepKernels:
 class PolishKernels:
     """Compiled parts of the local optimisation for one vehicle, see `gauss_newton` and `riccati`."""
 
-    approximate: Callable[..., float]
+    approximate: Callable[..., None]
     evaluate: Callable[..., float]
     replay: Callable[..., int]
     solve: Callable[..., bool]

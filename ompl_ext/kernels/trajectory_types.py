@@ -67,7 +67,7 @@ class Shooting(NamedTuple):
 # Indices of the setting of an optimisation
 STIFFNESS, PENALTY = 0, 1  # of the model (1/SI^2, s) and of what is violated (1/m^2, s)
 URGENCY, SMOOTHNESS, SMOOTHNESS_COST, EVENNESS = 2, 3, 4, 5  # weights of time, of changes of controls and of durations
-EVEN, SHORTEST, LONGEST = 6, 7, 8  # mean, shortest and longest duration of an interval (s)
+EVEN, SHORTEST, LONGEST = 6, 7, 8  # mean, shortest and longest duration of an interval (s); fixed if equal
 GOAL_DISTANCE, GOAL_HEADING, GOAL_TURN, GOAL_SHARE = 9, 10, 11, 12  # region that is aimed for (m, rad)
 BEGIN = 13  # time of the first state since the begin of the query (s)
 SETTINGS = 14
