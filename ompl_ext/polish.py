@@ -112,11 +112,12 @@ class Polish:
             damping = self._round(stiffness, TRIALS, damping)
             stiffness *= self._weights.hardening
         setting[st.SMOOTHNESS_COST] = cost_of_smoothness
-        for _ in range(REPLAYS):
+        quantum, longer = float(self._problem.scalar[at.QUANTUM]), 0
+        for replay in range(REPLAYS):
             damping = self._round(HARD, LAST_TRIALS, damping)
-            if self._problem.scalar[at.QUANTUM] > 0.0 and not self._has_fixed_durations:
-                self._fix_durations(float(self._problem.scalar[at.QUANTUM]))
-                damping = self._round(HARD, LAST_TRIALS, damping)
+            if quantum > 0.0 and (replay == 0 or (replay > 1 and self._lanes.at_goal[0] == 0)):
+                self._fix_durations(quantum, longer)
+                damping, longer = self._round(HARD, LAST_TRIALS, damping), 1
             failed = self._kernels.replay(self._n, self._problem, setting, self._work, self._lanes, self._braking)
             if failed == 0:
                 return self._result()
@@ -153,21 +154,19 @@ class Polish:
                 break
         return min(damping, 1e3)
 
-    @property
-    def _has_fixed_durations(self) -> bool:
-        return bool(self._setting[st.SHORTEST] >= self._setting[st.LONGEST])
-
-    def _fix_durations(self, quantum: float) -> None:
+    def _fix_durations(self, quantum: float, longer: int) -> None:
         """Divide the trajectory into intervals that are multiples of a time step (s); from now on they stay that long.
 
-        The last ones are single steps, so that the total is at most one step longer than before.
+        The last ones are single steps, so that the total is at most one step longer than before, and `longer` steps.
         """
-        guess = self._result()
-        steps = max(1, math.ceil(guess.time / quantum - ROUNDING))
+        guess, margin = self._result(), self._work.margin[: self._n + 1].copy()
+        steps = max(1, math.ceil(guess.time / quantum - ROUNDING)) + longer
         each = max(1, min(round(self._setting[st.EVEN] / quantum), int(self._problem.option[at.STEPS])))
         whole = np.full(steps // each, each)
-        durations = quantum * np.concatenate([whole, np.ones(steps % each)])
-        self._store(divided(guess, durations))
+        self._store(divided(guess, quantum * np.concatenate([whole, np.ones(steps % each)])))
+        self._work.margin[: self._n + 1] = np.interp(
+            np.linspace(0, 1, self._n + 1), np.linspace(0, 1, len(margin)), margin
+        )
         self._setting[[st.SHORTEST, st.LONGEST]] = quantum
 
     def _load(self, guess: Guess, goal: Goal, begin: float, urgency: float) -> None:
