@@ -21,6 +21,7 @@ TOPICS = (
     "scaling",
     "maps",
     "goals",
+    "polish",
     "callbacks",
     "startup",
     "safety",

@@ -11,6 +11,7 @@ from ompl import control as oc
 
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.kernels.tree_memory import CAPACITY
 from ompl_ext.parameters import ParamSet
 from ompl_ext.plan import TreeView
@@ -40,6 +41,7 @@ class CompiledSearch:
             blossom=int(params["blossom"]) or BLOSSOM,
             child_extension=bool(params["child_extension"]),
             pruning=bool(params["pruning"]),
+            polish=bool(params["polish"]) or None,
             goal_bias=float(params["goal_bias"]),
             beyond=float(params["control_bound_bias"]),
             resolution=float(params["resolution"]),
@@ -50,6 +52,8 @@ class CompiledSearch:
         max_nodes = int(params["max_nodes"])
         capacity = min(CAPACITY, max_nodes)
         threads = int(params["threads"])
+        if settings.polish:
+            polish_kernels(checker.vehicle)  # compiled here, before any planning time is measured
         self.dirt = DirtSolver(
             checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity, max_nodes, threads
         )

@@ -116,6 +116,7 @@ DIRT_PARAMETERS = (
         "share of sampled controls moved onto a bound, per bound",
     ),
     Parameter("max_nodes", MAX_NODES, 100, 100_000_000, "100000:100000:10000000", "nodes that memory may grow to"),
+    Parameter("polish", False, 0, 1, "0,1", "improve the best plan by local optimisation (compiled only)"),
     Parameter("pruning", False, 0, 1, "0,1", "remove nodes that cannot lead to a better plan"),
     Parameter("resolution", 0.01, 0, 10, "0.:.005:.1", "radius (m) below which a dominated region is closed"),
     Parameter("seed", 1, 0, 2**53, "1:1:100", "seed of the planner's generator; clear() selects the next one"),

@@ -1,9 +1,15 @@
 """Local optimisation of a plan: controls and durations of short intervals, by Gauss-Newton with multiple shooting.
 
 States, controls and durations are improved together, so that the first guess need not obey the model (Giftthaler et
-al., A family of iterative Gauss-Newton shooting methods for nonlinear optimal control, 2018).  The time is minimised;
-clearance, limits of the state and the goal region are penalised where they are violated; controls and durations have
-bounds.  What comes out is a guess as well: the tree adds it like edges of an earlier plan, with all of its checks.
+al., A family of iterative Gauss-Newton shooting methods for nonlinear optimal control, 2018).  The time and the changes
+of the controls are minimised; clearance, limits of the state and the goal region are penalised where they are violated;
+controls and durations have bounds.  The model is soft at first, and becomes harder from round to round.
+
+Then the edges are followed with the tree's own propagation and checks.  Where they lack clearance, because the checks
+allow for the motion between samples and for the cells of the field, more is asked for, and the last round is repeated.
+What passes is added to the tree like the edges of an earlier plan, with all of its checks once more.
+
+The kernels are in `kernels/gauss_newton.py` and `kernels/riccati.py`; here are the rounds and their steps.
 """
 
 from __future__ import annotations
@@ -14,31 +20,45 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Cube, Floats, Ints, Matrix
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels import trajectory_types as st
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.kernels.penetration import fill_penetration
 from ompl_ext.kernels.posetogo import PosePath
-from ompl_ext.kernels.riccati import Stages, compile_solver, memory, solve
-from ompl_ext.kernels.specialise import step_kernels
+from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
-from ompl_ext.query import Goal, Safety, Settings, pose_cost_to_go_of, settings_for
+from ompl_ext.query import Goal, Settings, make_lanes, pose_cost_to_go_of, settings_for
 from ompl_ext.vehicle import Vehicle
 
-SHORTEST, LONGEST, INTERVAL = 0.02, 0.2, 0.1  # of an interval, and of those of a first guess (s)
+INTERVAL, STRIDE = 0.1, 0.35  # longest interval of a guess (s), and motion in it at the top speed (footprint's lengths)
+MOST_INTERVALS = 300  # of a guess; longer plans have longer ones
+RANGE = (0.2, 2.0)  # shortest and longest interval after an improvement, as multiples of those of the guess
 CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
-SUBSTEPS = 4  # of the integration of an interval
-CHANGE = 1e-5  # of numerical derivatives
-PENALTY, LAST_PENALTY = 1e4, 3e5  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
-SOFT, HARD, HARDENING = 30.0, 1e7, 6.0  # first and last stiffness of the model, and the factor between rounds
-SMOOTHNESS = 2e-3  # s for a control that differs by its range from those before and after it
-EVENNESS = 1.0  # 1/s for a duration that differs from those before and after it
-WITHIN_LIMITS = 1e-3  # share of a component's range, at most of 1, by which it is to stay within its limits
-INSIDE = 0.6  # share of the goal's tolerances that is aimed for
-CONVERGED = 1e-3  # share of the time that an iteration must save
-MAX_ITERATIONS, LAST_ITERATIONS = 8, 30  # of a round, of the last one
+HARD = 1e6  # last stiffness of the model
+SMOOTHNESS_COST = (0.004, 0.0005)  # share of the time that they count for at most, in the last rounds; in turn
+INSIDE, NEAR_BORDER = 0.6, 1e-3  # share of the goal's tolerances that is aimed for; least distance from its border (m)
+TRIALS, LAST_TRIALS = 10, 20  # steps of a round, of a last one
+REPLAYS = 10  # last rounds, each with more clearance
+CONVERGED = 1e-4  # share of the time that a step must save
+ROUNDING = 1e-6  # of a time step by which a trajectory may exceed a multiple of it
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e8  # of the steps
 TRUST = 3.0  # damping of the states over that of the controls
+
+
+class Weights(NamedTuple):
+    """Weights of an optimisation, see `ompl_ext.kernels.gauss_newton`."""
+
+    soft: float  # first stiffness of the model
+    hardening: float  # factor of the stiffness from round to round
+    penalty: tuple[float, float]  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
+    smoothness: float  # of changes of controls: times the square of the time for a footprint's length, per interval
+    evenness: float  # of the deviations of the durations from their mean, per interval
+
+
+USUAL = Weights(10.0, 30.0, (100.0, 3e3), 0.7, 10.0)
+MANOEUVRE = Weights(30.0, 6.0, (1e4, 1e5), 0.02, 0.1)  # with a heading: many changes of controls in little space
 
 
 @dataclass(frozen=True)
@@ -55,243 +75,166 @@ class Guess:
         return float(self.durations.sum())
 
 
-class Near(NamedTuple):
-    """Discs that lack clearance (k,): state, number, lack (m), and slope of the field there along x and y."""
-
-    state: Ints
-    disc: Ints
-    lack: Floats
-    slope_x: Floats
-    slope_y: Floats
-
-
 class Polish:
     """Local optimisation for a problem of the planner; it keeps its memory between trajectories."""
 
-    def __init__(self, vehicle: Vehicle, problem: Problem, goal: Goal, safety: Safety) -> None:
-        self._vehicle, self._problem, self.goal, self.safety = vehicle, problem, goal, safety
-        self._kernels, self._signed = step_kernels(vehicle), np.empty_like(problem.field)
+    def __init__(self, vehicle: Vehicle, problem: Problem) -> None:
+        self._vehicle, self._problem, self._kernels = vehicle, problem, polish_kernels(vehicle)
+        self._signed = np.empty_like(problem.field)
         fill_penetration(problem.field, 1.0 / problem.scalar[at.GRID_INVERSE], self._signed)
-        compile_solver()
-        self._pose = [vehicle.index(name) for name in ("x", "y", "theta")]
-        self._bounds = np.vstack([vehicle.control_bounds, (SHORTEST, LONGEST)])
-        self._block = np.zeros(self._kernels.block)
-        limits = problem.limits
-        self.iterations, self.urgency = 0, 1.0
-        self._limited = np.flatnonzero(np.isfinite(limits).any(axis=1))
+        nx, nu = len(vehicle.state), len(vehicle.controls)
+        sizes = nx, nu, len(vehicle.inputs) or nu
+        self._lanes = make_lanes(*sizes, int(problem.option[at.STEPS]))
+        self._braking = make_lanes(*sizes, int(problem.option[at.BRAKE_STEPS]))
+        self._setting, self._n, self._capacity = np.zeros(st.SETTINGS), 0, 0
+        self._weights = USUAL
 
-    def improve(self, guess: Guess, margin: float, stiffness: float = SOFT) -> Guess:
-        """Trajectory that obeys the model and takes less time, as far as was found; its poses aim for `margin` m.
+    def improve(
+        self,
+        guess: Guess,
+        goal: Goal,
+        begin: float = 0.0,
+        urgency: float = 1.0,
+        cost_of_smoothness: float = SMOOTHNESS_COST[0],
+    ) -> Guess | None:
+        """Trajectory that obeys the model, passes all checks and takes less time, as far as one was found.
 
-        The model is at first as soft as `stiffness`, so that a guess far from it can become one that obeys it.
+        Args:
+            guess: trajectory to begin with, which need not obey the model.
+            goal: region to end in.
+            begin: time of its first state since the begin of the query (s).
+            urgency: weight of the time; a small one for a guess that has to become feasible first.
+            cost_of_smoothness: share of the time that the changes of the controls count for at most.
         """
-        current, damping = guess, 1e-3
-        while True:
-            current, damping = self._round(current, margin, stiffness, damping)
-            if stiffness >= HARD:
-                return current
-            stiffness *= HARDENING
-
-    def _round(self, current: Guess, margin: float, stiffness: float, damping: float) -> tuple[Guess, float]:
-        """Iterations at one stiffness of the model; also the damping that was found good."""
-        n, nx, m = len(current.durations), len(self._vehicle.state), len(self._bounds)
-        work = memory(n, nx, m)
-        near = self._clearance(current, margin)
-        merit, self.terms = self._merit(current, near, stiffness)
-        stages = self._stages(current, near, _penalty(stiffness))
-        for _ in range(MAX_ITERATIONS if stiffness < HARD else LAST_ITERATIONS):
-            self.iterations += 1
-            damped = stages._replace(q_matrix=stages.q_matrix + TRUST * damping * np.eye(nx))
-            if not solve(damped, damping, stiffness, work):
-                damping *= 10.0
-                continue
-            inputs = np.clip(np.column_stack([current.controls, current.durations]) + work.du, *self._bounds.T)
-            tried = Guess(current.states + work.dx, inputs[:, :-1], inputs[:, -1])
-            near = self._clearance(tried, margin)
-            found, terms = self._merit(tried, near, stiffness)
-            if found >= merit:
-                damping *= 10.0
-                continue
-            saved, merit, self.terms, current = merit - found, found, terms, tried
-            damping = max(0.2 * damping, 1e-6)
-            if saved < CONVERGED * merit:
+        self._load(guess, goal, begin, urgency)
+        damping, setting, stiffness = DAMPING, self._setting, self._weights.soft
+        while stiffness < HARD:
+            damping = self._round(stiffness, TRIALS, damping)
+            stiffness *= self._weights.hardening
+        setting[st.SMOOTHNESS_COST] = cost_of_smoothness
+        quantum, longer = float(self._problem.scalar[at.QUANTUM]), 0
+        for replay in range(REPLAYS):
+            damping = self._round(HARD, LAST_TRIALS, damping)
+            if quantum > 0.0 and (replay == 0 or (replay > 1 and self._lanes.at_goal[0] == 0)):
+                self._fix_durations(quantum, longer)
+                damping, longer = self._round(HARD, LAST_TRIALS, damping), 1
+            failed = self._kernels.replay(self._n, self._problem, setting, self._work, self._lanes, self._braking)
+            if failed == 0:
+                return self._result()
+            if failed >= st.UNSAFE:
                 break
-            stages = self._stages(current, near, _penalty(stiffness))
-        return current, min(damping, 1e3)
+        return None
 
-    def _step(self, guess: Guess, derivatives: bool) -> tuple[Matrix, Cube, Cube]:
-        """States (n, nx) after each interval, and their derivatives by the state and by control and duration."""
-        n, nx, nu = len(guess.durations), len(self._vehicle.state), len(self._vehicle.controls)
-        parameters = self._problem.parameters
-        count = nx + nu + len(parameters) + 1 if derivatives else 0
-        states, controls = np.ascontiguousarray(guess.states[:-1]), np.ascontiguousarray(guess.controls)
-        step, change = np.ascontiguousarray(guess.durations / SUBSTEPS), np.full(count, CHANGE)
-        by_state, by_input = np.tile(np.eye(nx), (n, 1, 1)), np.zeros((n, nx, nu + 1))
-        for _ in range(SUBSTEPS):
-            after, jacobian = np.empty((n, nx)), np.zeros((n, nx, count))
-            self._kernels.linearise(states, controls, parameters, step, change, self._block, after, jacobian)
-            if derivatives:
-                a, b = jacobian[:, :, :nx], jacobian[:, :, [*range(nx, nx + nu), count - 1]]
-                b[:, :, -1] /= SUBSTEPS
-                by_state, by_input = a @ by_state, a @ by_input + b
-            states = after
-        return states, by_state, by_input
+    def _round(self, stiffness: float, trials: int, damping: float) -> float:
+        """Steps at one stiffness of the model, with Levenberg's damping; returns the damping that was found good."""
+        kernels, setting, n = self._kernels, self._setting, self._n
+        work, stages, backward = self._work, self._stages, self._backward
+        setting[st.STIFFNESS] = stiffness
+        least, most = self._weights.penalty
+        setting[st.PENALTY] = min(max(stiffness, least), most)
+        arguments = n, self._problem, self._signed, setting, work, stages
+        kernels.evaluate(*arguments, backward, False)
+        merit, improved = math.inf, True
+        for _ in range(trials):
+            if improved:
+                kernels.approximate(*arguments)
+                merit = kernels.evaluate(*arguments, backward, False)
+            found = math.inf
+            if kernels.solve(stages, n, damping, stiffness, backward):
+                found = kernels.evaluate(*arguments, backward, True)
+            improved = found < merit
+            if not improved:
+                damping *= 10.0
+                if damping > MOST_DAMPING:
+                    break
+                continue
+            work.states[: n + 1], work.inputs[:n] = work.tried_states[: n + 1], work.tried_inputs[:n]
+            damping = max(0.2 * damping, LEAST_DAMPING)
+            if merit - found < CONVERGED * setting[st.EVEN] * n:
+                break
+        return min(damping, 1e3)
 
-    def _merit(self, guess: Guess, near: Near, stiffness: float) -> tuple[float, tuple[float, ...]]:
-        after, _, _ = self._step(guess, False)
-        defect = float(((after - guess.states[1:]) ** 2).sum())
-        penalty = float((near.lack**2).sum()) + float((self._beyond_limits(guess.states)[0] ** 2).sum())
-        miss = float((self._miss(guess.states[-1])[0] ** 2).sum())
-        rough = self._roughness(guess)
-        cost = (
-            self.urgency * guess.time + 0.5 * _penalty(stiffness) * (penalty + miss) + 0.5 * stiffness * defect + rough
+    def _fix_durations(self, quantum: float, longer: int) -> None:
+        """Divide the trajectory into intervals that are multiples of a time step (s); from now on they stay that long.
+
+        The last ones are single steps, so that the total is at most one step longer than before, and `longer` steps.
+        """
+        guess, margin = self._result(), self._work.margin[: self._n + 1].copy()
+        steps = max(1, math.ceil(guess.time / quantum - ROUNDING)) + longer
+        each = max(1, min(round(self._setting[st.EVEN] / quantum), int(self._problem.option[at.STEPS])))
+        whole = np.full(steps // each, each)
+        self._store(divided(guess, quantum * np.concatenate([whole, np.ones(steps % each)])))
+        self._work.margin[: self._n + 1] = np.interp(
+            np.linspace(0, 1, self._n + 1), np.linspace(0, 1, len(margin)), margin
         )
-        return cost, (guess.time, defect, penalty, miss, rough)
+        self._setting[[st.SHORTEST, st.LONGEST]] = quantum
 
-    def _roughness(self, guess: Guess) -> float:
-        span = self._bounds[:-1, 1] - self._bounds[:-1, 0]
-        jumps = np.diff(guess.controls / span, axis=0)
-        return float(0.5 * SMOOTHNESS * (jumps**2).sum() + 0.5 * EVENNESS * (np.diff(guess.durations) ** 2).sum())
-
-    def _stages(self, guess: Guess, near: Near, stiffness: float) -> Stages:
-        """Quadratic problem around a trajectory; `stiffness` is that of the penalties."""
-        n, nx, m = len(guess.durations), len(self._vehicle.state), len(self._bounds)
-        after, by_state, by_input = self._step(guess, True)
-        nu = m - 1
-        q_matrix, q = np.zeros((n + 1, nx, nx)), np.zeros((n + 1, nx))
-        self._add_clearance(near, guess, stiffness, q_matrix, q)
-        excess, sign = self._beyond_limits(guess.states)
-        for column, k in enumerate(self._limited):
-            q[:, k] += stiffness * excess[:, column] * sign[:, column]
-            q_matrix[:, k, k] += stiffness * (excess[:, column] > 0.0)
-        residual, gradient = self._miss(guess.states[-1])
-        q[-1] += stiffness * residual @ gradient
-        q_matrix[-1] += stiffness * gradient.T @ gradient
-        inputs = np.column_stack([guess.controls, guess.durations])
-        span = np.append(self._bounds[:-1, 1] - self._bounds[:-1, 0], 1.0)
-        weight = np.append(np.full(nu, SMOOTHNESS), EVENNESS) / span**2
-        jumps = np.diff(inputs, axis=0)
-        r = np.zeros((n, m))
-        r[:-1] -= weight * jumps
-        r[1:] += weight * jumps
-        r[:, -1] += self.urgency
-        r_matrix = np.zeros((n, m, m))
-        r_matrix[:, range(m), range(m)] = 2.0 * weight
-        return Stages(
-            np.ascontiguousarray(by_state), np.ascontiguousarray(by_input), after - guess.states[1:], q_matrix, q,
-            r_matrix, r, self._bounds[:, 0] - inputs, self._bounds[:, 1] - inputs,
-        )  # fmt: skip
-
-    def _beyond_limits(self, states: Matrix) -> tuple[Matrix, Matrix]:
-        """How far states are beyond the limits of the limited components, and on which side."""
-        low, high = self._problem.limits[self._limited].T
-        slack = WITHIN_LIMITS * np.minimum(high - low, 1.0)
-        values = states[:, self._limited]
-        below, above = np.maximum(low + slack - values, 0.0), np.maximum(values - high + slack, 0.0)
-        return below + above, np.where(above > 0.0, 1.0, -1.0)
-
-    def _miss(self, state: Floats) -> tuple[Floats, Matrix]:
-        """Residuals (k,) of a state outside the middle of the goal region, and their gradient (k, nx)."""
-        goal, (x, y, theta), nx = self.goal, self._pose, len(state)
-        away = np.array([state[x] - goal.center[0], state[y] - goal.center[1]])
-        distance = float(np.hypot(*away))
-        residuals, rows = [], []
-        if distance > INSIDE * goal.radius:
-            row = np.zeros(nx)
-            row[[x, y]] = away / distance
-            residuals.append(distance - INSIDE * goal.radius)
-            rows.append(row)
-        if theta >= 0 and goal.has_heading:
-            off = math.remainder(state[theta] - goal.heading, math.tau)
-            if abs(off) > INSIDE * goal.tolerance:
-                row = np.zeros(nx)
-                row[theta] = math.copysign(1.0, off)
-                residuals.append(abs(off) - INSIDE * goal.tolerance)
-                rows.append(row)
-        for name, (low, high) in goal.limits.items():
-            k = self._vehicle.index(name)
-            middle, half = 0.5 * (low + high), 0.5 * INSIDE * (high - low)
-            off = state[k] - middle
-            if abs(off) > half:
-                row = np.zeros(nx)
-                row[k] = math.copysign(1.0, off)
-                residuals.append(abs(off) - half)
-                rows.append(row)
-        return np.array(residuals), np.array(rows).reshape(len(rows), nx)
-
-    def _clearance(self, guess: Guess, margin: float) -> Near:
-        """Discs of the footprint that lack clearance, of the states that are not far from all obstacles."""
-        scalar, field, states = self._problem.scalar, self._signed, guess.states
-        x, y, required = states[:, self._pose[0]], states[:, self._pose[1]], margin + self._delta(guess)
-        column = ((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]).astype(np.int64)
-        row = ((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]).astype(np.int64)
-        around = field[row.clip(0, field.shape[0] - 1), column.clip(0, field.shape[1] - 1)]
-        near = np.flatnonzero(around < scalar[at.REACH] + required)
-        c, s = self._direction(states[near])
-        ahead, aside, radius = self._problem.discs.T
-        u = (x[near, None] + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5
-        v = (y[near, None] + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5
-        u, v = np.clip(u, 0.0, field.shape[1] - 1.001), np.clip(v, 0.0, field.shape[0] - 1.001)
-        columns, rows = u.astype(np.int64), v.astype(np.int64)
-        u, v = u - columns, v - rows
-        first = rows * field.shape[1] + columns
-        flat, width = field.reshape(-1), field.shape[1]
-        f00, f01, f10, f11 = (flat[first + k] for k in (0, 1, width, width + 1))
-        value = (f00 * (1 - u) + f01 * u) * (1 - v) + (f10 * (1 - u) + f11 * u) * v
-        lack = np.maximum(required[near, None] + radius - value, 0.0)
-        pose, disc = np.nonzero(lack)
-        u, v = u[pose, disc], v[pose, disc]
-        f00, f01, f10, f11 = (corner[pose, disc] for corner in (f00, f01, f10, f11))
-        return Near(
-            near[pose],
-            disc,
-            lack[pose, disc],
-            ((f01 - f00) * (1 - v) + (f11 - f10) * v) * scalar[at.GRID_INVERSE],
-            ((f10 - f00) * (1 - u) + (f11 - f01) * u) * scalar[at.GRID_INVERSE],
+    def _load(self, guess: Guess, goal: Goal, begin: float, urgency: float) -> None:
+        self._store(guess)
+        n, setting, shape = self._n, self._setting, self._vehicle.footprint
+        self._weights = weights = MANOEUVRE if goal.has_heading else USUAL
+        interval = guess.time / n
+        length = shape.length / self._vehicle.top_speed
+        setting[[st.URGENCY, st.SMOOTHNESS, st.SMOOTHNESS_COST]] = (
+            urgency,
+            weights.smoothness * length**2 / interval,
+            math.inf,
         )
+        setting[[st.EVENNESS, st.BEGIN]] = weights.evenness / interval, begin
+        setting[[st.SHORTEST, st.LONGEST]] = RANGE[0] * interval, RANGE[1] * interval
+        inside = INSIDE if goal.has_heading or goal.limits else 1.0
+        setting[st.GOAL_DISTANCE] = min(inside * goal.radius, max(goal.radius - NEAR_BORDER, 0.5 * goal.radius))
+        setting[[st.GOAL_HEADING, st.GOAL_SHARE]] = goal.heading, INSIDE
+        setting[st.GOAL_TURN] = INSIDE * goal.tolerance if goal.has_heading else math.inf
 
-    def _direction(self, states: Matrix) -> tuple[Matrix, Matrix]:
-        theta = self._pose[2]
-        heading = states[:, theta, None] if theta >= 0 else np.zeros((len(states), 1))
-        return np.cos(heading), np.sin(heading)
+    def _store(self, guess: Guess) -> None:
+        """Make a trajectory the current one."""
+        n = self._n = len(guess.durations)
+        self._reserve(n)
+        work = self._work
+        work.states[: n + 1], work.inputs[:n, :-1], work.inputs[:n, -1] = guess.states, guess.controls, guess.durations
+        work.margin[: n + 1] = 0.0
 
-    def _delta(self, guess: Guess) -> Floats:
-        """Clearance (n + 1,) that the model gap requires within the first cycle, m."""
-        times = np.concatenate([[0.0], np.cumsum(guess.durations)])
-        speed = guess.states[:, self._vehicle.rest_indices[0]] if self._vehicle.rest else np.zeros(len(times))
-        inside = times <= self.safety.cycle + LONGEST
-        delta: Floats = np.where(inside, self.safety.clearance(speed, times), 0.0)
-        return delta
+    def _result(self) -> Guess:
+        n, work = self._n, self._work
+        return Guess(work.states[: n + 1].copy(), work.inputs[:n, :-1].copy(), work.inputs[:n, -1].copy())
 
-    def _add_clearance(self, near: Near, guess: Guess, stiffness: float, q_matrix: Cube, q: Matrix) -> None:
-        if len(near.state) == 0:
+    def _reserve(self, n: int) -> None:
+        """Memory for n intervals."""
+        if n <= self._capacity:
             return
-        c, s = (part[near.state, 0] for part in self._direction(guess.states))
-        ahead, aside, _ = self._problem.discs[near.disc].T
-        gradient = np.zeros((len(near.state), len(self._vehicle.state)))
-        gradient[:, self._pose[0]], gradient[:, self._pose[1]] = near.slope_x, near.slope_y
-        if self._pose[2] >= 0:
-            gradient[:, self._pose[2]] = -near.slope_x * (ahead * s + aside * c) + near.slope_y * (
-                ahead * c - aside * s
-            )
-        np.add.at(q, near.state, -stiffness * near.lack[:, None] * gradient)
-        np.add.at(q_matrix, near.state, stiffness * gradient[:, :, None] * gradient[:, None, :])
+        self._capacity = n
+        nx, m = len(self._vehicle.state), len(self._vehicle.controls) + 1
+        self._work, self._stages, self._backward = (
+            st.shooting(n, nx, m, self._kernels.block),
+            st.stages(n, nx, m),
+            st.backward(n, nx, m),
+        )
+        self._stages.scale[:] = np.append(
+            1.0 / np.append(np.ptp(self._vehicle.control_bounds, axis=1), 1.0) ** 2, TRUST
+        )
 
 
-def _penalty(stiffness: float) -> float:
-    """Stiffness of the penalties at a stiffness of the model."""
-    return min(max(stiffness, PENALTY), LAST_PENALTY)
+def interval_of(vehicle: Vehicle, time: float) -> float:
+    """Duration of the intervals in which a trajectory of `time` s is optimised (s)."""
+    stride = STRIDE * vehicle.footprint.length / vehicle.top_speed
+    return max(min(INTERVAL, stride), time / MOST_INTERVALS)
 
 
 def resampled(guess: Guess, interval: float) -> Guess:
     """The same trajectory in intervals of about `interval` s; states in between are interpolated."""
+    count = max(math.ceil(guess.time / interval), 2)
+    return divided(guess, np.full(count, guess.time / count))
+
+
+def divided(guess: Guess, durations: Floats) -> Guess:
+    """The same trajectory in intervals of `durations` (n,) s; beyond its end it stays in its last state."""
     ends = np.concatenate([[0.0], np.cumsum(guess.durations)])
-    count = max(math.ceil(ends[-1] / interval), 2)
-    times = np.linspace(0.0, ends[-1], count + 1)
+    times = np.concatenate([[0.0], np.cumsum(durations)])
     states = np.column_stack([np.interp(times, ends, column) for column in guess.states.T])
     middle = 0.5 * (times[:-1] + times[1:])
     index = np.clip(np.searchsorted(ends, middle, side="right") - 1, 0, len(guess.durations) - 1)
-    return Guess(states, guess.controls[index], np.diff(times))
+    return Guess(states, guess.controls[index], durations)
 
 
 def guess_along(path: PosePath, vehicle: Vehicle, start: Floats) -> Guess:
@@ -309,7 +252,8 @@ def guess_along(path: PosePath, vehicle: Vehicle, start: Floats) -> Guess:
     states[:, columns[2]] += math.tau * turns
     states[0] = start
     controls = motion.controls[seen].copy()
-    return resampled(Guess(states, controls, CAREFULLY * path.times), INTERVAL)
+    guess = Guess(states, controls, CAREFULLY * path.times)
+    return resampled(guess, interval_of(vehicle, guess.time))
 
 
 def guess_to_goal(
@@ -321,8 +265,8 @@ def guess_to_goal(
     return guess_along(path, vehicle, start) if path is not None and len(path.times) > 1 else None
 
 
-def guess_of(times: Floats, trajectory: Matrix, controls: Matrix, durations: Floats) -> Guess:
+def guess_of(vehicle: Vehicle, times: Floats, trajectory: Matrix, controls: Matrix, durations: Floats) -> Guess:
     """Guess of a plan: states `trajectory` (k, nx) at `times` (k,), and the edges' controls (n, nu) and durations."""
     ends = np.cumsum(durations)
     held = np.minimum(np.searchsorted(ends, 0.5 * (times[:-1] + times[1:])), len(ends) - 1)
-    return resampled(Guess(trajectory, controls[held], np.diff(times)), INTERVAL)
+    return resampled(Guess(trajectory, controls[held], np.diff(times)), interval_of(vehicle, float(ends[-1])))

@@ -26,7 +26,7 @@ from ompl_ext.kernels.tree_memory import (  # fmt: skip
 )
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
-from ompl_ext.polish import SOFT, Guess, Polish, guess_of, guess_to_goal
+from ompl_ext.polish import SMOOTHNESS_COST, Guess, Polish, guess_of, guess_to_goal
 from ompl_ext.query import (
     Goal,
     Safety,
@@ -44,19 +44,27 @@ LONGEST_ROUND = 1024  # iterations of each thread between two exchanges of the b
 ROUNDS_TO_PRUNING = 4
 THREAD_SEEDS = 2**32  # difference between the seeds of the trees of one query
 LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
-POLISH_EVERY = 512  # iterations
-POLISH_GAIN = 0.005  # s by which the best plan must be better than the last time
-CLEARANCES = (0.7, 1.5, 3.0)  # cells of the clearance field that optimised plans aim for, in turn
-REPEATED_STIFFNESS = 1e3  # of the model, for a plan that obeys it already
+POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation, and the factor from one to the next
+POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
+POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
+POLISH_SECONDS = 1e-4  # first estimate of the time that an optimisation takes, per interval (s)
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
 @dataclass(frozen=True)
 class _Polished:
-    """Plans that were optimised so far: how many, the cost of the best and the time that the last one took (s)."""
+    """Local optimisation of the query so far.
+
+    `searched` is the cost of the tree's plan that was optimised last, `cost` that of the best result, of which
+    `controls` and `durations` are the edges from the root until they are in the tree; `seconds` is how long the last
+    one took.
+    """
 
     attempts: int = 0
+    searched: float = math.inf
     cost: float = math.inf
+    controls: Matrix | None = None
+    durations: Floats | None = None
     seconds: float = 0.0
 
 
@@ -114,9 +122,9 @@ class DirtSolver(EdgeChecker):
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self._rounds = 0
         self._progress = Progress()
-        self._polish = self._make_polish()
+        self._polish: Polish | None = None  # made when it is needed: it may have to be compiled
         self._polished = _Polished()
-        self._polish_due = POLISH_EVERY  # iterations of each tree before the next attempt
+        self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
 
     @property
     def _tree(self) -> at.Tree:
@@ -152,7 +160,7 @@ class DirtSolver(EdgeChecker):
         for number, each in enumerate(self._trees):
             each.clear(generator(seed + number * THREAD_SEEDS))
         self._rounds = 0
-        self._progress, self._polished, self._polish_due = Progress(), _Polished(), POLISH_EVERY
+        self._progress, self._polished, self._polish_due = Progress(), _Polished(), self._first_polish()
 
     def add_root(self, state: Floats) -> float:
         """Add a start state; returns its spare clearance as `start` does.
@@ -219,6 +227,8 @@ class DirtSolver(EdgeChecker):
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
+        if self._wants_polish and self._polish is None and self._reaches_polish(iterations):
+            self._polish = Polish(self.vehicle, self._problem)
         if self._pool is not None:
             return self._grow_together(self._pool, iterations, seconds, stop)
         left = iterations if iterations is not None else 2**62
@@ -227,7 +237,7 @@ class DirtSolver(EdgeChecker):
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
             count = min(chunk, left, PRUNE_EVERY - int(self._tree.count[at.ITERATIONS]) % PRUNE_EVERY)
             if self._polish is not None:
-                count = min(count, self._polish_due - int(self._tree.count[at.ITERATIONS]))
+                count = min(count, max(self._polish_due - int(self._tree.count[at.ITERATIONS]), 1))
             if iterations is None:
                 self._trees[0].reserve(count * max(EXPLORATION_INSERTIONS, self.settings.insertions))
             elapsed_before, before = elapsed, int(self._tree.count[at.ITERATIONS])
@@ -244,6 +254,7 @@ class DirtSolver(EdgeChecker):
                     break  # the remaining nodes are needed, and there is no memory for better ones
             if self._progress.history:
                 chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
+        self._insert_polished()
         return self._progress
 
     def _grow_together(
@@ -288,6 +299,7 @@ class DirtSolver(EdgeChecker):
                 prune(each.tree)
             if not all(each.has_room(fixed=iterations is not None) for each in full):
                 break
+        self._insert_polished()
         return self._progress
 
     def _take_best(self) -> None:
@@ -297,64 +309,108 @@ class DirtSolver(EdgeChecker):
         for each in self._trees[1:]:
             each.tree.best[0] = min(self._tree.best[0], each.tree.best[0])
 
-    def _make_polish(self) -> Polish | None:
-        """Local optimisation, if the settings ask for it and durations are free."""
+    @property
+    def _wants_polish(self) -> bool:
+        """Whether plans are improved by local optimisation; by default they are if the goal has a heading.
+
+        Where durations are multiples of a step, they are improved only if the settings say so.
+        """
         wanted = self.settings.polish
-        if self.goal is None or self.settings.quantum > 0.0 or self.vehicle.index("theta") < 0:
-            return None
-        if wanted is None:
-            wanted = self.goal.has_heading
-        return Polish(self.vehicle, self._problem, self.goal, self.safety) if wanted else None
+        return self._has_heading and self.settings.quantum == 0.0 if wanted is None else wanted
+
+    def _reaches_polish(self, iterations: int | None) -> bool:
+        """Whether a budget of iterations lasts until the next optimisation."""
+        return iterations is None or self._progress.iterations + iterations >= self._polish_due * len(self._trees)
+
+    @property
+    def _has_heading(self) -> bool:
+        """Whether the goal has a heading, which the vehicle can have."""
+        return self.goal is not None and self.goal.has_heading and self.vehicle.index("theta") >= 0
+
+    def _first_polish(self) -> int:
+        return POLISH_EVERY if self._has_heading else POLISH_FIRST
 
     def _polishes_now(self, left: float | None) -> bool:
         """Whether to improve the plan: at fixed iterations, if it is another one than last time and time is left."""
         if self._polish is None or self._progress.iterations < self._polish_due * len(self._trees):
             return False
-        self._polish_due += POLISH_EVERY
-        if self._polished.attempts > 0 and self._tree.best[0] >= self._polished.cost - POLISH_GAIN:
+        self._polish_due = self._polish_due + POLISH_EVERY if self._has_heading else self._polish_due * POLISH_AGAIN
+        if self._polished.attempts > 0 and self._tree.best[0] >= self._polished.searched - POLISH_GAIN:
             return False
         return left is None or left > self._polished.seconds
 
     def _add_polished(self, offset: float) -> None:
-        """Improve the best plan, and at first one along the cost-to-go of poses, and add them to the tree.
+        """Improve the best plan and, if the goal has a heading, at first one along the cost-to-go of poses.
+
+        Without a heading the result is kept apart from the tree until the end of `grow`: the search goes on as without
+        it, and finds other ways round the obstacles, which may be better when they are optimised in their turn.
 
         `offset` is the time of the query at a reading of the clock minus that reading, s.
         """
         assert self.goal is not None
-        began = time.perf_counter()
-        if self._polished.attempts == 0:
+        began, attempts = time.perf_counter(), self._polished.attempts
+        if attempts == 0 and self._has_heading:
             guess = guess_to_goal(self.vehicle, self.workspace, self.goal, self.settings, self._tree.state[0].copy())
-            self._add_improved(guess, PATIENCE)
-            self._update_progress(offset + time.perf_counter())
+            if guess is not None:
+                self._improve(guess, [], PATIENCE)
+                self._insert_polished()
+                self._update_progress(offset + time.perf_counter())
+        searched = float(self._tree.best[0])
         if self._tree.count[at.BEST] >= 0:
-            self._add_improved(self._guess_of_plan(), 1.0)
-        cost = float(self._tree.best[0])
-        self._polished = _Polished(self._polished.attempts + 1, cost, time.perf_counter() - began)
+            self._improve_plan()
+            if self._has_heading:
+                self._insert_polished()
+                searched = float(self._tree.best[0])
+        seconds = time.perf_counter() - began
+        self._polished = replace(self._polished, attempts=attempts + 1, searched=searched, seconds=seconds)
         self._update_progress(offset + time.perf_counter())
 
-    def _guess_of_plan(self) -> Guess:
-        """Guess of the best plan."""
-        nu, path = len(self.vehicle.controls), path_to(self._tree, int(self._tree.count[at.BEST]))
-        controls, durations = self._tree.edge[path[1:], :nu], self._tree.edge[path[1:], nu]
-        return guess_of(*self._trajectory(self._tree.state[path[0]], controls, durations), controls, durations)
+    def _improve_plan(self) -> None:
+        """Improve the best plan of the tree; if SAFETY refuses that, the part of it after the cycle's end."""
+        tree = self._tree
+        path = path_to(tree, int(tree.count[at.BEST]))
+        heads = [0]
+        if self.safety.enabled:
+            heads += [k for k in range(1, len(path) - 1) if tree.value[path[k], at.COST] >= self.safety.cycle][:1]
+        for head in heads:
+            nu = len(self.vehicle.controls)
+            controls, durations = tree.edge[path[head + 1 :], :nu], tree.edge[path[head + 1 :], nu]
+            guess = guess_of(
+                self.vehicle, *self._trajectory(tree.state[path[head]], controls, durations), controls, durations
+            )
+            if self._improve(guess, path[1 : head + 1], 1.0):
+                return
 
-    def _add_improved(self, guess: Guess | None, urgency: float) -> None:
-        """Improve a guess and add it as edges from the root, with more and more clearance until all of it passes."""
+    def _improve(self, guess: Guess, head: list[int], urgency: float) -> bool:
+        """Improve a guess that begins after the nodes `head`; whether that is the best plan, which is kept then."""
         assert self._polish is not None
         assert self.goal is not None
-        if guess is None or guess.time == 0.0:
+        tree, nu = self._tree, len(self.vehicle.controls)
+        begin = float(tree.value[head[-1], at.COST]) if head else 0.0
+        for share in SMOOTHNESS_COST:
+            found = self._polish.improve(guess, self.goal, begin, urgency, share) if guess.time > 0.0 else None
+            if found is None:
+                return False
+            durations = np.concatenate([tree.edge[head, nu], found.durations])
+            cost = float(np.cumsum(durations)[-1])
+            if cost < min(float(tree.best[0]), self._polished.cost):
+                controls = np.concatenate([tree.edge[head, :nu], found.controls])
+                self._polished = replace(self._polished, cost=cost, controls=controls, durations=durations)
+                return True
+            if cost < float(tree.best[0]):
+                return False
+        return False
+
+    def _insert_polished(self) -> None:
+        """Add the optimised plan to the tree, if it is there not yet, with all checks of an earlier plan's edges."""
+        controls, durations = self._polished.controls, self._polished.durations
+        if controls is None or durations is None:
             return
-        self._polish.goal, self._polish.safety, self._polish.urgency = self.goal, self.safety, urgency
-        cell, stiffness = 1.0 / float(self._problem.scalar[at.GRID_INVERSE]), SOFT
-        for factor in CLEARANCES:
-            guess = self._polish.improve(guess, factor * cell, stiffness)
-            edges = edges_to_retain(list(range(-1, len(guess.durations) - 1)), guess.controls, guess.durations)
-            retained = int(self._tree.count[at.RETAINED])
-            self._trees[0].add(self._kernels, self._problem, edges)
-            self._tree.count[at.RETAINED] = retained
-            if edges.node[-1] >= 0 and self._tree.link[edges.node[-1], at.AT_GOAL] == 1:
-                return
-            stiffness = REPEATED_STIFFNESS
+        edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
+        retained = int(self._tree.count[at.RETAINED])
+        self._trees[0].add(self._kernels, self._problem, edges)
+        self._tree.count[at.RETAINED] = retained
+        self._polished = replace(self._polished, controls=None, durations=None, cost=float(self._tree.best[0]))
 
     def _prunes_now(self) -> bool:
         """Whether to prune: at fixed iterations, so that readings of the clock do not matter."""
@@ -443,7 +499,8 @@ class DirtSolver(EdgeChecker):
 
     def _update_progress(self, seconds: float) -> None:
         """Update the progress after a call of the kernel."""
-        count, cost, history = self._tree.count, float(self._tree.best[0]), self._progress.history
+        count, history = self._tree.count, self._progress.history
+        cost = min(float(self._tree.best[0]), self._polished.cost)
         if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
             history = (*history, (seconds, cost))
         first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None

@@ -18,7 +18,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.sysid.fast_graph import ensure_compiled as ensure_identification
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
-from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, step_kernels
+from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, polish_kernels, step_kernels
 from support.kernels import ROVER
 for name in sys.argv[1:]:
     vehicle = ROVER if name == "rover" else load_vehicle(name)
@@ -28,6 +28,8 @@ for name in sys.argv[1:]:
         grow()
     if not is_cached(vehicle):
         kernels(vehicle)
+    if name in ("benchmark", "rover", "jackal", "f1tenth", "unicycle2"):
+        polish_kernels(vehicle)
     if name not in ("benchmark", "rover") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """

@@ -97,6 +97,8 @@ class PlannerSettings(StrictModel):
     """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
     switch_gain: NonNegative = 0.0
     """cost that a plan which goes another way than the last one must save, s"""
+    polish: bool | None = None
+    """whether plans are improved by local optimisation; if it is left out, only those to a goal with a heading"""
     patience: Seconds = 0.5
     """how old the newest observation may be when a plan is committed, s"""
     margin: NonNegative = 0.0

@@ -76,7 +76,7 @@ class Solvers:
         goal = goal_of(task)
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
-        search = settings_of(task, vehicle)
+        search = replace(settings_of(task, vehicle), polish=settings.polish)
         checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
         clearance = settings.bound or settings.safety
         foresight = clearance.foresight if clearance else 0.0

@@ -139,9 +139,9 @@ def _ensure_compiled(experiment: Experiment, log: Log) -> None:
         cells = [cell for cell in experiment.cells if cell.reference == reference]
         vehicle = cells[0].vehicle
         steps = any(needs_steps(cell.method, vehicle) for cell in cells)
-        ensure_compiled(
-            vehicle, log, steps=steps, heading=any(cell.scenario.goal.heading is not None for cell in cells)
-        )
+        heading = any(cell.scenario.goal.heading is not None for cell in cells)
+        polish = any(cell.method.planner.polish for cell in cells)
+        ensure_compiled(vehicle, log, steps=steps, heading=heading, polish=polish)
 
 
 def _check_reachable(experiment: Experiment) -> None:

@@ -20,8 +20,14 @@ from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.kernels.clearance import ClearanceField, cover, fields
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
-from ompl_ext.kernels.riccati import compile_solver
-from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, step_kernels
+from ompl_ext.kernels.specialise import (
+    are_steps_cached,
+    is_cached,
+    is_polish_cached,
+    kernels,
+    polish_kernels,
+    step_kernels,
+)
 from ompl_ext.obstacles import OccupancyGrid, Workspace, box
 from ompl_ext.query import Goal
 from ompl_ext.solver import DirtSolver
@@ -33,20 +39,27 @@ HEADING: Final = "heading"
 
 
 def ensure_compiled(
-    vehicle: Vehicle, report: Callable[[str], None], *, steps: bool = False, heading: bool = False
+    vehicle: Vehicle,
+    report: Callable[[str], None],
+    *,
+    steps: bool = False,
+    heading: bool = False,
+    polish: bool = False,
 ) -> None:
     """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages.
 
-    With `steps`, compile the steps of the model too, which identification and the LQR need; with `heading`, all that
-    goals with a heading need.
+    With `steps`, compile the steps of the model too, which identification and the LQR need; with `polish`, the local
+    optimisation of plans; with `heading`, all that goals with a heading need, that among it.
     """
     planner = not is_cached(vehicle)
     maps = not planner and not _marker(MAPS).exists()  # otherwise compiled with the planner
-    steps = (steps or heading) and not are_steps_cached(vehicle)
+    steps = steps and not are_steps_cached(vehicle)
+    polish = (polish or heading) and not is_polish_cached(vehicle)
     heading = heading and not _marker(HEADING).exists()
     missing = [(f"the planner and the model of {vehicle.name}", 20)] if planner else []
     missing += [(f"the steps of the model of {vehicle.name}", 2)] if steps else []
-    missing += [("the planner for goals with a heading", 10)] if heading else []
+    missing += [(f"the local optimisation for {vehicle.name}", 10)] if polish else []
+    missing += [("the planner for goals with a heading", 8)] if heading else []
     missing += [("the maps' kernels", 10)] if maps else []
     if not missing:
         return
@@ -58,6 +71,8 @@ def ensure_compiled(
     with interrupts_between_passes():
         if steps:
             step_kernels(vehicle)
+        if polish:
+            polish_kernels(vehicle)
         if heading:
             compile_for_headings()
         if maps:
@@ -117,10 +132,9 @@ def compile_maps() -> None:
 
 
 def compile_for_headings() -> None:
-    """Compile the kernels that goals with a heading need: the cost-to-go of poses and local optimisation."""
+    """Compile the kernels that goals with a heading need for every vehicle: the cost-to-go of poses."""
     field, _, _ = _small_map()
     compile_pose_cost_to_go(field.values, _seconds_to_goal(field, 0))
-    compile_solver()
     _marker(HEADING).touch()
 
 

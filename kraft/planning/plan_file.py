@@ -138,7 +138,7 @@ def vehicle_content(vehicle: Vehicle, reference: str) -> dict[str, Any]:
 
 
 def dumps(content: Mapping[str, Any]) -> str:
-    """JSON text with one line per entry and per row of a table."""
+    """JSON text with one line per entry, per row of a table and per `ON_A_LINE` values of a long list."""
     return _indented(content, "")
 
 
@@ -149,7 +149,13 @@ def _indented(value: Any, indent: str) -> str:
         return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
     if isinstance(value, list) and value and isinstance(value[0], list):
         return "[\n" + ",\n".join(inner + json.dumps(row, allow_nan=False) for row in value) + f"\n{indent}]"
+    if isinstance(value, list) and len(value) > ON_A_LINE:
+        parts = [json.dumps(value[k : k + ON_A_LINE], allow_nan=False) for k in range(0, len(value), ON_A_LINE)]
+        return "[\n" + ",\n".join(inner + part[1:-1] for part in parts) + f"\n{indent}]"
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+ON_A_LINE = 100  # values of a list
 
 
 def _goal(task: Task, plan: Plan) -> dict[str, Any]:

@@ -79,6 +79,7 @@ def settings_of(task: Task, vehicle: Vehicle) -> Settings:
         blossom=planning.blossom,
         child_extension=planning.child_extension,
         pruning=planning.pruning,
+        polish=planning.polish,
         goal_bias=planning.goal_bias,
         shortest=shortest,
         longest=longest,

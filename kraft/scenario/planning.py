@@ -66,6 +66,8 @@ class Planning(StrictModel):
     """expand a child next if it is nearer to the goal than its parent"""
     pruning: bool = False
     """remove nodes that can no longer improve the solution"""
+    polish: bool = True
+    """improve the best plan by local optimisation of its controls and durations"""
     safety: Safety = Safety()
     """clearance of contingency manoeuvres"""
 

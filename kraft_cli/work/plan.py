@@ -92,7 +92,8 @@ def run_plan(
     _check_places(target, request.plot)
     _report_inputs(detail, request, task, vehicle)
     timer.report("loaded and checked")
-    ensure_compiled(vehicle, report, heading=task.goal.heading is not None)
+    polish = task.planning.polish and task.planning.planner == "dirt"
+    ensure_compiled(vehicle, report, heading=task.goal.heading is not None, polish=polish)
     needed = memory_needed(task, vehicle)
     (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
     result = plan_task(task, vehicle, seed=request.seed, previous=previous, threads=request.threads)

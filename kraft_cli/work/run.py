@@ -74,7 +74,7 @@ def run_scenario(
     _log_details(detail, cell)
     timer.report("loaded and checked")
     steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
-    ensure_compiled(cell.vehicle, report, steps=steps, heading=heading)
+    ensure_compiled(cell.vehicle, report, steps=steps, heading=heading, polish=bool(cell.method.planner.polish))
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 

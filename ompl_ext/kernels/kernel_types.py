@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from ompl_ext.arrays import (
+    Cube,
     Floats,
     Floats32,
     IntMatrix,
@@ -168,16 +169,18 @@ _types: Any = numba.types  # numba has no types
 _typeof: Any = numba.typeof
 
 
-def _numba_type(tuple_class: type) -> Any:
+def numba_type(tuple_class: type) -> Any:
+    """Type of a named tuple of arrays in the signature of a kernel."""
     kinds = {
         Floats: (1, "f8"), Floats32: (1, "f4"), Ints: (1, "i8"), Ints32: (1, "i4"), Words: (1, "u8"),
         Matrix: (2, "f8"), Matrix32: (2, "f4"), IntMatrix: (2, "i8"), IntMatrix32: (2, "i4"), Words16Matrix: (2, "u2"),
+        Cube: (3, "f8"),
     }  # fmt: skip
     hints = [kinds[kind] for kind in get_type_hints(tuple_class).values()]
     return _types.NamedTuple([_typeof(np.empty((1,) * ndim, dtype=dtype)) for ndim, dtype in hints], tuple_class)
 
 
-PROBLEM = _numba_type(Problem)
-LANES = _numba_type(Lanes)
-TREE = _numba_type(Tree)
-RETAINED_EDGES = _numba_type(Retained)
+PROBLEM = numba_type(Problem)
+LANES = numba_type(Lanes)
+TREE = numba_type(Tree)
+RETAINED_EDGES = numba_type(Retained)

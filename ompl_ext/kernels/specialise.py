@@ -1,6 +1,7 @@
 """Compiled kernels of a vehicle: a module is executed with the vehicle's functions as its globals.
 
-`lanes` has the planner's kernels; `steps` has only the model's steps, for identification.
+`lanes` has the planner's kernels; `steps` has only the model's steps, for identification; `gauss_newton` and `riccati`
+have the local optimisation.
 """
 
 from __future__ import annotations
@@ -62,6 +63,12 @@ def are_steps_cached(vehicle: Vehicle) -> bool:
     return _key(vehicle) in _steps or (bool(vehicle.source) and _done_marker(vehicle, "steps-complete").exists())
 
 
+def is_polish_cached(vehicle: Vehicle) -> bool:
+    """Whether `polish_kernels(vehicle)` has or loads machine code instead of compiling it."""
+    loaded = _module_name(vehicle, "gauss_newton") in sys.modules
+    return loaded or (bool(vehicle.source) and _done_marker(vehicle, "polish-complete").exists())
+
+
 def kernels(vehicle: Vehicle) -> VehicleKernels:
     """Compiled kernels of `vehicle`: from this process, else from the cache on disk, else compiled now (seconds).
 
@@ -93,6 +100,35 @@ def step_kernels(vehicle: Vehicle) -> StepKernels:
     return _steps[key]
 
 
+@dataclass(frozen=True)
+class PolishKernels:
+    """Compiled parts of the local optimisation for one vehicle, see `gauss_newton` and `riccati`."""
+
+    approximate: Callable[..., None]
+    evaluate: Callable[..., float]
+    replay: Callable[..., int]
+    solve: Callable[..., bool]
+    block: int
+
+
+def polish_kernels(vehicle: Vehicle) -> PolishKernels:
+    """Compiled local optimisation of `vehicle`: from this process, else from the cache on disk, else compiled now."""
+    kernels(vehicle)  # parts of them are used
+    steps, solver = (module_of(vehicle, name) for name in ("gauss_newton", "riccati"))
+    if vehicle.source:
+        _done_marker(vehicle, "polish-complete").touch()
+    return PolishKernels(steps.approximate, steps.evaluate, steps.replay, solver.solve, steps.BLOCK)
+
+
+def module_of(vehicle: Vehicle, source: str) -> ModuleType:
+    """Module of kernels that was executed for a vehicle, or is now."""
+    return sys.modules.get(_module_name(vehicle, source)) or _execute(vehicle, source)
+
+
+def _module_name(vehicle: Vehicle, source: str) -> str:
+    return f"ompl_ext.{source}_{_key(vehicle).replace('-', '_')}"
+
+
 def _key(vehicle: Vehicle) -> str:
     return vehicle.hash if vehicle.source else f"{vehicle.hash}-{id(vehicle.derivative)}"
 
@@ -119,7 +155,7 @@ def _process_folder() -> Path:
 
 def _execute(vehicle: Vehicle, source: str) -> ModuleType:
     """Execute a file as a separate module: numba's symbols of machine code contain the module's name."""
-    name = f"ompl_ext.{source}_{_key(vehicle).replace('-', '_')}"
+    name = _module_name(vehicle, source)
     spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{source}.py"))
     assert spec is not None
     assert spec.loader is not None

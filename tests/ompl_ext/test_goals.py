@@ -12,7 +12,8 @@ from support.kernels import NO_SAFETY, ROVER, integrate, rover_rate
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.clearance import tight_cover
-from ompl_ext.kernels.riccati import Stages, memory, solve
+from ompl_ext.kernels.specialise import polish_kernels
+from ompl_ext.kernels.trajectory_types import Stages, backward, stages
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.plan import Plan
@@ -146,27 +147,28 @@ def test_the_tight_cover_contains_the_footprint_and_hardly_more(footprint: Footp
 
 
 def test_the_linear_quadratic_problem_is_solved_as_by_dense_equations() -> None:
-    n, nx, m, stiffness = 4, 3, 2, 50.0
-    a, b = RNG.normal(size=(n, nx, nx)), RNG.normal(size=(n, nx, m))
+    n, nx, m, stiffness = 4, len(ROVER.state), len(ROVER.controls) + 1, 50.0
     root = RNG.normal(size=(n + 1, nx, nx))
-    stages = Stages(
-        a=a,
-        b=b,
+    problem = stages(n, nx, m)._replace(
+        a=RNG.normal(size=(n, nx, nx)),
+        b=RNG.normal(size=(n, nx, m)),
         c=RNG.normal(size=(n, nx)),
         q_matrix=root @ root.transpose(0, 2, 1),
         q=RNG.normal(size=(n + 1, nx)),
-        r_matrix=np.tile(np.eye(m), (n, 1, 1)),
+        r_diagonal=RNG.uniform(0.5, 1.5, size=(n, m)),
         r=RNG.normal(size=(n, m)),
+        jump=RNG.normal(size=(n, m - 1)),
+        jump_weight=np.vstack([np.zeros((1, m - 1)), RNG.uniform(0.5, 1.5, size=(n - 1, m - 1))]),
         low=np.full((n, m), -1e6),
         high=np.full((n, m), 1e6),
     )
-    work = memory(n, nx, m)
-    assert solve(stages, 0.0, stiffness, work)
-    dx, du = dense_solution(stages, stiffness)
+    work, solve = backward(n, nx, m), polish_kernels(ROVER).solve
+    assert solve(problem, n, 0.0, stiffness, work)
+    dx, du = dense_solution(problem, stiffness)
     assert work.dx[1:] == pytest.approx(dx, abs=1e-6)
     assert work.du == pytest.approx(du, abs=1e-6)
-    bounded = stages._replace(low=np.full((n, m), -0.05), high=np.full((n, m), 0.05))
-    assert solve(bounded, 0.0, stiffness, work)
+    bounded = problem._replace(low=np.full((n, m), -0.05), high=np.full((n, m), 0.05))
+    assert solve(bounded, n, 0.0, stiffness, work)
     assert np.abs(work.du).max() == pytest.approx(0.05)
 
 
@@ -179,8 +181,14 @@ def dense_solution(stages: Stages, stiffness: float) -> tuple[np.ndarray, np.nda
         x, u = slice(k * nx, (k + 1) * nx), slice(n * nx + k * m, n * nx + (k + 1) * m)  # the state after stage k
         hessian[x, x] += stages.q_matrix[k + 1]
         gradient[x] += stages.q[k + 1]
-        hessian[u, u] += stages.r_matrix[k]
+        hessian[u, u] += np.diag(stages.r_diagonal[k])
         gradient[u] += stages.r[k]
+        jump = np.zeros((m - 1, size))  # change of the controls, without the duration, from the stage before
+        jump[:, u] = np.eye(m)[:-1]
+        if k > 0:
+            jump[:, u.start - m : u.start] = -np.eye(m)[:-1]
+        hessian += jump.T @ np.diag(stages.jump_weight[k]) @ jump
+        gradient += jump.T @ (stages.jump_weight[k] * stages.jump[k])
         defect = np.zeros((nx, size))
         defect[:, x], defect[:, u] = np.eye(nx), -stages.b[k]
         if k > 0:

@@ -21,6 +21,7 @@ from benchmarks import (
     maps,
     peers,
     planner,
+    polish,
     random_arenas,
     safety,
     scaling,
@@ -79,6 +80,12 @@ def test_goals_are_turned_round_to_and_parked_at() -> None:
     assert report["turning round: set-up"] > 0
     assert "parking, 1.3 lengths: first solution" in report
     assert report["turning round: plans that hold after 0.2 s"] in (0.0, 100.0)
+
+
+def test_local_optimisation_is_measured_with_and_without() -> None:
+    report = quantities(polish.run(replace(SMOKE, seeds=1)))
+    assert report["turns: one optimisation"] > 0
+    assert report["boxes, without: edges, optimisation included"] > 0
 
 
 def test_scaling_times_windows_of_both_sizes_and_keeps_no_memory() -> None:

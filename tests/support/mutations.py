@@ -49,6 +49,7 @@ planning:
   blossom: 32
   goal_bias: 0.05
   pruning: false
+  polish: true
   safety: {delta: 0.01, delta_per_speed: 0.02, horizon: 10.0}
 truth:
   floor_friction: 0.9

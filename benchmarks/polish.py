@@ -1,0 +1,99 @@
+"""Local optimisation of plans: costs and changes of the steering over time with and without it, and what it costs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.effort import Effort
+from benchmarks.report import Report, Row, Target, number, row
+from benchmarks.scenes import NO_MARGIN, SCENES, Scene, scene
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.plan import Plan
+from ompl_ext.polish import Polish, guess_of
+from ompl_ext.query import Settings
+from ompl_ext.solver import DirtSolver
+
+LOOKS = (0.005, 0.02, 0.1)  # s
+COST_WITHIN = {("turns", 0.02): 9.65, ("boxes", 0.02): 9.82}
+WARM_UP = 3000  # iterations
+GUESS = 1024  # iterations of the plan that is optimised
+
+
+def run(effort: Effort) -> Report:
+    """Measure both scenes with the benchmark vehicle."""
+    rows: list[Row] = []
+    for name in SCENES:
+        query = scene(name)
+        for polish in (False, True):
+            rows += over_time(query, polish, effort.seeds)
+        rows.append(one_optimisation(query, effort.seeds))
+    notes = ["Steering: sum of the changes of the command along the plan; its range is 2."]
+    return Report("polish", rows, notes=notes)
+
+
+def solver(query: Scene, *, polish: bool) -> DirtSolver:
+    """Solver of a scene that has already been used once."""
+    dirt = DirtSolver(query.vehicle, query.workspace, query.goal, NO_MARGIN, Settings(polish=polish))
+    dirt.start(query.start, 0)
+    dirt.grow(iterations=WARM_UP)
+    return dirt
+
+
+def over_time(query: Scene, polish: bool, seeds: int) -> list[Row]:
+    """First plans, costs and changes of the steering after several times, and edges per second of the search."""
+    dirt, rows = solver(query, polish=polish), []
+    which = f"{query.name}, {'with' if polish else 'without'}"
+    firsts, rates = [], []
+    for look in LOOKS:
+        costs, changes = [], []
+        for seed in range(seeds):
+            dirt.start(query.start, seed)
+            progress = dirt.grow(seconds=look)
+            plan = dirt.plan()
+            if plan is None or not plan.reaches_goal:
+                continue
+            costs.append(plan.cost)
+            changes.append(steering_changes(query, plan))
+            if progress.first_solution is not None:
+                firsts.append(1e3 * progress.first_solution[0])
+        target = COST_WITHIN.get((query.name, look)) if polish else None
+        rows += [
+            row(f"{which}: cost after {number(1e3 * look)} ms", "s", costs, Target(target) if target else None),
+            row(f"{which}: steering after {number(1e3 * look)} ms", "", changes),
+        ]
+    for seed in range(seeds):
+        dirt.start(query.start, seed)
+        began = time.perf_counter()
+        progress = dirt.grow(iterations=WARM_UP)
+        rates.append(progress.edges / (time.perf_counter() - began))
+    return [
+        row(f"{which}: first plan", "ms", firsts),
+        *rows,
+        replace(row(f"{which}: edges, optimisation included", "1/s", rates), more=True),
+    ]
+
+
+def steering_changes(query: Scene, plan: Plan) -> float:
+    """Total variation of the steering command."""
+    steering = list(query.vehicle.controls).index("steering")
+    return float(np.abs(np.diff(plan.controls[:, steering])).sum())
+
+
+def one_optimisation(query: Scene, seeds: int) -> Row:
+    """Time of one optimisation of a plan of the tree."""
+    dirt, times = solver(query, polish=False), []
+    polish = Polish(query.vehicle, dirt.problem)
+    for seed in range(seeds):
+        dirt.start(query.start, seed)
+        dirt.grow(iterations=GUESS)
+        plan = dirt.plan()
+        if plan is None or dirt.tree_arrays.count[at.BEST] < 0:
+            continue
+        guess = guess_of(query.vehicle, plan.times, plan.trajectory, plan.controls, plan.durations)
+        began = time.perf_counter()
+        polish.improve(guess, query.goal)
+        times.append(1e3 * (time.perf_counter() - began))
+    return row(f"{query.name}: one optimisation", "ms", times)
