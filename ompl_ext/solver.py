@@ -12,6 +12,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.checker import EdgeChecker
+from ompl_ext.following import PathFollower
 from ompl_ext.growing_tree import GrowingTree
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
@@ -32,7 +33,9 @@ from ompl_ext.query import (
     Safety,
     Settings,
     edges_to_retain,
+    pose_cost_to_go_of,
     remaining_edges,
+    settings_for,
 )
 from ompl_ext.retainment import RetainableEdges, retainable_edges
 from ompl_ext.vehicle import Vehicle
@@ -219,6 +222,8 @@ class DirtSolver(EdgeChecker):
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
+        if self._follows_path:
+            self._add_path()
         if self._pool is not None:
             return self._grow_together(self._pool, iterations, seconds, stop)
         left = iterations if iterations is not None else 2**62
@@ -289,6 +294,28 @@ class DirtSolver(EdgeChecker):
             if not all(each.has_room(fixed=iterations is not None) for each in full):
                 break
         return self._progress
+
+    @property
+    def _follows_path(self) -> bool:
+        """Whether the path of poses to the goal is to be added to the tree: once, unless there is a plan already."""
+        count, option = self._tree.count, self._problem.option
+        wanted = option[at.POSE_HEADINGS] > 0 and self.settings.quantum == 0.0
+        return bool(wanted and count[at.ITERATIONS] == 0 and count[at.SIZE] > 0 and count[at.BEST] < 0)
+
+    def _add_path(self) -> None:
+        """Add edges along the path of poses from the root to the goal, as far as they are free and safe."""
+        assert self.goal is not None
+        began, root = time.perf_counter(), self._tree.state[0].copy()
+        cell = settings_for(self.settings, self.vehicle, self.goal).cell
+        found = pose_cost_to_go_of(self.vehicle, self.workspace, self.goal, cell)
+        path = found.path_from(*(float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta")))
+        if path is not None and len(path.times) > 0:
+            controls, durations = PathFollower(self.vehicle, self._problem.parameters).edges_along(path, root)
+            edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
+            retained = int(self._tree.count[at.RETAINED])
+            self._trees[0].add(self._kernels, self._problem, edges)
+            self._tree.count[at.RETAINED] = retained
+        self._update_progress(self._progress.seconds + time.perf_counter() - began)
 
     def _take_best(self) -> None:
         """Put the tree with the best plan first, and make its cost the bound of all trees."""
