@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.motion import Motion, motion_of
 from ompl_ext.vehicle import Vehicle
 
-PIECE = 0.4  # duration of a piece without an end by itself (s)
+PIECE = 0.4  # duration of the pieces into which a longer motion is cut (s)
 BIN, BRIEF = 0.15, 0.03  # motions of the path are averaged over BIN, or over BRIEF where they change (s)
 REVERSED = 0.1  # cosine between two velocities of the body below which it stops in between
 LONGEST = 0.1  # of an edge (s): short ones need less clearance for the motion between two samples
@@ -141,22 +142,27 @@ def _step(slope: Matrix, error: Floats, at_low: Bools, at_high: Bools) -> Floats
 
 
 def _pieces(path: PosePath, twists: Ints, motion: Motion, reach: float) -> Iterator[_Piece]:
-    """Pieces of a path: they end where the motion is reversed, or after PIECE s."""
+    """Pieces of a path: they end where the motion is reversed, and in between after about PIECE s."""
     velocity = motion.twists[twists] * (1.0, 1.0, reach)
     speed = np.linalg.norm(velocity, axis=1)
     across = velocity @ velocity.T < REVERSED * np.outer(speed, speed)
-    first = 0
-    for k in range(1, len(path.twist) + 1):
-        last = path.twist[k - 1]
-        stops = k == len(path.twist) or bool(across[last, path.twist[k]])
-        if not stops and path.times[first:k].sum() < PIECE:
-            continue
-        opposite = int(np.argmin(velocity @ velocity[last]))
-        brakes = float(velocity[opposite] @ velocity[last]) < 0.0
+    turns = [k for k in range(1, len(path.twist)) if across[path.twist[k - 1], path.twist[k]]]
+    for first, last in pairwise([0, *turns, len(path.twist)]):
+        opposite = int(np.argmin(velocity @ velocity[path.twist[last - 1]]))
+        brakes = velocity[opposite] @ velocity[path.twist[last - 1]] < 0.0
         brake = motion.controls[twists[opposite]] if brakes else None
-        controls = motion.controls[twists[path.twist[first:k]]]
-        yield _Piece(*_averaged(path.twist[first:k], controls, path.times[first:k]), path.poses[k], stops, brake)
-        first = k
+        for begin, end in pairwise(_cuts(path.times[first:last]) + first):
+            numbers, times = path.twist[begin:end], path.times[begin:end]
+            held = _averaged(numbers, motion.controls[twists[numbers]], times)
+            yield _Piece(*held, path.poses[end], bool(end == last), brake)
+
+
+def _cuts(times: Floats) -> Ints:
+    """Indices at which motions between two stops are cut into pieces of equal duration, about PIECE s."""
+    ends = np.cumsum(times)
+    count = max(1, round(float(ends[-1]) / PIECE))
+    inner = np.searchsorted(ends, ends[-1] * np.arange(1, count) / count) + 1
+    return np.unique(np.concatenate([[0], inner, [len(times)]]))
 
 
 def _averaged(numbers: Ints, controls: Matrix, times: Floats) -> tuple[Matrix, Floats]:

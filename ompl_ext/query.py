@@ -176,7 +176,7 @@ def make_problem(
     spacing = _spacing(vehicle, goal)
     precise = spacing < math.inf
     settings = settings_for(settings, vehicle, goal)
-    discs = _tight_cover(vehicle.footprint) if precise else cover(vehicle.footprint, settings.discs).discs
+    discs = _tight_cover(vehicle.footprint, EXCESS) if precise else cover(vehicle.footprint, settings.discs).discs
     reach = vehicle.footprint.reach
     delta = _largest_delta(vehicle, safety)
     smallest = float(discs[:, 2].min())
@@ -310,11 +310,12 @@ class _Vehicle:
 
 
 @lru_cache(CACHED_MAPS)
-def _tight_cover(footprint: Footprint) -> Matrix:
-    return tight_cover(footprint, EXCESS * footprint.width)
+def _tight_cover(footprint: Footprint, excess: float) -> Matrix:
+    return tight_cover(footprint, excess * footprint.width)
 
 
 EXCESS = 0.01  # of the discs over the footprint where a heading is asked for, as a share of its width
+LARGE_EXCESS = 0.03  # of those of the cost-to-go of poses, away from the goal
 PRECISE = 0.018  # spacing of the fine field there, as a share of the footprint's width
 
 
@@ -331,7 +332,7 @@ def _pose_seconds(
     """Cost-to-go of poses; kernels only read it."""
     vehicle = key.vehicle
     footprint, motion = vehicle.footprint, motion_of(vehicle)
-    discs = _tight_cover(footprint)
+    discs = _tight_cover(footprint, EXCESS)
     smallest = float(discs[:, 2].min())
     spacing = PRECISE * footprint.width
     field, fine = _fields(workspace, footprint, smallest, cell, 0.0, spacing)
@@ -341,7 +342,7 @@ def _pose_seconds(
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE, at.REACH]] = *field.origin, 1 / field.cell, footprint.reach
     x, y, c, s, spacing_used = fine.lattice
     scalar[[at.FINE_X, at.FINE_Y, at.FINE_COS, at.FINE_SIN, at.FINE_INVERSE]] = x, y, c, s, 1 / spacing_used
-    maps = Maps(discs, field.values, fine.tile, fine.squares, scalar)
+    maps = Maps(_tight_cover(footprint, LARGE_EXCESS), field.values, fine.tile, fine.squares, scalar)
     speed = vehicle.rest_indices[0] if vehicle.rest_indices else -1
     reversal = vehicle.top_speed / motion.rate[speed] if speed >= 0 and motion.rate[speed] > 0 else 0.0
     geodesic = _seconds(workspace, footprint, smallest, cell, 0.0, center, radius, vehicle.top_speed, spacing)
@@ -356,6 +357,7 @@ def _pose_seconds(
         (cell, COARSEST * footprint.width),
         geodesic,
         footprint.width,
+        discs,
     )
 
 

@@ -51,6 +51,7 @@ POLISH_EVERY = 512  # iterations
 POLISH_GAIN = 0.005  # s by which the best plan must be better than the last time
 CLEARANCES = (0.7, 1.5, 3.0)  # cells of the clearance field that optimised plans aim for, in turn
 REPEATED_STIFFNESS = 1e3  # of the model, for a plan that obeys it already
+PATHS = 5  # that are tried before the search begins
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
@@ -303,18 +304,20 @@ class DirtSolver(EdgeChecker):
         return bool(wanted and count[at.ITERATIONS] == 0 and count[at.SIZE] > 0 and count[at.BEST] < 0)
 
     def _add_path(self) -> None:
-        """Add edges along the path of poses from the root to the goal, as far as they are free and safe."""
+        """Add edges along paths of poses from the root, as far as they are free and safe, until one is in the goal."""
         assert self.goal is not None
         began, root = time.perf_counter(), self._tree.state[0].copy()
         cell = settings_for(self.settings, self.vehicle, self.goal).cell
         found = pose_cost_to_go_of(self.vehicle, self.workspace, self.goal, cell)
-        path = found.path_from(*(float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta")))
-        if path is not None and len(path.times) > 0:
-            controls, durations = PathFollower(self.vehicle, self._problem.parameters).edges_along(path, root)
+        follower, retained = PathFollower(self.vehicle, self._problem.parameters), int(self._tree.count[at.RETAINED])
+        x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
+        for path in found.paths_from(x, y, theta, PATHS):
+            if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
+                break
+            controls, durations = follower.edges_along(path, root)
             edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
-            retained = int(self._tree.count[at.RETAINED])
             self._trees[0].add(self._kernels, self._problem, edges)
-            self._tree.count[at.RETAINED] = retained
+        self._tree.count[at.RETAINED] = retained
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
 
     def _take_best(self) -> None:

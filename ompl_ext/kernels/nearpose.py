@@ -28,7 +28,13 @@ CELL = 0.018  # side of a cell as a share of the footprint's width
 SPARE, COMFORT = 0.02, 0.1  # clearance required and wanted of the poses, as shares of the footprint's width
 NARROW = 2.0  # factor of the time of motions to poses with less clearance than wanted
 LONG_STRIDE = 2.4  # cells of a motion
-LEVELS = ((1.0, 1.0), (0.7, 1.0), (0.5, 1.0), (0.5, 0.4))  # factors of CELL and SPARE that are tried in turn
+LEVELS = (
+    (1.0, 1.0),
+    (0.7, 1.0),
+    (0.5, 1.0),
+    (0.5, 0.5),
+    (0.35, 0.5),
+)  # factors of CELL and SPARE that are tried in turn
 
 
 class NearPoses(NamedTuple):

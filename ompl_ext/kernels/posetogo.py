@@ -13,11 +13,12 @@ POSE_BEYOND applies.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix32, Ints, Ints32, Matrix, Matrix32
+from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix, IntMatrix32, Ints, Ints32, Matrix, Matrix32
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
@@ -61,6 +62,9 @@ HEADINGS = (36, 240)  # fewest and most bins of the heading
 ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because another one in the cell may not
 DEVIATION_PENALTY = 0.05  # share of the cost-to-go that counts for a cell of deviation
 NEARBY = 2  # cells around a pose of which one must have been reached
+EASE = 0.9  # share of the curvature of motions that are not near the goal, so that errors can be corrected
+LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0])  # of a motion with which a path begins, in strides
+ASIDE = 10.0  # factor of errors to the side and of the heading where a path begins
 LACKING = 4.0  # factor of the time of motions to poses that lack clearance
 FIRST_NEAR = -2
 INSIDE = 0.8  # share of the goal's tolerances that the fine search around it aims for
@@ -80,12 +84,61 @@ class PoseCostToGo(NamedTuple):
     motions: Matrix
     frame: Floats
     near: NearPoses | None  # None if the whole grid is coarse
+    reach: float  # of the footprint (m)
+    top_speed: float  # of the motions (m/s)
+    reversal: float  # time that a change between ahead and astern costs (s)
 
     def path_from(self, x: float, y: float, theta: float) -> PosePath | None:
         """Motions from a pose near (x, y, theta) to the goal; None if none was found near it."""
         cell = _nearest_reached(x, y, theta, self.exact, self.frame, self.pose)
-        if cell < 0:
-            return None
+        return None if cell < 0 else self._path_of(cell)
+
+    def paths_from(self, x: float, y: float, theta: float, most: int) -> Iterator[PosePath]:
+        """Motions from a pose to the goal, in the order of their times: up to `most` that begin differently.
+
+        Up to two motions lead from the pose to one that was reached.  Its cell has just one pose, which they have to meet,
+        so that many are tried.
+        """
+        numbers, times = _beginnings(self.motions)
+        first = _poses_after(np.array([x, y, theta]), self.motions[numbers[:, 0]], times[:, 0])
+        second = _poses_after(first, self.motions[numbers[:, 1]], times[:, 1])
+        seconds, cells = self._met(second)
+        speed, turned = self.motions[numbers, 0] * (times > 0.0), self.after[cells, 1]
+        onward = np.where(turned >= 0, self.motions[turned, 0], 0.0)
+        changes = (speed[:, 0] * speed[:, 1] < 0.0) + (
+            np.where(times[:, 1] > 0.0, speed[:, 1], speed[:, 0]) * onward < 0.0
+        )
+        seconds += times.sum(axis=1) + self.reversal * changes
+        order = np.argsort(seconds, kind="stable")
+        order = order[seconds[order] < UNKNOWN]
+        kinds = np.where(times[order] > 0.0, numbers[order], -1)
+        _, distinct = np.unique(kinds, axis=0, return_index=True)
+        for k in order[np.sort(distinct)[:most]]:
+            used = times[k] > 0.0
+            rest, begun = self._path_of(int(cells[k])), np.array([[x, y, theta], first[k]])[used]
+            joined = np.concatenate([numbers[k][used], rest.twist]), np.concatenate([times[k][used], rest.times])
+            yield PosePath(np.vstack([begun, rest.poses]), *joined)
+
+    def _met(self, poses: Matrix) -> tuple[Floats, Ints]:
+        """Time to the goal (n,) from the pose that was reached in the cell of each pose (n, 3), and that cell.
+
+        Deviations add to the time; it is `UNKNOWN` where no pose was reached.
+        """
+        rows, columns, bins = (int(number) for number in self.frame[3:6])
+        column, row = (np.floor((poses[:, k] - self.origin[k]) / self.cell + 0.5).astype(np.int64) for k in range(2))
+        k = np.floor((poses[:, 2] - self.frame[6]) * (bins / math.tau) + 0.5).astype(np.int64) % bins
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        cells = np.where(inside, (k * rows + row) * columns + column, 0)
+        met = self.pose[cells]
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        dx, dy = met[:, 0] - poses[:, 0], met[:, 1] - poses[:, 1]
+        turned = np.mod(met[:, 2] - poses[:, 2] + math.pi, math.tau) - math.pi
+        away = np.abs(dx * c + dy * s) + ASIDE * (np.abs(dy * c - dx * s) + self.reach * np.abs(turned))
+        known = inside & (self.exact[cells] < UNKNOWN)
+        return np.where(known, self.exact[cells] + away / self.top_speed, UNKNOWN), cells
+
+    def _path_of(self, cell: int) -> PosePath:
+        """Motions from the pose of a cell to the goal."""
         poses, numbers, times = [self.pose[cell]], [], []
         while self.after[cell, 0] >= 0:
             numbers.append(int(self.after[cell, 1]))
@@ -100,6 +153,27 @@ class PoseCostToGo(NamedTuple):
                 at = int(self.near.after[at, 0])
                 poses.append(self.near.pose[at, :3])
         return PosePath(np.array(poses, dtype=float), np.array(numbers, np.int64), np.array(times))
+
+
+def _beginnings(motions: Matrix) -> tuple[IntMatrix, Matrix]:
+    """Numbers (n, 2) of two motions and how long each lasts (n, 2), s: none, one or two of several durations."""
+    kinds = np.arange(len(motions))
+    number = np.concatenate([[0], np.repeat(kinds, len(LENGTHS))])
+    time = np.concatenate([[0.0], (motions[:, 3:] * LENGTHS).ravel()])
+    second, first = np.meshgrid(np.arange(len(time)), np.arange(len(time)))
+    wanted = (first.ravel() > 0) | (second.ravel() == 0)
+    chosen = np.column_stack([first.ravel(), second.ravel()])[wanted]
+    return number[chosen], time[chosen]
+
+
+def _poses_after(poses: Matrix, motions: Matrix, times: Floats) -> Matrix:
+    """Poses (n, 3) after motions (n, 4) at constant velocity for `times` (n,) from one pose or n poses."""
+    turn = motions[:, 2] * times
+    middle, chord = poses[..., 2] + 0.5 * turn, times * (1.0 - turn * turn / 24.0)
+    c, s = np.cos(middle), np.sin(middle)
+    ahead, aside = motions[:, 0], motions[:, 1]
+    x, y = poses[..., 0] + chord * (ahead * c - aside * s), poses[..., 1] + chord * (ahead * s + aside * c)
+    return np.column_stack([x, y, poses[..., 2] + turn])
 
 
 class PosePath(NamedTuple):
@@ -121,6 +195,7 @@ def pose_cost_to_go(
     cells: tuple[float, float],
     geodesic: Matrix32,
     footprint_width: float,
+    tight_discs: Matrix,
 ) -> PoseCostToGo:
     """Cost-to-go of the poses from which the vehicle can get to the goal region.
 
@@ -135,6 +210,7 @@ def pose_cost_to_go(
         cells: smallest and largest side of a cell (m).
         geodesic: cost-to-go of positions on the cells of the clearance field (s).
         footprint_width: of the vehicle (m).
+        tight_discs: of the footprint, for the search around the goal.
     """
     area = (bounds[0][1] - bounds[0][0]) * (bounds[1][1] - bounds[1][0])
     curvature = np.abs(twists[:, 2]).max() / np.hypot(twists[:, 0], twists[:, 1]).max()
@@ -149,10 +225,10 @@ def pose_cost_to_go(
     )  # the goal is in the centre of a cell
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns
-    motions = _motions(twists, cell, headings)
+    motions = _motions(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, EASE), twists), cell, headings)
     width = float(motions[:, 3].min())
     close = np.array([*goal, INSIDE * goal_radius, INSIDE * goal_tolerance])
-    near = near_poses(maps, close, twists, reversal, footprint_width)
+    near = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
     latest = 0.0 if near is None else float(near.seconds.max())
     longest = latest + LACKING * motions[:, 3].max() + reversal
     buckets = np.full(math.ceil(longest / width) + 2, -1, np.int32)
@@ -189,7 +265,20 @@ def pose_cost_to_go(
     _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
     beyond = 0.0 if fits else _beyond(filled.reshape(shape), origin, cell, maps, geodesic)
     return PoseCostToGo(
-        filled, origin, cell, shape, beyond, table.seconds, table.pose[:, :3], table.after, motions, table.frame, near
+        filled,
+        origin,
+        cell,
+        shape,
+        beyond,
+        table.seconds,
+        table.pose[:, :3],
+        table.after,
+        motions,
+        table.frame,
+        near,
+        float(maps.scalar[REACH]),
+        float(np.hypot(twists[:, 0], twists[:, 1]).max()),
+        reversal,
     )
 
 
@@ -201,7 +290,9 @@ def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
     bounds, twists = ((0.0, 0.1), (0.0, 0.1)), np.array([[1.0, 0.0, 1.0]])
     for radius in (0.0, 10.0):  # the goal is free, or not
         maps = Maps(np.array([[0.0, 0.0, radius]]), field, tile, squares, scalar)
-        found = pose_cost_to_go(maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic, 0.1)
+        found = pose_cost_to_go(
+            maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic, 0.1, maps.discs
+        )
     found.path_from(0.05, 0.05, 0.0)
     fill_penetration(field, 1.0, np.empty_like(field))
 
