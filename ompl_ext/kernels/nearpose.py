@@ -20,21 +20,15 @@ from ompl_ext.kernels.kernel_types import REACH, X_HIGH, X_LOW, Y_HIGH, Y_LOW, M
 from ompl_ext.trigonometry import cos, sin
 
 UNKNOWN = 1e9  # seconds
-CELLS = 100_000  # reached cells at which the search ends
-SLOTS = 2**18  # of the hash table
+CELLS = 100_000  # reached cells at which the search ends, more in a finer grid
+LOAD = 2.0  # slots of the hash table over cells
 HASH, SHIFT = int64(-7046029254386353131), 20  # odd multiplier (Fibonacci hashing), low bits that are not used
 OFFSET = 2**19  # of rows and columns, so that they are positive
 CELL = 0.018  # side of a cell as a share of the footprint's width
 SPARE, COMFORT = 0.02, 0.1  # clearance required and wanted of the poses, as shares of the footprint's width
 NARROW = 2.0  # factor of the time of motions to poses with less clearance than wanted
 LONG_STRIDE = 2.4  # cells of a motion
-LEVELS = (
-    (1.0, 1.0),
-    (0.7, 1.0),
-    (0.5, 1.0),
-    (0.5, 0.5),
-    (0.35, 0.5),
-)  # factors of CELL and SPARE that are tried in turn
+LEVELS = ((1.0, 1.0), (0.7, 1.0), (0.5, 1.0), (0.35, 0.5))  # factors of CELL and SPARE that are tried in turn
 
 
 class NearPoses(NamedTuple):
@@ -64,9 +58,7 @@ class _Sparse(NamedTuple):
     result: Floats  # cells that were reached, cells that are open, seconds up to which the search is complete
 
 
-def near_poses(
-    maps: Maps, region: Floats, twists: Matrix, reversal: float, width: float, most: int = CELLS
-) -> NearPoses | None:
+def near_poses(maps: Maps, region: Floats, twists: Matrix, reversal: float, width: float) -> NearPoses | None:
     """Poses from which motions lead into the goal, those nearest to it; None if no motion leads away from it.
 
     Args:
@@ -75,14 +67,14 @@ def near_poses(
         twists: body velocities (n, 3) of the motions.
         reversal: time that a change between ahead and astern costs (s).
         width: of the footprint (m).
-        most: number of poses at which the search ends.
     """
     for finer, spare in LEVELS:
         cell = finer * CELL * width
         bins = math.ceil(2.0 * math.pi * maps.scalar[REACH] / cell)
         motions = _motions(twists, cell, bins)
         shortest = float(motions[:, 3].min())
-        slots = SLOTS * max(1, most // CELLS)
+        most = round(CELLS / finer)
+        slots = 2 ** math.ceil(math.log2(LOAD * most))
         table = _Sparse(
             key=np.full(slots, -1),
             seconds=np.full(slots, UNKNOWN, np.float32),

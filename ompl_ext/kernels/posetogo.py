@@ -62,6 +62,7 @@ HEADINGS = (36, 240)  # fewest and most bins of the heading
 ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because another one in the cell may not
 DEVIATION_PENALTY = 0.05  # share of the cost-to-go that counts for a cell of deviation
 NEARBY = 2  # cells around a pose of which one must have been reached
+LEADS_ON = 1.1  # times the cells at its begin that the search must reach
 EASE = 0.9  # share of the curvature of motions that are not near the goal, so that errors can be corrected
 LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0])  # of a motion with which a path begins, in strides
 ASIDE = 10.0  # factor of errors to the side and of the heading where a path begins
@@ -96,8 +97,8 @@ class PoseCostToGo(NamedTuple):
     def paths_from(self, x: float, y: float, theta: float, most: int) -> Iterator[PosePath]:
         """Motions from a pose to the goal, in the order of their times: up to `most` that begin differently.
 
-        Up to two motions lead from the pose to one that was reached.  Its cell has just one pose, which they have to meet,
-        so that many are tried.
+        Up to two motions lead from the pose to one that was reached.  Its cell has just one pose, which they have to
+        meet, so that many are tried.
         """
         numbers, times = _beginnings(self.motions)
         first = _poses_after(np.array([x, y, theta]), self.motions[numbers[:, 0]], times[:, 0])
@@ -226,40 +227,16 @@ def pose_cost_to_go(
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns
     motions = _motions(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, EASE), twists), cell, headings)
-    width = float(motions[:, 3].min())
-    close = np.array([*goal, INSIDE * goal_radius, INSIDE * goal_tolerance])
-    near = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
-    latest = 0.0 if near is None else float(near.seconds.max())
-    longest = latest + LACKING * motions[:, 3].max() + reversal
-    buckets = np.full(math.ceil(longest / width) + 2, -1, np.int32)
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
-    table = _Table(
-        seconds=np.full(count, UNKNOWN, np.float32),
-        pose=np.zeros((count, 4), np.float32),
-        link=np.full((count, 2), -1, np.int32),
-        after=np.full((count, 2), -1, np.int32),
-        buckets=buckets,
-        frame=np.array(
-            [
-                *origin,
-                1.0 / cell,
-                rows,
-                columns,
-                headings,
-                goal[2],
-                allowance,
-                SPARE * footprint_width,
-                COMFORT * footprint_width,
-                0.0,
-            ]
-        ),
-    )
-    if near is None:
-        opened = _open_goal(table, np.array([*goal, goal_radius, goal_tolerance]), maps)
-    else:
-        opened = _open_near(table, width, near.seconds, near.pose)
-        table.frame[10] = near.complete
-    _search(table, opened, width, motions, reversal, maps)
+    frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, 0.0, 0.0, 0.0])
+    frame[8:10] = SPARE * footprint_width, COMFORT * footprint_width
+    region = np.array([*goal, goal_radius, goal_tolerance])
+    close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
+    near = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
+    table, opened = _searched(count, frame, motions, reversal, region, maps, near)
+    if near is not None and np.count_nonzero(table.seconds < UNKNOWN) < LEADS_ON * opened:
+        near = None
+        table, _ = _searched(count, frame, motions, reversal, region, maps, near)
     filled = np.empty_like(table.seconds)
     shape = headings, rows, columns
     _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
@@ -280,6 +257,36 @@ def pose_cost_to_go(
         float(np.hypot(twists[:, 0], twists[:, 1]).max()),
         reversal,
     )
+
+
+def _searched(
+    count: int,
+    frame: Floats,
+    motions: Matrix,
+    reversal: float,
+    region: Floats,
+    maps: Maps,
+    near: NearPoses | None,
+) -> tuple[_Table, int]:
+    """Table of `count` cells after the search, which begins at the poses around the goal, and how many began it."""
+    width = float(motions[:, 3].min())
+    latest = 0.0 if near is None else float(near.seconds.max())
+    buckets = math.ceil((latest + LACKING * motions[:, 3].max() + reversal) / width) + 2
+    table = _Table(
+        seconds=np.full(count, UNKNOWN, np.float32),
+        pose=np.zeros((count, 4), np.float32),
+        link=np.full((count, 2), -1, np.int32),
+        after=np.full((count, 2), -1, np.int32),
+        buckets=np.full(buckets, -1, np.int32),
+        frame=frame.copy(),
+    )
+    if near is None:
+        opened = _open_goal(table, region, maps)
+    else:
+        opened = _open_near(table, width, near.seconds, near.pose)
+        table.frame[10] = near.complete
+    _search(table, opened, width, motions, reversal, maps)
+    return table, opened
 
 
 def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
