@@ -21,6 +21,7 @@ from ompl_ext.trigonometry import cos, sin
 
 UNKNOWN = 1e9  # seconds
 CELLS = 100_000  # reached cells at which the search ends, more in a finer grid
+GOAL_SHARE = 8.0  # times the cells in the goal region that the search may reach
 LOAD = 2.0  # slots of the hash table over cells
 HASH, SHIFT = int64(-7046029254386353131), 20  # odd multiplier (Fibonacci hashing), low bits that are not used
 OFFSET = 2**19  # of rows and columns, so that they are positive
@@ -68,12 +69,14 @@ def near_poses(maps: Maps, region: Floats, twists: Matrix, reversal: float, widt
         reversal: time that a change between ahead and astern costs (s).
         width: of the footprint (m).
     """
+    goal_volume = 2.0 * math.pi * region[3] ** 2 * region[4] * maps.scalar[REACH]
+    least = (GOAL_SHARE * goal_volume / CELLS) ** (1.0 / 3.0)
     for finer, spare in LEVELS:
-        cell = finer * CELL * width
+        cell = finer * max(CELL * width, least)
         bins = math.ceil(2.0 * math.pi * maps.scalar[REACH] / cell)
         motions = _motions(twists, cell, bins)
         shortest = float(motions[:, 3].min())
-        most = round(CELLS / finer)
+        most = round(CELLS / finer**1.5)
         slots = 2 ** math.ceil(math.log2(LOAD * most))
         table = _Sparse(
             key=np.full(slots, -1),

@@ -65,6 +65,7 @@ NEARBY = 2  # cells around a pose of which one must have been reached
 LEADS_ON = 1.1  # times the cells at its begin that the search must reach
 EASE = 0.9  # share of the curvature of motions that are not near the goal, so that errors can be corrected
 LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0])  # of a motion with which a path begins, in strides
+PARTS = (0.25, 0.5, 0.75, 1.0)  # of these motions where poses have to be free
 ASIDE = 10.0  # factor of errors to the side and of the heading where a path begins
 LACKING = 4.0  # factor of the time of motions to poses that lack clearance
 FIRST_NEAR = -2
@@ -104,12 +105,16 @@ class PoseCostToGo(NamedTuple):
         first = _poses_after(np.array([x, y, theta]), self.motions[numbers[:, 0]], times[:, 0])
         second = _poses_after(first, self.motions[numbers[:, 1]], times[:, 1])
         seconds, cells = self._met(second)
+        for share in PARTS:  # cells on the way were reached too: they are free
+            on_first = _poses_after(np.array([x, y, theta]), self.motions[numbers[:, 0]], share * times[:, 0])
+            on_second = _poses_after(first, self.motions[numbers[:, 1]], share * times[:, 1])
+            seconds[(self._met(on_first)[0] >= UNKNOWN) | (self._met(on_second)[0] >= UNKNOWN)] = UNKNOWN
         speed, turned = self.motions[numbers, 0] * (times > 0.0), self.after[cells, 1]
         onward = np.where(turned >= 0, self.motions[turned, 0], 0.0)
         changes = (speed[:, 0] * speed[:, 1] < 0.0) + (
             np.where(times[:, 1] > 0.0, speed[:, 1], speed[:, 0]) * onward < 0.0
         )
-        seconds += times.sum(axis=1) + self.reversal * changes
+        seconds = seconds + times.sum(axis=1) + self.reversal * changes
         order = np.argsort(seconds, kind="stable")
         order = order[seconds[order] < UNKNOWN]
         kinds = np.where(times[order] > 0.0, numbers[order], -1)
@@ -347,7 +352,7 @@ class _Table(NamedTuple):
     link: IntMatrix32  # next and previous cell of the same bucket
     after: IntMatrix32  # the cell that follows towards the goal, and the motion to it; FIRST_NEAR - k at near pose k
     buckets: Ints32
-    frame: Floats  # of the grid (7 numbers), allowance, clearance required and wanted (m), seconds known before
+    frame: Floats  # of the grid (7 numbers), allowance, clearance required and wanted (m), s of the fine search
 
 
 @part
@@ -407,12 +412,12 @@ def _expand(table: _Table, cell: int, width: float, motions: Matrix, reversal: f
         cost = table.seconds[cell] + time + (reversal if way * ahead < 0.0 else 0.0)
         px, py, pt = pose_before(x, y, theta, motions[m])
         other = _cell_of(px, py, pt, frame)
-        if other < 0 or table.seconds[other] <= cost + 1e-6 or cost < frame[10]:
+        if other < 0 or table.seconds[other] <= cost + 1e-6:
             continue
         if slack_at(maps, px, py, pt, frame[9]) < 0.0:
             if slack_at(maps, px, py, pt, frame[8]) >= 0.0:
                 cost += (NARROW - 1.0) * time
-            elif slack_at(maps, px, py, pt, -frame[7]) >= 0.0:
+            elif cost >= frame[10] and slack_at(maps, px, py, pt, -frame[7]) >= 0.0:
                 cost += (LACKING - 1.0) * time
             else:
                 continue
