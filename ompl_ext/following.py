@@ -30,7 +30,8 @@ BRAKING, BRAKING_STEPS = 0.02, 60  # step (s) and number of steps in which a pie
 ACCURATE = 5e-4  # error of a piece that is good enough (m)
 REST_TIME = 0.1  # with which a speed at the end of a piece counts as an error (s)
 ITERATIONS, LARGEST_STEP = 12, 0.7  # of Gauss-Newton; of a control, as a share of its range
-SHORTEST, TIME_RANGE = 0.01, 0.2  # of a duration, and the range that corresponds to that of a control (s)
+SHORTEST, LONGEST_HELD, TIME_RANGE = 0.01, 2.0, 0.2  # of a duration, and what corresponds to a control's range (s)
+TOLERABLE = 0.2  # error at the end of a piece beyond which a path is given up, as a share of the footprint's reach
 DAMPING, CHANGE = 1e-6, 1e-4  # of Gauss-Newton; share of the range by which derivatives are taken
 
 
@@ -55,11 +56,11 @@ class PathFollower:
         self._limits = [k for k, name in enumerate(vehicle.state) if name in vehicle.limits]
         self._low, self._high = vehicle.state_limits[self._limits].T
         bounds = vehicle.control_bounds
-        self._bounds = np.vstack([bounds, (SHORTEST, 2.0 * PIECE)])
+        self._bounds = np.vstack([bounds, (SHORTEST, LONGEST_HELD)])
         self._range = np.append(bounds[:, 1] - bounds[:, 0], TIME_RANGE)
 
     def edges_along(self, path: PosePath, start: Floats) -> tuple[Matrix, Floats]:
-        """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path."""
+        """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as it can be followed."""
         state, controls, durations = start, [], []
         for piece in _pieces(path, self._twists, self._motion, self._reach):
             inputs = self._fitted(state, self._with_brake(state, piece))
@@ -68,7 +69,10 @@ class PathFollower:
                 controls += [row[:-1]] * count
                 durations += [row[-1] / count] * count
             added = slice(len(controls) - sum(math.ceil(row[-1] / LONGEST) for row in inputs), None)
-            state = self._ends(state, np.column_stack([controls[added], durations[added]])[None])[0, -1]
+            states = self._ends(state, np.column_stack([controls[added], durations[added]])[None])
+            if np.abs(self._errors(states, piece)).max() > TOLERABLE * self._reach:
+                break
+            state = states[0, -1]
         return np.array(controls), np.array(durations)
 
     def _ends(self, state: Floats, inputs: Floats) -> Floats:

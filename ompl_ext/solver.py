@@ -51,7 +51,7 @@ POLISH_EVERY = 512  # iterations
 POLISH_GAIN = 0.005  # s by which the best plan must be better than the last time
 CLEARANCES = (0.7, 1.5, 3.0)  # cells of the clearance field that optimised plans aim for, in turn
 REPEATED_STIFFNESS = 1e3  # of the model, for a plan that obeys it already
-PATHS = 5  # that are tried before the search begins
+PATHS = 4  # that are tried before the search begins
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 

@@ -120,10 +120,19 @@ class PoseCostToGo(NamedTuple):
         kinds = np.where(times[order] > 0.0, numbers[order], -1)
         _, distinct = np.unique(kinds, axis=0, return_index=True)
         for k in order[np.sort(distinct)[:most]]:
-            used = times[k] > 0.0
-            rest, begun = self._path_of(int(cells[k])), np.array([[x, y, theta], first[k]])[used]
-            joined = np.concatenate([numbers[k][used], rest.twist]), np.concatenate([times[k][used], rest.times])
-            yield PosePath(np.vstack([begun, rest.poses]), *joined)
+            pose, poses, twist, lasting = np.array([x, y, theta]), [], [], []
+            for number, time in zip(numbers[k], times[k], strict=True):
+                count = math.ceil(time / self.motions[number, 3])
+                poses += [pose] if count > 0 else []
+                shares = np.arange(1, count + 1) / max(count, 1)
+                after = _poses_after(pose, self.motions[np.full(count, number)], time * shares)
+                poses += list(after[:-1])
+                pose = after[-1] if count > 0 else pose
+                twist += [number] * count
+                lasting += [time / max(count, 1)] * count
+            rest = self._path_of(int(cells[k]))
+            joined = np.concatenate([twist, rest.twist]).astype(np.int64), np.concatenate([lasting, rest.times])
+            yield PosePath(np.vstack([*poses, rest.poses]), *joined)
 
     def _met(self, poses: Matrix) -> tuple[Floats, Ints]:
         """Time to the goal (n,) from the pose that was reached in the cell of each pose (n, 3), and that cell.
