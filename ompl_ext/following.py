@@ -60,7 +60,7 @@ class PathFollower:
         self._range = np.append(bounds[:, 1] - bounds[:, 0], TIME_RANGE)
 
     def edges_along(self, path: PosePath, start: Floats) -> tuple[Matrix, Floats]:
-        """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as it can be followed."""
+        """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as these follow it."""
         state, controls, durations = start, [], []
         for piece in _pieces(path, self._twists, self._motion, self._reach):
             inputs = self._fitted(state, self._with_brake(state, piece))

@@ -63,7 +63,6 @@ ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because ano
 DEVIATION_PENALTY = 0.05  # share of the cost-to-go that counts for a cell of deviation
 NEARBY = 2  # cells around a pose of which one must have been reached
 LEADS_ON = 1.1  # times the cells at its begin that the search must reach
-EASE = 0.9  # share of the curvature of motions that are not near the goal, so that errors can be corrected
 LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0])  # of a motion with which a path begins, in strides
 PARTS = (0.25, 0.5, 0.75, 1.0)  # of these motions where poses have to be free
 ASIDE = 10.0  # factor of errors to the side and of the heading where a path begins
@@ -240,7 +239,7 @@ def pose_cost_to_go(
     )  # the goal is in the centre of a cell
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns
-    motions = _motions(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, EASE), twists), cell, headings)
+    motions = _motions(twists, cell, headings)
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
     frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, 0.0, 0.0, 0.0])
     frame[8:10] = SPARE * footprint_width, COMFORT * footprint_width
