@@ -62,7 +62,8 @@ HEADINGS = (36, 240)  # fewest and most bins of the heading
 ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because another one in the cell may not
 DEVIATION_PENALTY = 0.05  # share of the cost-to-go that counts for a cell of deviation
 NEARBY = 2  # cells around a pose of which one must have been reached
-LEADS_ON = 1.1  # times the cells at its begin that the search must reach
+LEADS_ON = 0.03  # share of the cells that a search must reach, else another one is tried
+EASE = 0.9  # share of the curvature that motions have where possible, so that errors can be corrected
 LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0])  # of a motion with which a path begins, in strides
 PARTS = (0.25, 0.5, 0.75, 1.0)  # of these motions where poses have to be free
 ASIDE = 10.0  # factor of errors to the side and of the heading where a path begins
@@ -239,17 +240,17 @@ def pose_cost_to_go(
     )  # the goal is in the centre of a cell
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns
-    motions = _motions(twists, cell, headings)
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
     frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, 0.0, 0.0, 0.0])
     frame[8:10] = SPARE * footprint_width, COMFORT * footprint_width
     region = np.array([*goal, goal_radius, goal_tolerance])
     close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
-    near = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
-    table, opened = _searched(count, frame, motions, reversal, region, maps, near)
-    if near is not None and np.count_nonzero(table.seconds < UNKNOWN) < LEADS_ON * opened:
-        near = None
-        table, _ = _searched(count, frame, motions, reversal, region, maps, near)
+    nearby = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
+    for near, ease in ((nearby, EASE), (nearby, 1.0), (None, 1.0)):
+        motions = _motions(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists), cell, headings)
+        table = _searched(count, frame, motions, reversal, region, maps, near)
+        if np.count_nonzero(table.seconds < UNKNOWN) >= LEADS_ON * count:
+            break
     filled = np.empty_like(table.seconds)
     shape = headings, rows, columns
     _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
@@ -280,8 +281,8 @@ def _searched(
     region: Floats,
     maps: Maps,
     near: NearPoses | None,
-) -> tuple[_Table, int]:
-    """Table of `count` cells after the search, which begins at the poses around the goal, and how many began it."""
+) -> _Table:
+    """Table of `count` cells after the search, which begins at the poses around the goal if there are any."""
     width = float(motions[:, 3].min())
     latest = 0.0 if near is None else float(near.seconds.max())
     buckets = math.ceil((latest + LACKING * motions[:, 3].max() + reversal) / width) + 2
@@ -299,7 +300,7 @@ def _searched(
         opened = _open_near(table, width, near.seconds, near.pose)
         table.frame[10] = near.complete
     _search(table, opened, width, motions, reversal, maps)
-    return table, opened
+    return table
 
 
 def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
