@@ -111,6 +111,7 @@ class DirtSolver(EdgeChecker):
         if not 1 <= threads <= MAX_THREADS:
             raise ValueError(f"threads is {threads}, not 1 to {MAX_THREADS}")
         super().__init__(vehicle, workspace, goal, safety, settings)
+        self._first = vehicle, goal  # those of the cost-to-go of poses, whatever is estimated or set later
         max_nodes = max(capacity, max_nodes)
         self._trees = [
             GrowingTree(vehicle, self._problem, workspace.bounds, capacity, max_nodes) for _ in range(threads)
@@ -305,11 +306,12 @@ class DirtSolver(EdgeChecker):
 
     def _add_path(self) -> None:
         """Add edges along paths of poses from the root, as far as they are free and safe, until one is in the goal."""
-        assert self.goal is not None
+        vehicle, goal = self._first
+        assert goal is not None
         began, root = time.perf_counter(), self._tree.state[0].copy()
-        cell = settings_for(self.settings, self.vehicle, self.goal).cell
-        found = pose_cost_to_go_of(self.vehicle, self.workspace, self.goal, cell)
-        follower, retained = PathFollower(self.vehicle, self._problem.parameters), int(self._tree.count[at.RETAINED])
+        cell = settings_for(self.settings, vehicle, goal).cell
+        found = pose_cost_to_go_of(vehicle, self.workspace, goal, cell)
+        follower, retained = PathFollower(vehicle, self._problem.parameters), int(self._tree.count[at.RETAINED])
         x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
         for path in found.paths_from(x, y, theta, PATHS):
             if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
@@ -353,7 +355,9 @@ class DirtSolver(EdgeChecker):
         assert self.goal is not None
         began = time.perf_counter()
         if self._polished.attempts == 0:
-            guess = guess_to_goal(self.vehicle, self.workspace, self.goal, self.settings, self._tree.state[0].copy())
+            vehicle, goal = self._first
+            assert goal is not None
+            guess = guess_to_goal(vehicle, self.workspace, goal, self.settings, self._tree.state[0].copy())
             self._add_improved(guess, PATIENCE)
             self._update_progress(offset + time.perf_counter())
         if self._tree.count[at.BEST] >= 0:
