@@ -80,20 +80,22 @@ class Problem:
         return free and self.goal.contains(self.vehicle, state[0])
 
 
-def turning_round() -> Problem:
-    """Turn round on the spot in a room of 2 m by 2 m."""
-    goal = Goal((1.0, 1.0), 0.05, math.pi, math.radians(5), AT_REST)
-    bounds, start = ((0.0, 2.0), (0.0, 2.0)), np.array([1.0, 1.0, 0.0, 0.0])
-    return Problem("turning round", REVERSING, model_of(REVERSING), bounds, fence(bounds), start, goal, Safety())
+def turning_round(size: float) -> Problem:
+    """Turn round on the spot in a room of `size` m by `size` m."""
+    goal = Goal((size / 2, size / 2), 0.05, math.pi, math.radians(5), AT_REST)
+    bounds, start = ((0.0, size), (0.0, size)), np.array([size / 2, size / 2, 0.0, 0.0])
+    return Problem(
+        f"turning round, {size:g} m", REVERSING, model_of(REVERSING), bounds, fence(bounds), start, goal, Safety()
+    )
 
 
-def parking(lengths: float) -> Problem:
-    """Park between two cars; the gap is that many car lengths long."""
+def parking(lengths: float, *, left: bool = False) -> Problem:
+    """Park between two cars, on the right or left of the street; the gap is that many car lengths long."""
     size = REVERSING.footprint.length, REVERSING.footprint.width
-    gap, x, y = lengths * size[0], 1.6, 0.2
+    gap, x, y = lengths * size[0], 1.6, 1.2 if left else 0.2
     cars = tuple(Rectangle((x + side * (gap + size[0]) / 2, y), size, 0.0) for side in (-1, 1))
     goal, bounds = Goal((x, y), 0.05, 0.0, math.radians(5), AT_REST), ((0.0, 3.2), (0.0, 1.4))
-    start, name = np.array([0.6, 0.7, 0.0, 0.0]), f"parking, {lengths:g} lengths"
+    start, name = np.array([0.6, 0.7, 0.0, 0.0]), f"parking{' left' if left else ''}, {lengths:g} lengths"
     return Problem(name, REVERSING, model_of(REVERSING), bounds, fence(bounds) + cars, start, goal, Safety())
 
 
@@ -132,7 +134,8 @@ def dynobench(folder: Path) -> list[Problem]:
 def run(effort: Effort) -> Report:
     """Measure every problem."""
     seeds = max(1, effort.seeds // 5) if effort.seeds < 100 else 50
-    problems = [turning_round(), *(parking(lengths) for lengths in (1.3, 2.0))]
+    problems = [turning_round(size) for size in (1.5, 2.0, 3.0)]
+    problems += [parking(lengths) for lengths in (1.3, 1.6, 2.0)] + [parking(1.3, left=True)]
     rows = [each for problem in problems for each in measured(problem, seeds, FOUND_WITHIN)]
     if folder := os.environ.get(FOLDER):
         for problem in dynobench(Path(folder)):

@@ -173,13 +173,14 @@ def make_problem(
 
     Without a goal there is no cost-to-go: edges and SAFETY can be checked, a tree cannot grow.
     """
-    precise = goal is not None and vehicle.index("theta") >= 0 and goal.has_heading
+    spacing = _spacing(vehicle, goal)
+    precise = spacing < math.inf
     settings = settings_for(settings, vehicle, goal)
-    discs = _tight_cover(vehicle.footprint) if precise else cover(vehicle.footprint, settings.discs).discs
+    discs = _tight_cover(vehicle.footprint, EXCESS) if precise else cover(vehicle.footprint, settings.discs).discs
     reach = vehicle.footprint.reach
     delta = _largest_delta(vehicle, safety)
     smallest = float(discs[:, 2].min())
-    field, fine = _fields(workspace, vehicle.footprint, smallest, settings.cell, delta)
+    field, fine = _fields(workspace, vehicle.footprint, smallest, settings.cell, delta, spacing)
     seconds = np.zeros((1, 1), np.float32)
     if goal is not None:
         goal.check(vehicle)
@@ -192,6 +193,7 @@ def make_problem(
             goal.center,
             goal.radius,
             vehicle.top_speed,
+            spacing,
         )
     limits = vehicle.state_limits.copy()
     for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
@@ -243,9 +245,13 @@ def make_problem(
 
 def settings_for(settings: Settings, vehicle: Vehicle, goal: Goal | None) -> Settings:
     """Settings with a finer clearance field if the goal has a heading: manoeuvring is done in narrow places."""
-    if goal is None or vehicle.index("theta") < 0 or not goal.has_heading:
-        return settings
-    return replace(settings, cell=min(settings.cell, FINE_CELL))
+    return settings if _spacing(vehicle, goal) == math.inf else replace(settings, cell=min(settings.cell, FINE_CELL))
+
+
+def _spacing(vehicle: Vehicle, goal: Goal | None) -> float:
+    """Spacing of the fine field (m) if the goal has a heading, else infinite."""
+    has_heading = goal is not None and vehicle.index("theta") >= 0 and goal.has_heading
+    return PRECISE * vehicle.footprint.width if has_heading else math.inf
 
 
 def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings) -> None:
@@ -304,11 +310,13 @@ class _Vehicle:
 
 
 @lru_cache(CACHED_MAPS)
-def _tight_cover(footprint: Footprint) -> Matrix:
-    return tight_cover(footprint, EXCESS * footprint.width)
+def _tight_cover(footprint: Footprint, excess: float) -> Matrix:
+    return tight_cover(footprint, excess * footprint.width)
 
 
-EXCESS = 0.03  # of the discs over the footprint where a heading is asked for, as a share of its width
+EXCESS = 0.01  # of the discs over the footprint where a heading is asked for, as a share of its width
+LARGE_EXCESS = 0.03  # of those of the cost-to-go of poses, away from the goal
+PRECISE = 0.018  # spacing of the fine field there, as a share of the footprint's width
 
 
 @lru_cache(CACHED_MAPS)
@@ -324,16 +332,20 @@ def _pose_seconds(
     """Cost-to-go of poses; kernels only read it."""
     vehicle = key.vehicle
     footprint, motion = vehicle.footprint, motion_of(vehicle)
-    discs = _tight_cover(footprint)
+    discs = _tight_cover(footprint, EXCESS)
     smallest = float(discs[:, 2].min())
-    field, _ = _fields(workspace, footprint, smallest, cell, 0.0)
+    spacing = PRECISE * footprint.width
+    field, fine = _fields(workspace, footprint, smallest, cell, 0.0, spacing)
+    assert fine is not None
     scalar = np.zeros(SCALARS)
     scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
     scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE, at.REACH]] = *field.origin, 1 / field.cell, footprint.reach
-    maps = Maps(discs, field.values, np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16), scalar)
+    x, y, c, s, spacing_used = fine.lattice
+    scalar[[at.FINE_X, at.FINE_Y, at.FINE_COS, at.FINE_SIN, at.FINE_INVERSE]] = x, y, c, s, 1 / spacing_used
+    maps = Maps(_tight_cover(footprint, LARGE_EXCESS), field.values, fine.tile, fine.squares, scalar)
     speed = vehicle.rest_indices[0] if vehicle.rest_indices else -1
     reversal = vehicle.top_speed / motion.rate[speed] if speed >= 0 and motion.rate[speed] > 0 else 0.0
-    geodesic = _seconds(workspace, footprint, smallest, cell, 0.0, center, radius, vehicle.top_speed)
+    geodesic = _seconds(workspace, footprint, smallest, cell, 0.0, center, radius, vehicle.top_speed, spacing)
     return pose_cost_to_go(
         maps,
         workspace.bounds,
@@ -344,12 +356,17 @@ def _pose_seconds(
         reversal,
         (cell, COARSEST * footprint.width),
         geodesic,
+        footprint.width,
+        discs,
     )
 
 
-def memory_of_maps(vehicle: Vehicle, workspace: Workspace, safety: Safety, settings: Settings) -> int:
+def memory_of_maps(
+    vehicle: Vehicle, workspace: Workspace, safety: Safety, settings: Settings, goal: Goal | None = None
+) -> int:
     """Memory (bytes) that the maps of a query need at most."""
-    return memory_of_fields(workspace, vehicle.footprint, settings.cell, _largest_delta(vehicle, safety))
+    settings, delta = settings_for(settings, vehicle, goal), _largest_delta(vehicle, safety)
+    return memory_of_fields(workspace, vehicle.footprint, settings.cell, delta, _spacing(vehicle, goal))
 
 
 def _largest_delta(vehicle: Vehicle, safety: Safety) -> float:
@@ -359,10 +376,10 @@ def _largest_delta(vehicle: Vehicle, safety: Safety) -> float:
 
 @lru_cache(CACHED_MAPS)
 def _fields(
-    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float, delta: float
+    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float, delta: float, spacing: float
 ) -> tuple[ClearanceField, FineField | None]:
     """Clearance field and fine field for a footprint; kernels only read them."""
-    return fields(workspace, footprint, disc_radius, cell, delta)
+    return fields(workspace, footprint, disc_radius, cell, delta, spacing)
 
 
 @lru_cache(CACHED_MAPS)
@@ -375,9 +392,10 @@ def _seconds(
     goal: tuple[float, float],
     goal_radius: float,
     top_speed: float,
+    spacing: float,
 ) -> Matrix32:
     """Cost-to-go on the cells of the clearance field; kernels only read it."""
-    field, _ = _fields(workspace, footprint, disc_radius, cell, delta)
+    field, _ = _fields(workspace, footprint, disc_radius, cell, delta, spacing)
     return cost_to_go(field, footprint.inscribed, goal, goal_radius, top_speed, workspace.bounds).seconds
 
 

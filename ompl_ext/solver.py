@@ -12,6 +12,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.checker import EdgeChecker
+from ompl_ext.following import PathFollower
 from ompl_ext.growing_tree import GrowingTree
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
@@ -32,7 +33,9 @@ from ompl_ext.query import (
     Safety,
     Settings,
     edges_to_retain,
+    pose_cost_to_go_of,
     remaining_edges,
+    settings_for,
 )
 from ompl_ext.retainment import RetainableEdges, retainable_edges
 from ompl_ext.vehicle import Vehicle
@@ -48,6 +51,7 @@ POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation,
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
 POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
 POLISH_SECONDS = 1e-4  # first estimate of the time that an optimisation takes, per interval (s)
+PATHS = 4  # that are tried before the search begins
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
@@ -115,6 +119,7 @@ class DirtSolver(EdgeChecker):
         if not 1 <= threads <= MAX_THREADS:
             raise ValueError(f"threads is {threads}, not 1 to {MAX_THREADS}")
         super().__init__(vehicle, workspace, goal, safety, settings)
+        self._first = vehicle, goal  # those of the cost-to-go of poses, whatever is estimated or set later
         max_nodes = max(capacity, max_nodes)
         self._trees = [
             GrowingTree(vehicle, self._problem, workspace.bounds, capacity, max_nodes) for _ in range(threads)
@@ -227,6 +232,8 @@ class DirtSolver(EdgeChecker):
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
+        if self._follows_path:
+            self._add_path()
         if self._wants_polish and self._polish is None and self._reaches_polish(iterations):
             self._polish = Polish(self.vehicle, self._problem)
         if self._pool is not None:
@@ -302,6 +309,31 @@ class DirtSolver(EdgeChecker):
         self._insert_polished()
         return self._progress
 
+    @property
+    def _follows_path(self) -> bool:
+        """Whether the path of poses to the goal is to be added to the tree: once, unless there is a plan already."""
+        count, option = self._tree.count, self._problem.option
+        wanted = option[at.POSE_HEADINGS] > 0 and self.settings.quantum == 0.0
+        return bool(wanted and count[at.ITERATIONS] == 0 and count[at.SIZE] > 0 and count[at.BEST] < 0)
+
+    def _add_path(self) -> None:
+        """Add edges along paths of poses from the root, as far as they are free and safe, until one is in the goal."""
+        vehicle, goal = self._first
+        assert goal is not None
+        began, root = time.perf_counter(), self._tree.state[0].copy()
+        cell = settings_for(self.settings, vehicle, goal).cell
+        found = pose_cost_to_go_of(vehicle, self.workspace, goal, cell)
+        follower, retained = PathFollower(vehicle, self._problem.parameters), int(self._tree.count[at.RETAINED])
+        x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
+        for path in found.paths_from(x, y, theta, PATHS):
+            if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
+                break
+            controls, durations = follower.edges_along(path, root)
+            edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
+            self._trees[0].add(self._kernels, self._problem, edges)
+        self._tree.count[at.RETAINED] = retained
+        self._update_progress(self._progress.seconds + time.perf_counter() - began)
+
     def _take_best(self) -> None:
         """Put the tree with the best plan first, and make its cost the bound of all trees."""
         best = min(range(len(self._trees)), key=lambda k: self._trees[k].rank)
@@ -350,7 +382,9 @@ class DirtSolver(EdgeChecker):
         assert self.goal is not None
         began, attempts = time.perf_counter(), self._polished.attempts
         if attempts == 0 and self._has_heading:
-            guess = guess_to_goal(self.vehicle, self.workspace, self.goal, self.settings, self._tree.state[0].copy())
+            vehicle, goal = self._first
+            assert goal is not None
+            guess = guess_to_goal(vehicle, self.workspace, goal, self.settings, self._tree.state[0].copy())
             if guess is not None:
                 self._improve(guess, [], PATIENCE)
                 self._insert_polished()

@@ -25,7 +25,7 @@ from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.memory import MapTooLargeError, check_memory, in_words
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
-from ompl_ext.query import Settings, make_problem, memory_of_maps, settings_for
+from ompl_ext.query import Settings, make_problem, memory_of_maps
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)
@@ -35,8 +35,8 @@ UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide en
 
 def memory_needed(task: Task, vehicle: Vehicle) -> int:
     """Memory (bytes) that the distance fields of a task need at most."""
-    settings = settings_for(Settings(), vehicle, goal_of(task))  # those of the search do not matter
-    return memory_of_maps(vehicle, workspace_of(task, vehicle), safety_of_task(task), settings)
+    settings = Settings()  # those of the search do not matter
+    return memory_of_maps(vehicle, workspace_of(task, vehicle), safety_of_task(task), settings, goal_of(task))
 
 
 def check_memory_of_maps(task: Task, vehicle: Vehicle) -> None:

@@ -75,28 +75,45 @@ def cover(footprint: Footprint, discs: int = 4) -> DiscCover:
 
 
 def tight_cover(footprint: Footprint, excess: float) -> Matrix:
-    """Discs (n, 3) of centres and radii whose union contains the footprint and exceeds it by at most `excess` m.
+    """Discs (n, 3) of centres and radii whose union contains the footprint and exceeds its sides by at most `excess` m.
 
-    The discs are small along the border only: what is inside it may be covered by larger ones.
+    Each disc is around a rectangle, and the rectangles fill the footprint.  A disc around a rectangle `deep` m deep and
+    `wide` m wide exceeds the side that it lies at by about wide^2 / (4 deep), but it must not exceed another side: the
+    rectangles get smaller towards the corners only.
     """
     half = np.array([footprint.length / 2, footprint.width / 2])
+    side, long = float(half.min()), int(half[1] > half[0])  # of the squares at the corners; the longer axis
+    discs = [(x, y, radius) for x, y, radius in _corner_discs(side, excess)]
+    signs = [(a, b) for a in (-1, 1) for b in (-1, 1)]
+    found = [(a * (half[0] - x), b * (half[1] - y), radius) for x, y, radius in discs for a, b in signs]
+    middle = 2 * float(half.max() - side)
+    count = math.ceil(middle / _width_of_slice(2 * side, excess) - 1e-9)
+    for k in range(count):
+        along = -middle / 2 + (k + 0.5) * middle / count
+        radius = math.hypot(middle / count, 2 * side) / 2
+        found.append((0.0, along, radius) if long else (along, 0.0, radius))
+    found.sort(key=lambda disc: -disc[2])  # a large one detects most collisions
+    return np.array([(x + footprint.offset, y, radius) for x, y, radius in found])
+
+
+def _width_of_slice(deep: float, excess: float) -> float:
+    """Width (m) of a rectangle, `deep` m deep, whose disc exceeds it by `excess` m at its narrow sides."""
+    return math.sqrt(4 * deep * excess + 4 * excess * excess)
+
+
+def _corner_discs(side: float, excess: float) -> list[tuple[float, float, float]]:
+    """Discs that cover a square of side `side` at a corner of a footprint: distances from both sides, and radius."""
     found: list[tuple[float, float, float]] = []
-    while True:
-        side = min(excess / (math.sqrt(2.0) - 1.0), half.min())  # half a cell's side
-        across = math.ceil(half.min() / side)
-        along = math.ceil(half.max() / (half.min() / across))
-        nx, ny = (along, across) if half[0] >= half[1] else (across, along)
-        cells = [(i, k) for i in range(nx) for k in range(ny)]
-        border = [(i, k) for i, k in cells if min(i, k, nx - 1 - i, ny - 1 - k) == 0]
-        cell = half / (nx, ny)
-        found += [
-            (footprint.offset - half[0] + (2 * i + 1) * cell[0], (2 * k + 1) * cell[1] - half[1], math.hypot(*cell))
-            for i, k in border
-        ]
-        if len(border) == len(cells):
-            return np.array(found)
-        excess += 2 * cell.min()
-        half = half - 2 * cell
+    while (math.sqrt(2.0) - 1.0) * side / 2 > excess:
+        deep = side / 2
+        count = math.ceil(deep / _width_of_slice(deep, excess) - 1e-9)
+        for k in range(count):
+            along, radius = deep + (k + 0.5) * deep / count, math.hypot(deep, deep / count) / 2
+            found += [(along, deep / 2, radius), (deep / 2, along, radius)]
+        found.append((1.5 * deep, 1.5 * deep, deep / math.sqrt(2.0)))
+        side = deep
+    found.append((side / 2, side / 2, side / math.sqrt(2.0)))
+    return found
 
 
 def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> ClearanceField:
@@ -110,11 +127,17 @@ def clearance_field(workspace: Workspace, margin: float, cell: float = 0.02) -> 
 
 
 def fields(
-    workspace: Workspace, footprint: Footprint, disc_radius: float, cell: float, delta: float = 0.0
+    workspace: Workspace,
+    footprint: Footprint,
+    disc_radius: float,
+    cell: float,
+    delta: float = 0.0,
+    spacing: float = math.inf,
 ) -> tuple[ClearanceField, FineField | None]:
     """Clearance field, and a fine field if the clearance field alone would lose more than `cell` m of clearance.
 
-    The fields are for a footprint that keeps up to `delta` m.
+    The fields are for a footprint that keeps up to `delta` m.  There always is a fine field if its `spacing` is given
+    (m); in a large workspace it is wider.
 
     In a workspace without a map the cells of the clearance field are `cell` m wide if these are at most `MAX_CELLS`,
     and there is no fine field.  Otherwise the clearance field has larger cells, and the fine field, which loses at most
@@ -123,14 +146,21 @@ def fields(
     Raises:
         MapTooLargeError: there is not enough memory.
     """
-    check_memory(memory_of_fields(workspace, footprint, cell, delta))
+    check_memory(memory_of_fields(workspace, footprint, cell, delta, spacing))
     grid, coarse = _first_map(workspace), coarse_cell(workspace, footprint, cell)
-    if grid is None and coarse == cell:
+    if grid is None and coarse == cell and spacing == math.inf:
         return clearance_field(workspace, footprint.reach + 2 * cell, cell), None
     touch = footprint.reach + delta + BEYOND_REACH
-    cells = None if grid is None else map_cells(grid, cell * math.sqrt(2.0), max(touch, coarse), workspace.bounds)
+    spacing = fine_spacing(workspace, footprint, cell, spacing)
+    cells = None if grid is None else map_cells(grid, spacing, max(touch, coarse), workspace.bounds)
     field = _field_of(workspace, cells, footprint.reach + 2 * coarse, coarse)
-    return field, _fine_field_of(workspace, field, cells, disc_radius, touch, cell * math.sqrt(2.0))
+    return field, _fine_field_of(workspace, field, cells, disc_radius, touch, spacing)
+
+
+def fine_spacing(workspace: Workspace, footprint: Footprint, cell: float, wanted: float) -> float:
+    """Spacing of the fine field (m): `wanted`, or larger in a large workspace, but no loss of more than `cell` m."""
+    area = math.prod(high - low + 2 * footprint.reach for low, high in workspace.bounds)
+    return min(cell * math.sqrt(2.0), max(wanted, math.sqrt(area / (4 * MAX_CELLS))))
 
 
 def coarse_cell(workspace: Workspace, footprint: Footprint, cell: float) -> float:
@@ -142,19 +172,22 @@ def coarse_cell(workspace: Workspace, footprint: Footprint, cell: float) -> floa
     return max(cell, math.sqrt(area / (4 * MAX_CELLS)), min(math.sqrt(area / MAX_CELLS), widest))
 
 
-def memory_of_fields(workspace: Workspace, footprint: Footprint, cell: float, delta: float = 0.0) -> int:
+def memory_of_fields(
+    workspace: Workspace, footprint: Footprint, cell: float, delta: float = 0.0, spacing: float = math.inf
+) -> int:
     """Memory (bytes) that both fields and a cost-to-go need at most, while they are computed."""
     coarse, grid = coarse_cell(workspace, footprint, cell), _first_map(workspace)
     width, height = (high - low + 2 * (footprint.reach + 2 * coarse) for low, high in workspace.bounds)
     needed = BYTES_PER_CELL * width * height / coarse**2
-    if grid is None and coarse == cell:
+    if grid is None and coarse == cell and spacing == math.inf:
         return int(needed)
-    side, touch = TILE * cell * math.sqrt(2.0), footprint.reach + delta + BEYOND_REACH
+    spacing = fine_spacing(workspace, footprint, cell, spacing)
+    side, touch = TILE * spacing, footprint.reach + delta + BEYOND_REACH
     extents = []
     for obstacle in workspace.obstacles:
         if isinstance(obstacle, OccupancyGrid):
             needed += BYTES_PER_MAP_CELL * (obstacle.occupied.size + MAX_FREE_CELLS)
-            side = min(side, TILE * obstacle.resolution / math.ceil(obstacle.resolution / (cell * math.sqrt(2.0))))
+            side = min(side, TILE * obstacle.resolution / math.ceil(obstacle.resolution / spacing))
             extents.append(np.array(obstacle.occupied.shape) * obstacle.resolution)
         elif isinstance(obstacle, Circle):
             extents.append(np.full(2, 2 * obstacle.radius))

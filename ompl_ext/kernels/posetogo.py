@@ -3,7 +3,8 @@
 A search backwards from the goal over short motions at the vehicle's extreme body velocities, in a grid over x, y and
 heading.  As in hybrid A* (Dolgov et al., Path planning for autonomous vehicles in unknown semi-structured environments,
 2010) a cell keeps the exact pose by which it was reached first, so that motions do not round to the grid.  It
-disregards accelerations, apart from a time for each change between ahead and astern.
+disregards accelerations, apart from a time for each change between ahead and astern.  Around the goal `nearpose`
+searches in a finer grid, without any tolerance for poses that lack clearance; this search continues from there.
 
 The grid covers the bounds, or a square around the goal on large maps; beyond it the geodesic cost-to-go plus
 POSE_BEYOND applies.
@@ -12,13 +13,13 @@ POSE_BEYOND applies.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix32, Ints, Ints32, Matrix, Matrix32
+from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix, IntMatrix32, Ints, Ints32, Matrix, Matrix32
 from ompl_ext.jit import compiled, inlined, part
-from ompl_ext.kernels.clearance import pose_slack
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     GRID_INVERSE,
@@ -35,14 +36,24 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     REACH,
     SCALARS,
     X_HIGH,
-    X_LOW,
     Y_HIGH,
-    Y_LOW,
     Maps,
     Problem,
 )
+from ompl_ext.kernels.nearpose import (  # fmt: skip
+    COMFORT,
+    NARROW,
+    SPARE,
+    UNKNOWN,
+    NearPoses,
+    link_cell,
+    near_poses,
+    pose_before,
+    slack_at,
+    unlink_cell,
+)
 from ompl_ext.kernels.penetration import fill_penetration
-from ompl_ext.trigonometry import cos, sin
+from ompl_ext.trigonometry import cos
 
 MAX_CELLS = 1_000_000
 STRIDE = 1.1  # cells, or bins of the heading, of a motion
@@ -51,7 +62,14 @@ HEADINGS = (36, 240)  # fewest and most bins of the heading
 ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because another one in the cell may not
 DEVIATION_PENALTY = 0.05  # share of the cost-to-go that counts for a cell of deviation
 NEARBY = 2  # cells around a pose of which one must have been reached
-UNKNOWN = 1e9  # seconds
+LEADS_ON = 0.03  # share of the cells that a search must reach, else another one is tried
+EASE = 0.9  # share of the curvature that motions have where possible, so that errors can be corrected
+LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0])  # of a motion with which a path begins, in strides
+PARTS = (0.25, 0.5, 0.75, 1.0)  # of these motions where poses have to be free
+ASIDE = 10.0  # factor of errors to the side and of the heading where a path begins
+LACKING = 4.0  # factor of the time of motions to poses that lack clearance
+FIRST_NEAR = -2
+INSIDE = 0.8  # share of the goal's tolerances that the fine search around it aims for
 
 
 class PoseCostToGo(NamedTuple):
@@ -64,22 +82,113 @@ class PoseCostToGo(NamedTuple):
     beyond: float  # what is added to the geodesic cost-to-go outside the grid (s)
     exact: Floats32  # without CAUTION, UNKNOWN where no motion was found
     pose: Matrix32  # the exact pose of each cell
-    after: IntMatrix32  # the cell that follows each one towards the goal, and the motion to it
+    after: IntMatrix32  # the cell that follows each one towards the goal, and the motion to it; see `_Table`
     motions: Matrix
     frame: Floats
+    near: NearPoses | None  # None if the whole grid is coarse
+    reach: float  # of the footprint (m)
+    top_speed: float  # of the motions (m/s)
+    reversal: float  # time that a change between ahead and astern costs (s)
 
     def path_from(self, x: float, y: float, theta: float) -> PosePath | None:
         """Motions from a pose near (x, y, theta) to the goal; None if none was found near it."""
         cell = _nearest_reached(x, y, theta, self.exact, self.frame, self.pose)
-        if cell < 0:
-            return None
-        poses, numbers = [self.pose[cell]], []
+        return None if cell < 0 else self._path_of(cell)
+
+    def paths_from(self, x: float, y: float, theta: float, most: int) -> Iterator[PosePath]:
+        """Motions from a pose to the goal, in the order of their times: up to `most` that begin differently.
+
+        Up to two motions lead from the pose to one that was reached.  Its cell has just one pose, which they have to
+        meet, so that many are tried.
+        """
+        numbers, times = _beginnings(self.motions)
+        first = _poses_after(np.array([x, y, theta]), self.motions[numbers[:, 0]], times[:, 0])
+        second = _poses_after(first, self.motions[numbers[:, 1]], times[:, 1])
+        seconds, cells = self._met(second)
+        for share in PARTS:  # cells on the way were reached too: they are free
+            on_first = _poses_after(np.array([x, y, theta]), self.motions[numbers[:, 0]], share * times[:, 0])
+            on_second = _poses_after(first, self.motions[numbers[:, 1]], share * times[:, 1])
+            seconds[(self._met(on_first)[0] >= UNKNOWN) | (self._met(on_second)[0] >= UNKNOWN)] = UNKNOWN
+        speed, turned = self.motions[numbers, 0] * (times > 0.0), self.after[cells, 1]
+        onward = np.where(turned >= 0, self.motions[turned, 0], 0.0)
+        changes = (speed[:, 0] * speed[:, 1] < 0.0) + (
+            np.where(times[:, 1] > 0.0, speed[:, 1], speed[:, 0]) * onward < 0.0
+        )
+        seconds = seconds + times.sum(axis=1) + self.reversal * changes
+        order = np.argsort(seconds, kind="stable")
+        order = order[seconds[order] < UNKNOWN]
+        kinds = np.where(times[order] > 0.0, numbers[order], -1)
+        _, distinct = np.unique(kinds, axis=0, return_index=True)
+        for k in order[np.sort(distinct)[:most]]:
+            pose, poses, twist, lasting = np.array([x, y, theta]), [], [], []
+            for number, time in zip(numbers[k], times[k], strict=True):
+                count = math.ceil(time / self.motions[number, 3])
+                poses += [pose] if count > 0 else []
+                shares = np.arange(1, count + 1) / max(count, 1)
+                after = _poses_after(pose, self.motions[np.full(count, number)], time * shares)
+                poses += list(after[:-1])
+                pose = after[-1] if count > 0 else pose
+                twist += [number] * count
+                lasting += [time / max(count, 1)] * count
+            rest = self._path_of(int(cells[k]))
+            joined = np.concatenate([twist, rest.twist]).astype(np.int64), np.concatenate([lasting, rest.times])
+            yield PosePath(np.vstack([*poses, rest.poses]), *joined)
+
+    def _met(self, poses: Matrix) -> tuple[Floats, Ints]:
+        """Time to the goal (n,) from the pose that was reached in the cell of each pose (n, 3), and that cell.
+
+        Deviations add to the time; it is `UNKNOWN` where no pose was reached.
+        """
+        rows, columns, bins = (int(number) for number in self.frame[3:6])
+        column, row = (np.floor((poses[:, k] - self.origin[k]) / self.cell + 0.5).astype(np.int64) for k in range(2))
+        k = np.floor((poses[:, 2] - self.frame[6]) * (bins / math.tau) + 0.5).astype(np.int64) % bins
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        cells = np.where(inside, (k * rows + row) * columns + column, 0)
+        met = self.pose[cells]
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        dx, dy = met[:, 0] - poses[:, 0], met[:, 1] - poses[:, 1]
+        turned = np.mod(met[:, 2] - poses[:, 2] + math.pi, math.tau) - math.pi
+        away = np.abs(dx * c + dy * s) + ASIDE * (np.abs(dy * c - dx * s) + self.reach * np.abs(turned))
+        known = inside & (self.exact[cells] < UNKNOWN)
+        return np.where(known, self.exact[cells] + away / self.top_speed, UNKNOWN), cells
+
+    def _path_of(self, cell: int) -> PosePath:
+        """Motions from the pose of a cell to the goal."""
+        poses, numbers, times = [self.pose[cell]], [], []
         while self.after[cell, 0] >= 0:
             numbers.append(int(self.after[cell, 1]))
+            times.append(self.motions[numbers[-1], 3])
             cell = int(self.after[cell, 0])
             poses.append(self.pose[cell])
-        chosen = np.array(numbers, np.int64)
-        return PosePath(np.array(poses, dtype=float), chosen, self.motions[chosen, 3])
+        if self.near is not None and self.after[cell, 0] <= FIRST_NEAR:
+            at = FIRST_NEAR - int(self.after[cell, 0])
+            while self.near.after[at, 0] >= 0:
+                numbers.append(int(self.near.after[at, 1]))
+                times.append(self.near.motions[numbers[-1], 3])
+                at = int(self.near.after[at, 0])
+                poses.append(self.near.pose[at, :3])
+        return PosePath(np.array(poses, dtype=float), np.array(numbers, np.int64), np.array(times))
+
+
+def _beginnings(motions: Matrix) -> tuple[IntMatrix, Matrix]:
+    """Numbers (n, 2) of two motions and how long each lasts (n, 2), s: none, one or two of several durations."""
+    kinds = np.arange(len(motions))
+    number = np.concatenate([[0], np.repeat(kinds, len(LENGTHS))])
+    time = np.concatenate([[0.0], (motions[:, 3:] * LENGTHS).ravel()])
+    second, first = np.meshgrid(np.arange(len(time)), np.arange(len(time)))
+    wanted = (first.ravel() > 0) | (second.ravel() == 0)
+    chosen = np.column_stack([first.ravel(), second.ravel()])[wanted]
+    return number[chosen], time[chosen]
+
+
+def _poses_after(poses: Matrix, motions: Matrix, times: Floats) -> Matrix:
+    """Poses (n, 3) after motions (n, 4) at constant velocity for `times` (n,) from one pose or n poses."""
+    turn = motions[:, 2] * times
+    middle, chord = poses[..., 2] + 0.5 * turn, times * (1.0 - turn * turn / 24.0)
+    c, s = np.cos(middle), np.sin(middle)
+    ahead, aside = motions[:, 0], motions[:, 1]
+    x, y = poses[..., 0] + chord * (ahead * c - aside * s), poses[..., 1] + chord * (ahead * s + aside * c)
+    return np.column_stack([x, y, poses[..., 2] + turn])
 
 
 class PosePath(NamedTuple):
@@ -100,6 +209,8 @@ def pose_cost_to_go(
     reversal: float,
     cells: tuple[float, float],
     geodesic: Matrix32,
+    footprint_width: float,
+    tight_discs: Matrix,
 ) -> PoseCostToGo:
     """Cost-to-go of the poses from which the vehicle can get to the goal region.
 
@@ -113,6 +224,8 @@ def pose_cost_to_go(
         reversal: time that a change between ahead and astern costs (s).
         cells: smallest and largest side of a cell (m).
         geodesic: cost-to-go of positions on the cells of the clearance field (s).
+        footprint_width: of the vehicle (m).
+        tight_discs: of the footprint, for the search around the goal.
     """
     area = (bounds[0][1] - bounds[0][0]) * (bounds[1][1] - bounds[1][0])
     curvature = np.abs(twists[:, 2]).max() / np.hypot(twists[:, 0], twists[:, 1]).max()
@@ -127,35 +240,80 @@ def pose_cost_to_go(
     )  # the goal is in the centre of a cell
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns
-    motions = _motions(twists, cell, headings)
-    width = float(motions[:, 3].min())
-    buckets = np.full(math.ceil((motions[:, 3].max() + reversal) / width) + 2, -1, np.int32)
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
-    table = _Table(
-        seconds=np.full(count, UNKNOWN, np.float32),
-        pose=np.zeros((count, 4), np.float32),
-        link=np.full((count, 2), -1, np.int32),
-        after=np.full((count, 2), -1, np.int32),
-        buckets=buckets,
-        frame=np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance]),
-    )
-    _search(table, width, motions, reversal, np.array([*goal, goal_radius, goal_tolerance]), maps)
+    frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, 0.0, 0.0, 0.0])
+    frame[8:10] = SPARE * footprint_width, COMFORT * footprint_width
+    region = np.array([*goal, goal_radius, goal_tolerance])
+    close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
+    nearby = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
+    for near, ease in ((nearby, EASE), (nearby, 1.0), (None, 1.0)):
+        motions = _motions(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists), cell, headings)
+        table = _searched(count, frame, motions, reversal, region, maps, near)
+        if np.count_nonzero(table.seconds < UNKNOWN) >= LEADS_ON * count:
+            break
     filled = np.empty_like(table.seconds)
     shape = headings, rows, columns
     _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
     beyond = 0.0 if fits else _beyond(filled.reshape(shape), origin, cell, maps, geodesic)
     return PoseCostToGo(
-        filled, origin, cell, shape, beyond, table.seconds, table.pose[:, :3], table.after, motions, table.frame
+        filled,
+        origin,
+        cell,
+        shape,
+        beyond,
+        table.seconds,
+        table.pose[:, :3],
+        table.after,
+        motions,
+        table.frame,
+        near,
+        float(maps.scalar[REACH]),
+        float(np.hypot(twists[:, 0], twists[:, 1]).max()),
+        reversal,
     )
+
+
+def _searched(
+    count: int,
+    frame: Floats,
+    motions: Matrix,
+    reversal: float,
+    region: Floats,
+    maps: Maps,
+    near: NearPoses | None,
+) -> _Table:
+    """Table of `count` cells after the search, which begins at the poses around the goal if there are any."""
+    width = float(motions[:, 3].min())
+    latest = 0.0 if near is None else float(near.seconds.max())
+    buckets = math.ceil((latest + LACKING * motions[:, 3].max() + reversal) / width) + 2
+    table = _Table(
+        seconds=np.full(count, UNKNOWN, np.float32),
+        pose=np.zeros((count, 4), np.float32),
+        link=np.full((count, 2), -1, np.int32),
+        after=np.full((count, 2), -1, np.int32),
+        buckets=np.full(buckets, -1, np.int32),
+        frame=frame.copy(),
+    )
+    if near is None:
+        opened = _open_goal(table, region, maps)
+    else:
+        opened = _open_near(table, width, near.seconds, near.pose)
+        table.frame[10] = near.complete
+    _search(table, opened, width, motions, reversal, maps)
+    return table
 
 
 def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
     """Compile the kernels of this module and of `penetration`, or load them from the cache."""
     scalar = np.zeros(SCALARS)
     scalar[[X_HIGH, Y_HIGH, GRID_INVERSE, REACH]] = 0.1, 0.1, 1.0, 0.1
-    maps = Maps(np.zeros((1, 3)), field, np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16), scalar)
+    tile, squares = np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16)
     bounds, twists = ((0.0, 0.1), (0.0, 0.1)), np.array([[1.0, 0.0, 1.0]])
-    found = pose_cost_to_go(maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic)
+    for radius in (0.0, 10.0):  # the goal is free, or not
+        maps = Maps(np.array([[0.0, 0.0, radius]]), field, tile, squares, scalar)
+        found = pose_cost_to_go(
+            maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic, 0.1, maps.discs
+        )
     found.path_from(0.05, 0.05, 0.0)
     fill_penetration(field, 1.0, np.empty_like(field))
 
@@ -195,54 +353,25 @@ def _cell_of(x: float, y: float, theta: float, frame: Floats) -> int:
     return (k * rows + row) * columns + column
 
 
-@inlined
-def _link(link: IntMatrix32, buckets: Ints32, cell: int, bucket: int) -> None:
-    head = buckets[bucket]
-    link[cell, 0], link[cell, 1] = head, -2 - bucket
-    if head >= 0:
-        link[head, 1] = cell
-    buckets[bucket] = cell
-
-
-@inlined
-def _unlink(link: IntMatrix32, buckets: Ints32, cell: int) -> None:
-    after, before = link[cell, 0], link[cell, 1]
-    if before <= -2:
-        buckets[-2 - before] = after
-    else:
-        link[before, 0] = after
-    if after >= 0:
-        link[after, 1] = before
-
-
-@inlined
-def _is_free(maps: Maps, x: float, y: float, theta: float, allowance: float) -> bool:
-    """Whether a pose is free, or may be if it is moved within its cell."""
-    scalar = maps.scalar
-    if not (scalar[X_LOW] <= x <= scalar[X_HIGH] and scalar[Y_LOW] <= y <= scalar[Y_HIGH]):
-        return False
-    return pose_slack(maps, x, y, cos(theta), sin(theta), -allowance) >= 0.0
-
-
 class _Table(NamedTuple):
     """Arrays of a search: per cell, and the buckets of open cells."""
 
     seconds: Floats32
     pose: Matrix32  # x, y, heading, speed ahead of the motion from there
     link: IntMatrix32  # next and previous cell of the same bucket
-    after: IntMatrix32  # the cell that follows towards the goal, and the motion to it
+    after: IntMatrix32  # the cell that follows towards the goal, and the motion to it; FIRST_NEAR - k at near pose k
     buckets: Ints32
-    frame: Floats
+    frame: Floats  # of the grid (7 numbers), allowance, clearance required and wanted (m), s of the fine search
 
 
 @part
 def _open(table: _Table, cell: int, bucket: int, x: float, y: float, theta: float, way: float) -> None:
     """Set a cell's pose and add it to a bucket."""
     table.pose[cell, 0], table.pose[cell, 1], table.pose[cell, 2], table.pose[cell, 3] = x, y, theta, way
-    _link(table.link, table.buckets, cell, bucket)
+    link_cell(table.link, table.buckets, cell, bucket)
 
 
-@part
+@compiled
 def _open_goal(table: _Table, region: Floats, maps: Maps) -> int:
     """Open the cells whose centres are free and in the goal region, and that of its centre; their number."""
     count, frame = 0, table.frame
@@ -258,10 +387,27 @@ def _open_goal(table: _Table, region: Floats, maps: Maps) -> int:
                 if k + abs(i) + abs(j) > 0 and math.hypot(i * side, j * side) > region[3]:
                     continue
                 cell = _cell_of(x, y, theta, frame)
-                if cell >= 0 and table.seconds[cell] > 0.0 and _is_free(maps, x, y, theta, frame[7]):
+                if cell >= 0 and table.seconds[cell] > 0.0 and slack_at(maps, x, y, theta, -frame[7]) >= 0.0:
                     table.seconds[cell] = 0.0
                     _open(table, cell, 0, x, y, theta, 0.0)
                     count += 1
+    return count
+
+
+@compiled
+def _open_near(table: _Table, width: float, seconds: Floats32, pose: Matrix32) -> int:
+    """Open the cells of the poses around the goal, each with its pose nearest to the goal; their number."""
+    count = 0
+    for k in range(len(seconds)):
+        cell = _cell_of(pose[k, 0], pose[k, 1], pose[k, 2], table.frame)
+        if cell >= 0 and seconds[k] < table.seconds[cell]:
+            count += 1 if table.seconds[cell] >= UNKNOWN else 0
+            table.seconds[cell], table.after[cell, 0] = seconds[k], FIRST_NEAR - k
+    for cell in range(len(table.seconds)):
+        k = FIRST_NEAR - table.after[cell, 0]
+        if k >= 0:
+            bucket = int(seconds[k] / width) % len(table.buckets)
+            _open(table, cell, bucket, pose[k, 0], pose[k, 1], pose[k, 2], pose[k, 3])
     return count
 
 
@@ -271,38 +417,44 @@ def _expand(table: _Table, cell: int, width: float, motions: Matrix, reversal: f
     opened, frame = 0, table.frame
     x, y, theta, way = table.pose[cell, 0], table.pose[cell, 1], table.pose[cell, 2], table.pose[cell, 3]
     for m in range(len(motions)):
-        ahead, aside, turning, time = motions[m, 0], motions[m, 1], motions[m, 2], motions[m, 3]
+        ahead, time = motions[m, 0], motions[m, 3]
         cost = table.seconds[cell] + time + (reversal if way * ahead < 0.0 else 0.0)
-        turn = turning * time
-        middle, chord = theta - 0.5 * turn, time * (1.0 - turn * turn / 24.0)
-        c, s = cos(middle), sin(middle)
-        px, py = x - chord * (ahead * c - aside * s), y - chord * (ahead * s + aside * c)
-        other = _cell_of(px, py, theta - turn, frame)
-        if other < 0 or table.seconds[other] <= cost + 1e-6 or not _is_free(maps, px, py, theta - turn, frame[7]):
+        px, py, pt = pose_before(x, y, theta, motions[m])
+        other = _cell_of(px, py, pt, frame)
+        if other < 0 or table.seconds[other] <= cost + 1e-6:
             continue
+        if slack_at(maps, px, py, pt, frame[9]) < 0.0:
+            if slack_at(maps, px, py, pt, frame[8]) >= 0.0:
+                cost += (NARROW - 1.0) * time
+            elif cost >= frame[10] and slack_at(maps, px, py, pt, -frame[7]) >= 0.0:
+                cost += (LACKING - 1.0) * time
+            else:
+                continue
+            if table.seconds[other] <= cost + 1e-6:
+                continue
         if table.seconds[other] < UNKNOWN:
             if table.link[other, 1] == -1:
                 continue  # finished in the same bucket
-            _unlink(table.link, table.buckets, other)
+            unlink_cell(table.link, table.buckets, other)
         else:
             opened += 1
         table.seconds[other] = cost
         table.after[other, 0], table.after[other, 1] = cell, m
         bucket = int(cost / width) % len(table.buckets)
-        _open(table, other, bucket, px, py, theta - turn, ahead if ahead != 0.0 else way)
+        _open(table, other, bucket, px, py, pt, ahead if ahead != 0.0 else way)
     return opened
 
 
 @compiled
-def _search(table: _Table, width: float, motions: Matrix, reversal: float, region: Floats, maps: Maps) -> None:
-    """Dijkstra's search with buckets of `width` s, backwards from the goal region."""
-    open_cells, current = _open_goal(table, region, maps), 0
+def _search(table: _Table, opened: int, width: float, motions: Matrix, reversal: float, maps: Maps) -> None:
+    """Dijkstra's search with buckets of `width` s, backwards from the cells that are open."""
+    open_cells, current = opened, 0
     while open_cells > 0:
         cell = table.buckets[current % len(table.buckets)]
         if cell < 0:
             current += 1
             continue
-        _unlink(table.link, table.buckets, cell)
+        unlink_cell(table.link, table.buckets, cell)
         table.link[cell, 1] = -1
         open_cells += _expand(table, cell, width, motions, reversal, maps) - 1
 

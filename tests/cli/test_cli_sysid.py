@@ -59,7 +59,7 @@ def plain(recorded: Path) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def with_extras(recorded: Path) -> dict[str, Any]:
     """What `kraft sysid logs --json` prints."""
-    content: dict[str, Any] = json.loads(printed(recorded, ("sysid", "logs", "--json"))[0])
+    content: dict[str, Any] = json.loads(printed(recorded, ("sysid", "logs", "--model", "mushr-lag", "--json"))[0])
     return content
 
 
@@ -137,7 +137,7 @@ def test_what_many_logs_have_and_costs_nothing_is_said_once(
     (wraps,) = (line for line in tables[1].splitlines() if "yaw wraps" in line)
     found = re.fullmatch(r"(\d) logs: yaw wraps; made continuous, nothing is left out \(-v lists them\)", wraps)
     assert found is not None
-    assert main(["-v", "sysid", "logs", *options]) == 0
+    assert main(["-v", "sysid", "logs", "--model", "mushr-lag", *options]) == 0
     each = [line for line in said(capsys) if re.match(r"run_\d\d: yaw wraps \d times?, first at line", line)]
     assert len(each) == int(found.group(1)) > 1
     run = each[0].partition(":")[0]
@@ -161,7 +161,7 @@ def test_a_mapping_or_a_vehicle_that_fits_no_log_is_one_line_for_each_mistake(
     mapping: str, options: list[str], expected: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "m.yaml").write_text(mapping)
-    assert main(["sysid", "logs", "--mapping", "m.yaml", *options]) == 2
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--mapping", "m.yaml", *options]) == 2
     for line, start in zip(said(capsys), expected, strict=True):
         assert line.startswith(start)
 
@@ -174,7 +174,7 @@ def test_a_column_that_only_some_logs_lack_leaves_those_out(folder: Path, capsys
             path.write_text(path.read_text().replace("throttle", "gas", 1))
     (folder / "m.yaml").write_text("commands: {controls: {throttle: gas}}\n")
     assert "throttle" in commands.read_text()
-    assert main(["sysid", "logs", "--mapping", "m.yaml", "--extras", "none", "--json"]) == 0
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--mapping", "m.yaml", "--extras", "none", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["logs"] == 7
     assert "left out: m.yaml:1:33: commands.controls.throttle: " in err
@@ -184,7 +184,12 @@ def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_r
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "my.yaml").mkdir()
-    assert main(["sysid", "nowhere", "--out", "my.yaml", "--plot", "/proc/my.png", "--freeze", "l"]) == 2
+    assert (
+        main(
+            ["sysid", "--model", "mushr-lag", "nowhere", "--out", "my.yaml", "--plot", "/proc/my.png", "--freeze", "l"]
+        )
+        == 2
+    )
     proc, freeze, out = said(capsys)
     assert proc.startswith("/proc/my.png: cannot be written: nothing can be made in /proc")
     assert freeze == "--freeze: mushr-lag has no parameter l; did you mean 'L'?"
@@ -202,7 +207,7 @@ def test_an_identification_that_takes_long_says_how_it_goes(
     assert heard == ["iteration 2, cost 500", "iteration 4, cost 250"]
     monkeypatch.setattr(module, "PROGRESS_INTERVAL", 0.0)
     keep_seconds(folder / "logs" / "run_02", 6.0)
-    arguments = ["sysid", "logs/run_02", "--extras", "none", "--graph", "paper"]
+    arguments = ["sysid", "--model", "mushr-lag", "logs/run_02", "--extras", "none", "--graph", "paper"]
     assert main(arguments) == 0
     assert any(re.fullmatch(r"iteration 1, cost [\d.]+", line) for line in said(capsys))
     assert main([*arguments, "-q"]) == 0
@@ -212,9 +217,9 @@ def test_an_identification_that_takes_long_says_how_it_goes(
 def test_a_file_is_compiled_by_its_own_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["sysid", *FOUR, "--extras", "none", "--out", "my.yaml", "-q"]) == 0
+    assert main(["sysid", "--model", "mushr-lag", *FOUR, "--extras", "none", "--out", "my.yaml", "-q"]) == 0
     monkeypatch.setattr(compilation, "are_steps_cached", lambda _: False)
-    assert main(["sysid", *FOUR, "--extras", "none", "--model", "my.yaml"]) == 0
+    assert main(["sysid", "--model", "mushr-lag", *FOUR, "--extras", "none", "--model", "my.yaml"]) == 0
     assert "compiling the model of my.yaml for identification on this machine" in capsys.readouterr().err
 
 
@@ -225,19 +230,31 @@ def test_a_person_gets_tables_and_hears_what_was_taken_for_what(tables: tuple[st
     assert re.fullmatch(r"L +0\.3\d+ +0\.3\d+ to 0\.3\d+ +0\.3\d+ +m +wheelbase", lines[1])
     assert re.fullmatch(r"OPEN LOOP, held-out logs +1 s +2 s +3 s +all", lines[6])
     assert re.fullmatch(r"position, identified( +[\d.]+ cm){4}", lines[7])
-    assert re.fullmatch(r"yaw, initial( +[\d.]+ deg){4}", lines[10])
+    assert re.fullmatch(r"position, constant motion( +[\d.]+ cm){4}", lines[9])
+    assert re.fullmatch(r"yaw, initial( +[\d.]+ deg){4}", lines[11])
     assert "intervals follow from the differences between logs" in out
     assert "run_01 and 7 more: commands: commands.csv: time from 't'" in err
     assert re.search(r"2 of 8 logs held out: run_\d\d, run_\d\d", err)
 
 
 def test_quiet_leaves_the_tables_and_the_warnings(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sysid", "logs", "--extras", "none", "-q"]) == 0
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "-q"]) == 0
     assert all(line.startswith("warning: ") for line in said(capsys))
 
 
 def test_what_it_writes_plans_and_drives(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", *FOUR, "--model", "mushr-drive", "--extras", "none", "--out", "my.yaml"]
+    arguments = [
+        "sysid",
+        "--model",
+        "mushr-lag",
+        *FOUR,
+        "--model",
+        "mushr-drive",
+        "--extras",
+        "none",
+        "--out",
+        "my.yaml",
+    ]
     assert main([*arguments, "--plot", "my.png"]) == 0
     assert "vehicle file my.yaml" in capsys.readouterr().out
     assert (folder / "my.png").stat().st_size > 50_000
@@ -255,7 +272,7 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
     with_extras: dict[str, Any], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     alone = with_extras["params"]
-    assert main(["sysid", "logs", "--out", "my.yaml", "--json"]) == 0
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     written = load_vehicle_config("my.yaml")
     assert "friction" in alone
@@ -273,11 +290,11 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
 
 
 def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sysid", "logs", "--out", "my.yaml", "--extras", "delay,lever", "--json"]) == 0
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--extras", "delay,lever", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     warning = "planning does not model delay, "
     assert any(each.startswith(warning) for each in content["warnings"])
-    assert main(["sysid", "logs", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
     assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
 
 
@@ -288,7 +305,7 @@ def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
     options: list[str], unknown: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """And one that is frozen at nothing is nothing that planning lacks."""
-    assert main(["sysid", "logs", "--out", "my.yaml", "--json", *options]) == 0
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--json", *options]) == 0
     content = json.loads(capsys.readouterr().out)
     assert (
         "requested auxiliary parameters, kept: friction; significant auxiliary parameters, kept: lever; removed: yaw_offset"
@@ -313,7 +330,7 @@ def test_where_no_extra_is_shown_beside_a_frozen_model_nothing_is_identified(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--freeze", "L,phi_diff,v_delta,tau,lever", "--out", "my.yaml", "--plot", "my.png", "--json"]
-    assert main(["sysid", "logs", *options]) == 1
+    assert main(["sysid", "logs", "--model", "mushr-lag", *options]) == 1
     out, err = capsys.readouterr()
     content = json.loads(out)
     assert content["correlation"] == {"names": [], "matrix": []}
@@ -405,16 +422,18 @@ def test_a_log_of_a_few_poses_is_left_out_and_counted_so(folder: Path, capsys: p
 def test_when_all_logs_have_a_few_poses_it_ends_with_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for run in (folder / "logs").iterdir():
         shorten(run, 4, 9)
-    assert main(["sysid", "logs"]) == 1
+    assert main(["sysid", "logs", "--model", "mushr-lag"]) == 1
     assert said(capsys)[-1] == "error: none of the 8 logs can be used"
 
 
 def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--model", "mushr-lag", "--extras", "none"]
-    assert main(["sysid", *FOUR, *options, "--json"]) == 0
+    assert main(["sysid", "--model", "mushr-lag", *FOUR, *options, "--json"]) == 0
     (held_out,) = json.loads(capsys.readouterr().out)["held_out"]
     shorten(folder / "logs" / held_out, 7)
-    assert main(["sysid", *FOUR, *options, "--out", "my.yaml", "--plot", "my.png", "--json"]) == 0
+    assert (
+        main(["sysid", "--model", "mushr-lag", *FOUR, *options, "--out", "my.yaml", "--plot", "my.png", "--json"]) == 0
+    )
     out, err = capsys.readouterr()
     content = json.loads(out)
     assert content["held_out"] == [held_out]
@@ -429,7 +448,7 @@ def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: py
     assert config.identification is not None
     assert config.identification.held_out is None
     assert why in config.identification.warnings
-    assert main(["sysid", *FOUR, *options]) == 0
+    assert main(["sysid", "--model", "mushr-lag", *FOUR, *options]) == 0
     assert "OPEN LOOP, fitted logs" in capsys.readouterr().out
 
 
@@ -438,7 +457,7 @@ def test_a_held_out_log_that_is_too_short_beside_others_is_named(
 ) -> None:
     first, _ = plain["held_out"]
     shorten(folder / "logs" / first, 7)
-    assert main(["sysid", "logs", "--extras", "none", "--json"]) == 0
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["rmse_holdout_m"] > 0
     assert f"held-out logs too short to be predicted: {first}" in content["warnings"]
@@ -449,13 +468,13 @@ def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not
 ) -> None:
     with monkeypatch.context() as before:
         before.setattr(compilation, "are_steps_cached", lambda _: False)
-        assert main(["sysid", "logs/run_02", "--extras", "none"]) == 0
+        assert main(["sysid", "--model", "mushr-lag", "logs/run_02", "--extras", "none"]) == 0
         err = said(capsys)
         begun = err.index("compiling the model of mushr-lag for identification on this machine: once, about 8 s ...")
         assert err[begun + 1].startswith("compiled in ")
-        assert main(["sysid", "logs/run_02", "--extras", "none", "-q"]) == 0
+        assert main(["sysid", "--model", "mushr-lag", "logs/run_02", "--extras", "none", "-q"]) == 0
         assert not any("compil" in line for line in said(capsys))
-    assert main(["sysid", "logs/run_02", "--extras", "none"]) == 0
+    assert main(["sysid", "--model", "mushr-lag", "logs/run_02", "--extras", "none"]) == 0
     assert not any("compil" in line for line in said(capsys))
 
 
@@ -464,7 +483,7 @@ def test_when_all_logs_are_bad_each_is_explained_and_it_ends_with_1(
 ) -> None:
     for run in (folder / "logs").iterdir():
         (run / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
-    assert main(["sysid", "logs", "--plot", "my.png"]) == 1
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--plot", "my.png"]) == 1
     err = said(capsys)
     assert err[-1] == "error: none of the 8 logs can be used"
     assert sum("poses.csv" in line for line in err) == 8
@@ -479,7 +498,7 @@ def test_what_only_the_estimator_refuses_leaves_a_picture_of_the_logs(
         raise InputError.of("logs", "show no motion", "expected drives")
 
     monkeypatch.setattr(module, "identify", refused)
-    assert main(["sysid", "logs", "--plot", "my.png"]) == 1
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--plot", "my.png"]) == 1
     assert said(capsys)[-2:] == [
         "logs: show no motion; expected drives",
         "error: the parameters cannot be identified from these logs",
@@ -488,7 +507,7 @@ def test_what_only_the_estimator_refuses_leaves_a_picture_of_the_logs(
 
 
 def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", *FOUR, "--extras", "none", "--json"]
+    arguments = ["sysid", "--model", "mushr-lag", *FOUR, "--extras", "none", "--json"]
     assert main(arguments) == 0
     before = json.loads(capsys.readouterr().out)
     for run in (folder / "logs").iterdir():
@@ -528,7 +547,7 @@ def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str
     ],
 )  # fmt: skip
 def test_bad_arguments_are_explained(arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sysid", *arguments]) == 2
+    assert main(["sysid", "--model", "mushr-lag", *arguments]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert any(line.startswith(expected.strip()) for line in err.splitlines())
@@ -550,7 +569,7 @@ def test_every_option_and_key_of_kraft_sysid_is_described(
 
 @needs_real_logs
 def test_on_a_real_car_prediction_is_as_good_as_its_poses(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sysid", str(REAL_LOGS), "--holdout", "0.5", "--json"]) == 0
+    assert main(["sysid", "--model", "mushr-lag", str(REAL_LOGS), "--holdout", "0.5", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     errors = content["prediction"]["holdout"]
     assert content["logs"] == 41

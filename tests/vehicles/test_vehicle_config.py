@@ -28,7 +28,18 @@ def problems_of(folder: Path, text: str) -> list[str]:
     return located(raised(lambda: load_vehicle_config(path)))
 
 
-VEHICLES = ("benchmark", "f1tenth", "jackal", "mushr", "mushr-drive", "mushr-force", "mushr-lag", "unicycle2")
+VEHICLES = (
+    "benchmark",
+    "car",
+    "car-lag",
+    "f1tenth",
+    "jackal",
+    "mushr",
+    "mushr-drive",
+    "mushr-force",
+    "mushr-lag",
+    "unicycle2",
+)
 
 
 def test_the_vehicles_are_bundled() -> None:

@@ -1,0 +1,182 @@
+"""Edges along a path of poses: controls and durations with which a vehicle's model follows it.
+
+The path is cut into pieces that end where the motion is reversed, and there the vehicle is to stop.  Each piece begins
+in the state where the one before it ended; Gauss-Newton on its controls and durations makes it end at the pose of the
+path, so that errors do not add up.  The result is a guess like edges of an earlier plan: the tree adds it with all of
+its checks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.kernels.posetogo import PosePath
+from ompl_ext.kernels.specialise import kernels
+from ompl_ext.motion import Motion, motion_of
+from ompl_ext.vehicle import Vehicle
+
+PIECE = 0.4  # duration of the pieces into which a longer motion is cut (s)
+BIN, BRIEF = 0.15, 0.03  # motions of the path are averaged over BIN, or over BRIEF where they change (s)
+REVERSED = 0.1  # cosine between two velocities of the body below which it stops in between
+LONGEST = 0.1  # of an edge (s): short ones need less clearance for the motion between two samples
+STEPS = 10  # of the integration of a control
+BRAKING, BRAKING_STEPS = 0.02, 60  # step (s) and number of steps in which a piece is to stop
+ACCURATE = 5e-4  # error of a piece that is good enough (m)
+REST_TIME = 0.1  # with which a speed at the end of a piece counts as an error (s)
+ITERATIONS, LARGEST_STEP = 12, 0.7  # of Gauss-Newton; of a control, as a share of its range
+SHORTEST, LONGEST_HELD, TIME_RANGE = 0.01, 2.0, 0.2  # of a duration, and what corresponds to a control's range (s)
+TOLERABLE = 0.2  # error at the end of a piece beyond which a path is given up, as a share of the footprint's reach
+DAMPING, CHANGE = 1e-6, 1e-4  # of Gauss-Newton; share of the range by which derivatives are taken
+
+
+class _Piece(NamedTuple):
+    """Controls (m, nu) held for `durations` (m,) towards a pose, where the vehicle `stops` with the control `brake`."""
+
+    controls: Matrix
+    durations: Floats
+    pose: Floats
+    stops: bool
+    brake: Floats | None
+
+
+class PathFollower:
+    """Follows paths of poses with a vehicle's model."""
+
+    def __init__(self, vehicle: Vehicle, parameters: Floats) -> None:
+        self._kernels, self._motion, self._parameters = kernels(vehicle), motion_of(vehicle), parameters
+        self._twists = self._motion.extreme_twists(vehicle.footprint.reach)[1]
+        self._pose = [vehicle.index(name) for name in ("x", "y", "theta")]
+        self._rest, self._reach = list(vehicle.rest_indices), vehicle.footprint.reach
+        self._limits = [k for k, name in enumerate(vehicle.state) if name in vehicle.limits]
+        self._low, self._high = vehicle.state_limits[self._limits].T
+        bounds = vehicle.control_bounds
+        self._bounds = np.vstack([bounds, (SHORTEST, LONGEST_HELD)])
+        self._range = np.append(bounds[:, 1] - bounds[:, 0], TIME_RANGE)
+
+    def edges_along(self, path: PosePath, start: Floats) -> tuple[Matrix, Floats]:
+        """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as these follow it."""
+        state, controls, durations = start, [], []
+        for piece in _pieces(path, self._twists, self._motion, self._reach):
+            inputs = self._fitted(state, self._with_brake(state, piece))
+            for row in inputs:
+                count = math.ceil(row[-1] / LONGEST)
+                controls += [row[:-1]] * count
+                durations += [row[-1] / count] * count
+            added = slice(len(controls) - sum(math.ceil(row[-1] / LONGEST) for row in inputs), None)
+            states = self._ends(state, np.column_stack([controls[added], durations[added]])[None])
+            if np.abs(self._errors(states, piece)).max() > TOLERABLE * self._reach:
+                break
+            state = states[0, -1]
+        return np.array(controls), np.array(durations)
+
+    def _ends(self, state: Floats, inputs: Floats) -> Floats:
+        """States (k, m, nx) after each of the m controls of k motions, `inputs` (k, m, nu + 1), from a state."""
+        count, m, _ = inputs.shape
+        samples = np.empty((count, STEPS + 1, len(state)))
+        samples[:, -1] = state
+        found = np.empty((count, m, len(state)))
+        for j in range(m):
+            samples[:, 0] = samples[:, -1]
+            controls = np.ascontiguousarray(inputs[:, j, :-1])
+            self._kernels.roll_out(samples, controls, self._parameters, inputs[:, j, -1] / STEPS)
+            found[:, j] = samples[:, -1]
+        return found
+
+    def _with_brake(self, state: Floats, piece: _Piece) -> _Piece:
+        """Piece with the control that brakes at its end, for as long as that slows down."""
+        if not piece.stops or piece.brake is None or not self._rest:
+            return piece
+        inputs = np.column_stack([piece.controls, piece.durations])
+        samples = np.empty((1, BRAKING_STEPS + 1, len(state)))
+        samples[0, 0] = self._ends(state, inputs[None])[0, -1]
+        self._kernels.roll_out(samples, piece.brake[None].copy(), self._parameters, np.array([BRAKING]))
+        slowest = 1 + int(np.argmin(np.linalg.norm(samples[0, 1:, self._rest], axis=0)))
+        controls, durations = np.vstack([piece.controls, piece.brake]), np.append(piece.durations, BRAKING * slowest)
+        return piece._replace(controls=controls, durations=durations)
+
+    def _errors(self, states: Floats, piece: _Piece) -> Matrix:
+        """Errors (k, r) of k motions of a piece, m, from the states (k, m, nx) after each control."""
+        last = states[:, -1]
+        error = last[:, self._pose] - piece.pose
+        error[:, 2] = self._reach * (np.mod(error[:, 2] + math.pi, math.tau) - math.pi)
+        speed = REST_TIME * last[:, self._rest] if piece.stops else np.zeros((len(last), 0))
+        inside = np.clip(states[:, :, self._limits], self._low, self._high)
+        beyond = REST_TIME * (states[:, :, self._limits] - inside).reshape(len(last), -1)
+        return np.hstack([error, speed, beyond])
+
+    def _fitted(self, state: Floats, piece: _Piece) -> Matrix:
+        """Controls and durations (m, nu + 1) with which a piece ends as near to its pose as was found."""
+        inputs = np.column_stack([piece.controls, piece.durations])
+        m, width = inputs.shape
+        low, high, span = (np.tile(row, m) for row in (*self._bounds.T, self._range))
+        current = np.clip(inputs.ravel(), low, high)
+        best, least = current, math.inf
+        for _ in range(ITERATIONS):
+            change = np.where(current + CHANGE * span > high, -CHANGE, CHANGE)
+            varied = np.vstack([current, current + np.diag(change * span)])
+            errors = self._errors(self._ends(state, varied.reshape(-1, m, width)), piece)
+            worst = float(np.abs(errors[0]).max())
+            if worst < least:
+                best, least = current, worst
+            if worst < ACCURATE:
+                break
+            slope = ((errors[1:] - errors[0]) / change[:, None]).T
+            current = np.clip(current + span * _step(slope, errors[0], current <= low, current >= high), low, high)
+        return best.reshape(m, width)
+
+
+def _step(slope: Matrix, error: Floats, at_low: Bools, at_high: Bools) -> Floats:
+    """Least change of the inputs, as shares of their ranges, that removes an error; none leaves a bound."""
+    step, free = np.zeros(slope.shape[1]), np.ones(slope.shape[1], dtype=bool)
+    for _ in range(3):
+        part = slope[:, free]
+        step[:] = 0.0
+        step[free] = -part.T @ np.linalg.solve(part @ part.T + DAMPING * np.eye(len(error)), error)
+        leaves = (at_low & (step < 0.0)) | (at_high & (step > 0.0))
+        if not leaves.any():
+            break
+        free &= ~leaves
+    return np.clip(step * free, -LARGEST_STEP, LARGEST_STEP)
+
+
+def _pieces(path: PosePath, twists: Ints, motion: Motion, reach: float) -> Iterator[_Piece]:
+    """Pieces of a path: they end where the motion is reversed, and in between after about PIECE s."""
+    velocity = motion.twists[twists] * (1.0, 1.0, reach)
+    speed = np.linalg.norm(velocity, axis=1)
+    across = velocity @ velocity.T < REVERSED * np.outer(speed, speed)
+    turns = [k for k in range(1, len(path.twist)) if across[path.twist[k - 1], path.twist[k]]]
+    for first, last in pairwise([0, *turns, len(path.twist)]):
+        opposite = int(np.argmin(velocity @ velocity[path.twist[last - 1]]))
+        brakes = velocity[opposite] @ velocity[path.twist[last - 1]] < 0.0
+        brake = motion.controls[twists[opposite]] if brakes else None
+        for begin, end in pairwise(_cuts(path.times[first:last]) + first):
+            numbers, times = path.twist[begin:end], path.times[begin:end]
+            held = _averaged(numbers, motion.controls[twists[numbers]], times)
+            yield _Piece(*held, path.poses[end], bool(end == last), brake)
+
+
+def _cuts(times: Floats) -> Ints:
+    """Indices at which motions between two stops are cut into pieces of equal duration, about PIECE s."""
+    ends = np.cumsum(times)
+    count = max(1, round(float(ends[-1]) / PIECE))
+    inner = np.searchsorted(ends, ends[-1] * np.arange(1, count) / count) + 1
+    return np.unique(np.concatenate([[0], inner, [len(times)]]))
+
+
+def _averaged(numbers: Ints, controls: Matrix, times: Floats) -> tuple[Matrix, Floats]:
+    """Controls and durations of fewer motions: averages over equal motions, and over the briefest ones."""
+    bins, began = [0], 0.0
+    for k in range(1, len(times)):
+        lasts = float(times[:k].sum()) - began
+        if lasts >= BIN or (lasts >= BRIEF and numbers[k] != numbers[k - 1]):
+            bins.append(k)
+            began += lasts
+    durations = np.add.reduceat(times, bins)
+    weighted: Matrix = np.add.reduceat(controls * times[:, None], bins, axis=0)
+    return weighted / durations[:, None], durations
