@@ -164,7 +164,7 @@ def _first_speed(basis: Matrix, positions: Matrix, sigma: float) -> float:
 
 def thinned(part: Part, step: float) -> Part:
     """The part with about one pose per step, if it has more than two: open-loop predictions need no more."""
-    every = int(step / max(float(np.median(np.diff(part.pose_times))), 1e-6)) if len(part.pose_times) > 1 else 1
+    every = int(step / max(float(np.median(np.diff(part.pose_times))), 1e-6) + 1e-6) if len(part.pose_times) > 1 else 1
     if every <= 2:
         return part
     return replace(part, pose_times=part.pose_times[::every].copy(), poses=part.poses[::every].copy())

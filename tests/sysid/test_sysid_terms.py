@@ -1,0 +1,131 @@
+"""Cars with terms: the model, its fit over windows, and the choice of terms by what they predict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kraft.errors import InputError
+from kraft.logs.log import Log, Part
+from kraft.sysid import Settings, prediction_errors
+from kraft.sysid.dynamics import DiscreteModel
+from kraft.sysid.identify import identify_terms
+from kraft.sysid.prediction import constant_windows, window_errors
+from kraft.sysid.smoothing import thinned
+from kraft.vehicles.config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.load import configured, load_vehicle
+from ompl_ext.vehicle import Vehicle
+
+STEP, EVERY = 0.02, 2
+TRUTH = {
+    "L": 0.33, "steer": 0.36, "a_drive": 3.0, "damping": 1.2, "friction": 0.5, "dead_zone": 0.0, "back_emf": 0.0,
+    "drag": 0.0, "scrub": 0.0, "understeer": 0.0, "slide": 0.0, "slip": 0.0, "saturation": 0.0,
+}  # fmt: skip
+LEVER = 0.12
+
+
+def car(**values: float) -> Vehicle:
+    return load_vehicle("car", parameters={**TRUTH, **values})
+
+
+def drive(model: Vehicle, seed: int, seconds: float = 15.0) -> Log:
+    """Random levels of throttle and steering, observed with 1 mm and 3 mrad at a tracked point ahead of the axle."""
+    rng, steps = np.random.default_rng(seed), round(seconds / STEP)
+    levels = np.repeat(rng.uniform([0.15, -1.0], [1.0, 1.0], (steps // 40 + 1, 2)), 40, axis=0)[:steps]
+    start = np.zeros((1, len(model.state)))
+    controls = np.ascontiguousarray(levels[:, None, :])
+    states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([STEP]))[:, 0]
+    states = states[::EVERY]
+    poses = states[:, :3] + rng.normal(0.0, [0.001, 0.001, 0.003], (len(states), 3))
+    poses[:, :2] += LEVER * np.column_stack([np.cos(states[:, 2]), np.sin(states[:, 2])])
+    part = Part(STEP * np.arange(steps), levels, STEP * EVERY * np.arange(len(states)), poses)
+    return Log(f"drive_{seed}", (), ("throttle", "steering"), (part,))
+
+
+def car_file() -> VehicleConfig:
+    return load_vehicle_config("car")
+
+
+def test_friction_holds_the_car_at_rest_and_brings_it_to_rest() -> None:
+    model = DiscreteModel(car())
+    moving = np.array([[0.0, 0.0, 0.0, 1.0]])
+    for throttle in (0.0, 0.1):  # 0.3 m/s^2 is less than the friction
+        controls = np.tile([throttle, 0.0], (100, 1, 1))
+        coasting = model.simulate(moving, controls, car().parameter_array[None], np.array([0.05]))[:, 0]
+        assert abs(coasting[-1, 3]) < 1e-3
+        assert (np.diff(coasting[:, 3]) <= 1e-9).all()
+        resting = model.simulate(0.0 * moving, controls, car().parameter_array[None], np.array([0.05]))[:, 0]
+        assert np.abs(resting[:, 3]).max() < 1e-6
+
+
+def test_neutral_values_switch_the_terms_off() -> None:
+    plain = car(friction=0.0)
+    controls = np.tile([0.5, 0.0], (200, 1, 1))
+    states = DiscreteModel(plain).simulate(np.zeros((1, 4)), controls, plain.parameter_array[None], np.array([0.05]))
+    times = 0.05 * np.arange(201)
+    steady = 0.5 * TRUTH["a_drive"] / TRUTH["damping"]
+    assert states[:, 0, 3] == pytest.approx(steady * (1.0 - np.exp(-TRUTH["damping"] * times)), abs=0.02)
+    circle = np.tile([0.5, 1.0], (200, 1, 1))
+    turned = DiscreteModel(plain).simulate(np.zeros((1, 4)), circle, plain.parameter_array[None], np.array([0.05]))
+    rate = (turned[-1, 0, 2] - turned[-2, 0, 2]) / 0.05
+    assert rate == pytest.approx(steady * np.tan(TRUTH["steer"]) / TRUTH["L"], rel=0.01)
+
+
+def test_the_terms_of_a_car_are_chosen_and_predict_other_drives() -> None:
+    model = car()
+    fitted, unseen = [drive(model, seed) for seed in range(6)], [drive(model, seed) for seed in (90, 91)]
+    choice = identify_terms(car_file(), fitted)
+    found = choice.identification
+    assert found.converged
+    assert "friction" not in found.off
+    assert {"slide", "slip", "scrub", "understeer"} & set(found.off)
+    assert found.values["lever"] == pytest.approx(LEVER, abs=0.01)
+    assert found.values["steer"] == pytest.approx(TRUTH["steer"], rel=0.05)
+    settings = Settings(process=found.process)
+    errors = prediction_errors(choice.vehicle, unseen, found.values, settings)
+    constant = window_errors(constant_windows(choice.vehicle, unseen))
+    assert errors.position[3.0] < 0.06
+    assert errors.position[3.0] < 0.2 * constant.position[3.0]
+    assert sum(trial.chosen for trial in found.trials) == 1
+    assert len(found.without_log) == len(fitted)
+
+
+def test_flipped_steering_is_a_negative_gain() -> None:
+    model = car()
+    logs = [drive(model, seed) for seed in range(5)]
+    flipped = [
+        replace(log, parts=tuple(replace(part, commands=part.commands * [1.0, -1.0]) for part in log.parts))
+        for log in logs
+    ]
+    found = identify_terms(car_file(), flipped).identification
+    assert found.values["steer"] == pytest.approx(-TRUTH["steer"], rel=0.05)
+
+
+def test_a_control_that_never_changes_is_refused() -> None:
+    straight = drive(car(), 0)
+    part = straight.parts[0]
+    log = replace(straight, parts=(replace(part, commands=part.commands * [1.0, 0.0]),))
+    with pytest.raises(InputError) as refused:
+        identify_terms(car_file(), [log])
+    assert ["steering" in found.problem for found in refused.value.diagnostics] == [True]
+
+
+def test_constant_motion_predicts_a_circle() -> None:
+    times = 0.05 * np.arange(200)
+    yaw = 0.5 * times
+    poses = np.column_stack([2.0 * np.sin(yaw), 2.0 - 2.0 * np.cos(yaw), yaw])
+    part = Part(times[:1], np.array([[0.5, 0.2]]), times, poses)
+    log = Log("circle", (), ("throttle", "steering"), (part,))
+    errors = window_errors(constant_windows(configured(car_file()), [log]))
+    assert errors.position[3.0] < 0.01
+    assert errors.yaw[3.0] < 0.01
+
+
+def test_thinning_keeps_about_one_pose_per_step() -> None:
+    times = 0.01 * np.arange(101)
+    part = Part(times[:1], np.zeros((1, 2)), times, np.zeros((101, 3)))
+    assert np.diff(thinned(part, 0.05).pose_times) == pytest.approx(0.05)
+    slow = replace(part, pose_times=4.0 * times)
+    assert thinned(slow, 0.05) is slow
