@@ -100,7 +100,7 @@ def test_open_loop_strays_where_kinodynamic_does_not() -> None:
         track(make_controller(choice, car()), Truth(car(), START, 0.3, 3.2), reference, reference.end, stop_at_end=True)
         for choice in (OPEN, TRACK)
     )
-    assert off_path(blind[0], reference).max() > 0.2
+    assert off_path(blind[0], reference).max() > 0.15
     assert off_path(seeing[0], reference).max() < 0.03
 
 

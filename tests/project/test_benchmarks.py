@@ -77,9 +77,9 @@ def test_peers_write_a_database_with_runs_and_progress(tmp_path: Path) -> None:
 
 def test_goals_are_turned_round_to_and_parked_at() -> None:
     report = quantities(goals.run(replace(SMOKE, seeds=1)))
-    assert report["turning round: set-up"] > 0
+    assert report["turning round, 2 m: set-up"] > 0
     assert "parking, 1.3 lengths: first solution" in report
-    assert report["turning round: plans that hold after 0.2 s"] in (0.0, 100.0)
+    assert report["turning round, 2 m: plans that hold after 0.2 s"] in (0.0, 100.0)
 
 
 def test_local_optimisation_is_measured_with_and_without() -> None:

@@ -51,7 +51,7 @@ COMMANDS = {
     "record": "scenario --json --out --runs --seed --vehicle",
     "report": "results --out",
     "run": "scenario --json --method --out --plot --seed --set --vehicle --video --view",
-    "sysid": "logs --extras --freeze --graph --holdout --json --mapping --model --out --param --plot --pose-noise",
+    "sysid": "logs --extras --freeze --graph --holdout --horizon --json --mapping --model --out --param --plot --pose-noise",
     "validate": "files --json",
 }
 

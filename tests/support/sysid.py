@@ -79,6 +79,6 @@ def fake_windows(logs: tuple[Log, ...], drift: float) -> tuple[Window, ...]:
 
 def fake_evaluation(split: LogSplit) -> PredictionEvaluation:
     def pair(logs: tuple[Log, ...]) -> PredictionPair:
-        return PredictionPair(fake_windows(logs, 0.01), fake_windows(logs, 0.1))
+        return PredictionPair(fake_windows(logs, 0.01), fake_windows(logs, 0.1), fake_windows(logs, 0.2))
 
     return PredictionEvaluation(pair(split.fitted), pair(split.held_out) if split.held_out else None)

@@ -242,7 +242,9 @@ def test_what_the_logs_do_not_show_is_an_objection() -> None:
 def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far_worse_ones_refused(
     identified_drift: float, warned: int, refused: int
 ) -> None:
-    unseen = PredictionPair(fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1))
+    unseen = PredictionPair(
+        fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1), fake_windows(LOGS[3:], 1.0)
+    )
     assert len(prediction_warnings(unseen)) == warned
     found = objections(RESULT, replace(EVALUATION, held_out=unseen))
     assert len(found) == refused
