@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 START_NOISE = 3.0
 """Standard deviation of an initial pose from the smoothed one, over the noise of a pose."""
-POSITION_FREE, YAW_FREE, SPEED_FREE, YAW_RATE_FREE, HIDDEN_FREE = 0.003, 0.005, 0.01, 0.02, 0.002
-"""Least standard deviations of an initial state from its first values, m, rad, m/s, rad/s; others in their unit,
-which follow from the commands."""
+POSITION_FREE, YAW_FREE, SPEED_FREE, YAW_RATE_FREE, HIDDEN_FREE = 0.005, 0.01, 0.01, 0.02, 0.002
+"""Least standard deviations of an initial state from its first values, m, rad, m/s, rad/s, because smoothing rounds off
+curves; others, which follow from the commands, in their unit."""
 CONVERGED = 1e-5
 """Relative decrease of the cost by a step below which a fit has converged, if the one before was as small."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-7, 1e7
@@ -42,8 +42,6 @@ SETTLING = 1.0
 """Time for which the first command is held to find components of an initial state that poses do not show, s."""
 COMMANDS_KEPT = 8
 """Number of actuator parameters whose commands are kept."""
-POSITION_FREE, YAW_FREE = 0.005, 0.01
-"""Least standard deviation of an initial pose, m and rad: smoothing rounds off curves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +98,7 @@ def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints) -
 
 
 class MultiStep:
-    """Multi-step problem with given parameters, as a graph for `optimise`: `Point.states` are the initial states."""
+    """Multi-step problem with given parameters, to be solved by `fit`; `Point.states` are the initial states."""
 
     def __init__(self, windows: Windows, parameters: Parameters, noise: NoiseModel, growth: Floats) -> None:
         """`growth` (3,) is that of the model's error in x, y and yaw, m/s and rad/s."""
@@ -111,6 +109,7 @@ class MultiStep:
         self._kernel = self.problem.dynamics.discrete_model
         self._free = np.flatnonzero(parameters.free)
         self._commands: dict[bytes, Floats] = {}
+        self._expected: tuple[bytes, Matrix] | None = None
         acts = ("delay", "lag_", "dead_band_")
         self._acting = [
             k for k, name in enumerate(parameters.names) if k >= parameters.model_size and name.startswith(acts)
@@ -141,7 +140,16 @@ class MultiStep:
         return initial_states(vehicle, np.arange(len(self.windows.segments)), self.windows.first), spread
 
     def prior_states(self, rho: Floats) -> Matrix:
-        """(W, nx) expected initial states: smoothed poses and rates, and what the first command leads to."""
+        """(W, nx) expected initial states: smoothed poses and rates, and what the first command leads to.
+
+        Those of the last rho are kept: the cost of a point, its derivatives and the step from it all need them.
+        """
+        key = rho.tobytes()
+        if self._expected is None or self._expected[0] != key:
+            self._expected = (key, self._expect(rho))
+        return self._expected[1].copy()
+
+    def _expect(self, rho: Floats) -> Matrix:
         states = self._shown_alike(self._observed[0], np.zeros(len(rho)), rho)
         if self._hidden:
             steps = round(SETTLING / float(self.windows.h.min()))
@@ -162,7 +170,7 @@ class MultiStep:
         """Initial states for `rho` that differ from the expected ones as those for `before` do, with the same poses."""
         moved = self._shown_alike(states, before, rho)
         if self._hidden and not np.array_equal(before, rho):
-            change = self.prior_states(rho)[:, self._hidden] - self.prior_states(before)[:, self._hidden]
+            change = self._expect(rho)[:, self._hidden] - self.prior_states(before)[:, self._hidden]
             moved[:, self._hidden] += change
         return moved
 
