@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log
 
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -83,8 +83,7 @@ def evaluate_predictions(
     Raises:
         InputError: if the fitted logs are too short to predict anything.
     """
-    if result.trials:  # the process noise was identified with the parameters
-        settings = replace(settings, process={**result.process, **settings.process})
+    settings = result.predicting(settings)
 
     def pair(logs: tuple[Log, ...]) -> PredictionPair:
         return PredictionPair(

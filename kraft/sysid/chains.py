@@ -91,8 +91,8 @@ def chains_of(segments: Sequence[Segment], logs: int) -> Chains:
     steps = np.array([s.steps for s in segments])
     first = np.concatenate([[0], np.cumsum(steps + 1)])
     offset = np.concatenate([[0], np.cumsum(steps)])
-    pose_steps = [_pose_steps(s) for s in segments]
-    step = np.concatenate([at + offset[c] for c, (at, _) in enumerate(pose_steps)])
+    placed = [pose_steps(s) for s in segments]
+    step = np.concatenate([at + offset[c] for c, (at, _) in enumerate(placed)])
     return Chains(
         segments=tuple(segments),
         first=first.astype(np.int64),
@@ -102,13 +102,13 @@ def chains_of(segments: Sequence[Segment], logs: int) -> Chains:
         h=np.concatenate([np.full(s.steps, s.h) for s in segments]),
         seen=np.searchsorted(step, np.arange(offset[-1] + 1)).astype(np.int64),
         step=step.astype(np.int64),
-        share=np.concatenate([share for _, share in pose_steps]),
+        share=np.concatenate([share for _, share in placed]),
         poses=np.ascontiguousarray(np.concatenate([s.part.poses[s.poses] for s in segments]), dtype=np.float64),
     )
 
 
-def _pose_steps(segment: Segment) -> tuple[Ints, Floats]:
-    """Step and share of each pose."""
+def pose_steps(segment: Segment) -> tuple[Ints, Floats]:
+    """Step and share of the step of each pose of a segment."""
     since = (segment.part.pose_times[segment.poses] - segment.begin) / segment.h
     step = np.clip(np.floor(since + 1e-9), 0, segment.steps - 1).astype(np.int64)
     return step, np.clip(since - step, 0.0, 1.0)

@@ -18,10 +18,11 @@ from kraft.sysid.data import screen_logs, usable_logs
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chains
+from kraft.sysid.multistep import process_noise
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at_bounds, ignore_iteration, optimise
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
-from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, simulated, starting_point
+from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
 from kraft.sysid.result import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit
 from kraft.sysid.selection import (
     candidates_of,
@@ -178,9 +179,9 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
     graph, optimum = best.graph, best.optimum
     p, problem = graph.problem.parameters, graph.problem
     controls = problem.actuators.mean(optimum.point.rho)[0]
-    point = Point(simulated(problem, optimum.point.states, controls, optimum.point.rho), controls, optimum.point.rho)
+    point = Point(graph.trajectories(optimum.point), controls, optimum.point.rho)
     scale = math.sqrt(residual_ratio(problem, point))
-    walks = graph.process_noise(search.growth, settings.horizon)
+    walks = process_noise(p.vehicle, search.growth, settings.horizon)
     default = problem.noise.process
     process = np.array([max(walks.get(n, 0.0), d) for n, d in zip(p.vehicle.state, default, strict=True)])
     noise = replace(problem.noise, threshold=max(scale, 1.0) * problem.noise.threshold, process=process)
@@ -199,7 +200,11 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
     found = assemble_identification(solution, warnings_of(solution, windows=True), tuple(notes))
     found = replace(
         found,
-        parameters={name: value for name, value in found.parameters.items() if name not in missing},
+        parameters={
+            name: replace(value, variation=search.variation.total.get(name, 0.0))
+            for name, value in found.parameters.items()
+            if name not in missing
+        },
         auxiliary=tuple(name for name in found.auxiliary if name not in missing),
     )
     others = [dict(zip(p.names, map(float, rho), strict=True)) for rho in best.others]

@@ -110,8 +110,7 @@ def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnI
 def _judged(model: CarModel, logs: Sequence[Log], settings: Settings) -> _Candidate:
     """Errors of each log, predicted with the parameters that the others give."""
     identification = model.identification
-    if identification.trials:
-        settings = replace(settings, process={**identification.process, **settings.process})
+    settings = identification.predicting(settings)
     values = identification.without_log
     errors = []
     for i, log in enumerate(usable_logs(model.base.vehicle, logs)):

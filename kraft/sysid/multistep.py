@@ -1,6 +1,7 @@
 """Multi-step form of the estimation: open-loop prediction over windows, each with an unknown state at its beginning.
 
-The unknowns are the parameters rho and the initial state of every window; the controls are the commands.  The residual
+The unknowns are the parameters rho, the initial state of every window, and in every window the deviation of those
+parameters that vary from drive to drive and during one (random effects); the controls are the commands.  The residual
 of a pose has the noise of the poses and the error that the model makes by then, which grows with the time since the
 beginning of the window.  For a model that is exact this error is small and every pose counts the same; a model that
 lacks an effect is fitted to predict over the whole window instead of being bent by small motions.
@@ -9,25 +10,26 @@ lacks an effect is fitted to predict over the whole window instead of being bent
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kraft.sysid.chains import Segment
+from kraft.sysid.chains import Segment, pose_steps
 from kraft.sysid.dynamics import DIFFERENCE_STEP
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
 from kraft.sysid.observation import NoiseModel
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
-from kraft.sysid.problem import Point, Problem, assemble
+from kraft.sysid.problem import Point, Problem, assemble, padded, stacked
 from kraft.sysid.smoothing import NEIGHBOURS, smoothed
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
+    from ompl_ext.vehicle import Vehicle
 
 
 START_NOISE = 3.0
@@ -40,6 +42,13 @@ CONVERGED = 1e-5
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-7, 1e7
 SETTLING = 1.0
 """Time for which the first command is held to find components of an initial state that poses do not show, s."""
+VARIATION_MIN = 0.1
+"""Least ratio of the estimated variation of a parameter to the one before, and of that to it."""
+WITHIN_SHARE = 0.05
+"""Variation within a drive over the one between drives."""
+MISFIT_FREEDOM = 3.0
+"""Degrees of freedom of Student's distribution of a window's misfit: its poses err together, so that a window which the
+model does not explain (a start against stiction, a hand on the car) counts little as a whole."""
 COMMANDS_KEPT = 8
 """Number of actuator parameters whose commands are kept."""
 
@@ -65,6 +74,8 @@ class Windows:
     """(W, n) of the step"""
     fold: Ints
     """(W,)"""
+    known: Floats
+    """(W,) time in the window at which the model's error is 0, s: 0 in a fit, in a history its end"""
     first: SmoothedPoses
     """(W, 3) poses and rates at the beginnings, smoothed with those before and after"""
     interval: float
@@ -76,36 +87,93 @@ class Windows:
         return int(self.fold.max()) + 1
 
 
-def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints) -> Windows:
-    """Arrays of some windows; `parts` (W,) are the parts with all poses, `fold` (W,) is the fold of each."""
+def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, known: Floats | None = None) -> Windows:
+    """Arrays of some windows; `parts` (W,) are the parts with all poses, `fold` (W,) is the fold of each.
+
+    With `known` (W,) the windows are histories up to that time, whose later poses are not seen.
+    """
     beginnings = [
         smoothed(part.pose_times, part.poses, np.array([s.begin])) for s, part in zip(segments, parts, strict=True)
     ]
     first = SmoothedPoses(*(np.concatenate(each) for each in zip(*beginnings, strict=True)))
-    interval = float(np.median([np.median(np.diff(part.pose_times)) for part in parts]))
+    apart = [np.median(np.diff(part.pose_times)) for part in parts if len(part.pose_times) > 1]
+    interval = float(np.median(apart)) if apart else max(s.h for s in segments)
     most = max(len(s.part.pose_times[s.poses]) for s in segments)
     shape = (len(segments), most)
     poses, seen, since = np.zeros((*shape, 3)), np.zeros(shape, dtype=bool), np.zeros(shape)
+    step, share = np.zeros(shape, dtype=np.int64), np.zeros(shape)
     for w, s in enumerate(segments):
         times = s.part.pose_times[s.poses]
-        poses[w, : len(times)], seen[w, : len(times)] = s.part.poses[s.poses], True
-        since[w, : len(times)] = times - s.begin
-    h = np.array([s.h for s in segments])
-    counts = np.array([s.steps for s in segments])[:, None]
-    step = np.clip(np.floor(since / h[:, None] + 1e-9), 0, counts - 1).astype(np.int64)
-    share = np.clip(since / h[:, None] - step, 0.0, 1.0)
-    return Windows(tuple(segments), int(counts.max()), h, poses, seen, since, step, share, fold, first, interval)
+        own = slice(0, len(times))
+        poses[w, own], since[w, own] = s.part.poses[s.poses], times - s.begin
+        seen[w, own] = True if known is None else since[w, own] <= known[w] + 1e-9
+        step[w, own], share[w, own] = pose_steps(s)
+    h, steps = np.array([s.h for s in segments]), max(s.steps for s in segments)
+    known = np.zeros(len(segments)) if known is None else known
+    return Windows(tuple(segments), steps, h, poses, seen, since, step, share, fold, known, first, interval)
+
+
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """How far nv parameters vary: standard deviations in their units."""
+
+    names: tuple[str, ...]
+    between: Floats
+    """(nv,) of a drive's mean from rho"""
+    within: Floats
+    """(nv,) of a window from the mean of its drive"""
+
+    @classmethod
+    def of(cls, names: Sequence[str], between: Floats) -> Variation:
+        """Variation of which a fixed share is within a drive.
+
+        That share is chosen, not estimated: the windows of a drive whose commands change slowly are explained as well
+        by a parameter that varies with them as by the effect of the commands.
+        """
+        return cls(tuple(names), between, WITHIN_SHARE * between)
+
+    @classmethod
+    def independent(cls, stated: Mapping[str, float]) -> Variation:
+        """Variation of windows of which no two are of the same drive."""
+        return cls(tuple(stated), np.zeros(len(stated)), np.array(list(stated.values())))
+
+    @property
+    def total(self) -> dict[str, float]:
+        """Standard deviation of a window from rho, by parameter."""
+        return dict(zip(self.names, map(float, np.hypot(self.within, self.between)), strict=True))
 
 
 class MultiStep:
-    """Multi-step problem with given parameters, to be solved by `fit`; `Point.states` are the initial states."""
+    """Multi-step problem with given parameters, to be solved by `fit`.
 
-    def __init__(self, windows: Windows, parameters: Parameters, noise: NoiseModel, growth: Floats) -> None:
-        """`growth` (3,) is that of the model's error in x, y and yaw, m/s and rad/s."""
+    `Point.states` (W, nx + nv) are the initial states and the deviations of the parameters that vary.
+    """
+
+    def __init__(
+        self,
+        windows: Windows,
+        parameters: Parameters,
+        noise: NoiseModel,
+        growth: Floats,
+        variation: Variation,
+    ) -> None:
+        """Prepare the problem.
+
+        Args:
+            windows: to predict.
+            parameters: of the model, and auxiliary ones.
+            noise: of the poses.
+            growth: (3,) of the model's error in x, y and yaw, m/s and rad/s.
+            variation: of the parameters that vary; windows of a fold are of one drive.
+        """
         self.windows, self.noise = windows, noise
         self.problem: Problem = assemble(windows.segments, len(windows.segments), parameters, noise)
-        self.sigmas: Floats = np.sqrt(noise.pose_sigmas**2 + (growth * windows.since[..., None]) ** 2)
+        since = np.abs(windows.since - windows.known[:, None])[..., None]
+        self.sigmas: Floats = np.sqrt(noise.pose_sigmas**2 + (growth * since) ** 2)
         self._nx = self.problem.dynamics.nx
+        self._varying = [parameters.index(name) for name in variation.names]
+        self.variation = variation
+        self._within, self._between = variation.within**-2.0, np.maximum(variation.between, 1e-9) ** -2.0
         self._kernel = self.problem.dynamics.discrete_model
         self._free = np.flatnonzero(parameters.free)
         self._commands: dict[bytes, Floats] = {}
@@ -140,7 +208,7 @@ class MultiStep:
         return initial_states(vehicle, np.arange(len(self.windows.segments)), self.windows.first), spread
 
     def prior_states(self, rho: Floats) -> Matrix:
-        """(W, nx) expected initial states: smoothed poses and rates, and what the first command leads to.
+        """(W, nx + nv) expected initial states: smoothed poses and rates, and what the first command leads to.
 
         Those of the last rho are kept: the cost of a point, its derivatives and the step from it all need them.
         """
@@ -157,7 +225,7 @@ class MultiStep:
             values = np.tile(self.problem.parameters.model_values(rho), (len(states), 1))
             settled = self._kernel.simulate(states, controls, values, self.windows.h)[-1]
             states[:, self._hidden] = settled[:, self._hidden]
-        return states
+        return np.hstack([states, np.zeros((len(states), len(self._varying)))])
 
     @cached_property
     def _hidden(self) -> list[int]:
@@ -183,31 +251,14 @@ class MultiStep:
                 moved[:, vehicle.index(name)] += shown[:, k] - observation.predict(moved, rho)[:, k]
         return moved
 
-    def process_noise(self, growth: Floats, horizon: float) -> dict[str, float]:
-        """Random walks of speed and turning, by component, that make errors as large as the model's at the horizon."""
-        vehicle, found = self.problem.parameters.vehicle, {}
-        per_rate = math.sqrt(3.0 / horizon)  # a random walk of a rate, integrated: q sqrt(t^3 / 3)
-        if (k := speed_index(vehicle)) >= 0:
-            found[vehicle.state[k]] = float(growth[0]) * per_rate
-        for name in vehicle.state:
-            if name in YAW_RATES:
-                found[name] = float(growth[2]) * per_rate
-        if "theta" in vehicle.state and not set(YAW_RATES) & set(vehicle.state):
-            found["theta"] = float(growth[2]) * math.sqrt(horizon)
-        return found
-
     def start(self, rho: Floats) -> Point:
         """Point with given parameters, each window beginning as the smoothed poses do."""
         return Point(self.prior_states(rho), np.empty((0, 0)), rho.copy())
 
     def predict(self, starts: Sequence[Matrix], rhos: Sequence[Floats]) -> Floats:
-        """Poses (m, W, n, 3) of all windows, m times: from the states starts[i] (W, nx) with rhos[i] (np,)."""
-        p, w, count = self.problem.parameters, self.windows, len(self.windows.segments)
-        controls = np.concatenate([self._controls(rho) for rho in rhos], axis=1)
-        values = np.repeat([p.model_values(rho) for rho in rhos], count, axis=0)
-        h = np.tile(w.h, len(rhos))
-        states = self._kernel.simulate(np.concatenate(starts), controls, values, h)
-        states = states.reshape(w.steps + 1, len(rhos), count, self._nx)
+        """Poses (m, W, n, 3) of all windows, m times: from the states starts[i] (W, nx + nv) with rhos[i] (np,)."""
+        w, count = self.windows, len(self.windows.segments)
+        states = self._simulated(starts, rhos).reshape(w.steps + 1, len(rhos), count, self._nx)
         at, share = np.arange(count)[:, None], w.share[..., None]
         poses = np.empty((len(rhos), *w.since.shape, 3))
         for i, rho in enumerate(rhos):
@@ -217,18 +268,27 @@ class MultiStep:
             poses[i] = shown.reshape(*w.since.shape, 3)
         return poses
 
+    def _simulated(self, starts: Sequence[Matrix], rhos: Sequence[Floats]) -> Floats:
+        """States (steps + 1, m W, nx) of all windows, m times."""
+        controls = np.concatenate([self._controls(rho) for rho in rhos], axis=1)
+        values = np.repeat([self.problem.parameters.model_values(rho) for rho in rhos], len(self.windows.h), axis=0)
+        unknowns = np.concatenate(starts)
+        values[:, self._varying] += unknowns[:, self._nx :]
+        return self._kernel.simulate(
+            np.ascontiguousarray(unknowns[:, : self._nx]), controls, values, np.tile(self.windows.h, len(rhos))
+        )
+
+    def trajectories(self, point: Point) -> Matrix:
+        """States (S, nx) of all windows at their steps."""
+        return stacked(self._simulated([point.states], [point.rho]), self.problem.chains)
+
     def _controls(self, rho: Floats) -> Floats:
         """(steps, W, nu) controls that act; those of the last few actuator parameters are kept."""
         key = rho[self._acting].tobytes()
         if key not in self._commands:
-            mean = self.problem.actuators.mean(rho)[0]
-            found = np.zeros((self.windows.steps, len(self.windows.segments), mean.shape[1]))
-            for i, segment in enumerate(self.windows.segments):
-                first = int(self.problem.chains.first[i]) - i
-                found[: segment.steps, i] = mean[first : first + segment.steps]
             if len(self._commands) >= COMMANDS_KEPT:
                 del self._commands[next(iter(self._commands))]
-            self._commands[key] = found
+            self._commands[key] = padded(self.problem.actuators.mean(rho)[0], self.problem.chains)
         return self._commands[key]
 
     def residuals(self, point: Point) -> Floats:
@@ -239,27 +299,39 @@ class MultiStep:
             off[..., 2] = 0.0
         return off
 
-    def _weights(self, off: Floats) -> Floats:
-        """(W, n) weights of the robust loss."""
-        if not self.noise.robust:
-            return np.ones(off.shape[:2])
-        distance = np.sqrt(np.sum((off / self.sigmas) ** 2, axis=2))
-        weights: Floats = self.noise.threshold / np.maximum(distance, self.noise.threshold)
-        return weights
-
     def cost(self, point: Point) -> float:
         """Half of the sum of squared residuals in standard deviations, with the robust loss for poses."""
-        distance = np.sqrt(np.sum((self.residuals(point) / self.sigmas) ** 2, axis=2))
-        inside = np.minimum(distance, self.noise.threshold)
-        loss = float(np.sum(inside * (distance - 0.5 * inside)))
-        off = (point.states - self.prior_states(point.rho)) / self._observed[1]
-        total = loss + 0.5 * float(np.sum(off**2) + np.sum(self.problem.prior_residuals(point.rho) ** 2))
+        off = (point.states - self.prior_states(point.rho))[:, : self._nx] / self._observed[1]
+        means, varied = self._means(point.states)
+        share = self._misfit(self.residuals(point)) / MISFIT_FREEDOM
+        total = 0.5 * float(np.sum(self._counts * (MISFIT_FREEDOM + 1.0) * np.log1p(share)))
+        total += 0.5 * float(np.sum(varied**2 * self._within) + np.sum(means**2 * self._between))
+        total += 0.5 * float(np.sum(off**2) + np.sum(self.problem.prior_residuals(point.rho) ** 2))
         return total if np.isfinite(total) else np.inf
+
+    def _means(self, states: Matrix) -> tuple[Matrix, Matrix]:
+        """Best means (folds, nv) of the parameters that vary, and the deviations (W, nv) of the windows from them."""
+        deviations, fold = states[:, self._nx :], self.windows.fold
+        means = np.zeros((self.windows.folds, deviations.shape[1]))
+        np.add.at(means, fold, deviations * self._within)
+        means /= np.bincount(fold, minlength=len(means))[:, None] * self._within + self._between
+        return means, deviations - means[fold]
+
+    @cached_property
+    def _counts(self) -> Floats:
+        """(W,) number of poses seen."""
+        counts: Floats = np.maximum(self.windows.seen.sum(axis=1), 1).astype(np.float64)
+        return counts
+
+    def _misfit(self, off: Floats) -> Floats:
+        """(W,) mean squared residual of each window in standard deviations, outliers limited."""
+        misfit: Floats = 2.0 * self.noise.losses(off, self.sigmas).sum(axis=1) / self._counts
+        return misfit
 
     def linearise(self, point: Point) -> None:
         """Derivatives of all residuals by differences: every window once per component, in one rollout."""
         self._point = point
-        nx, p = self._nx, self.problem.parameters
+        nx, p = self._nx + len(self._varying), self.problem.parameters
         changes = DIFFERENCE_STEP * np.maximum(np.abs(point.rho), 0.1)
         changes = np.where(point.rho + changes > p.high, -changes, changes)
         pose = [p.vehicle.index(name) for name in ("x", "y", "theta") if name in p.vehicle.state]
@@ -295,39 +367,104 @@ class MultiStep:
         self._by_start *= seen[..., None]
 
     def reduce(self, damping: float) -> RhoFactors:
-        """Eliminate the initial states; `damping` raises their information by that share."""
-        nx, free, count = self._nx, self._free, len(self.windows.segments)
-        weight = self._weights(self._off)[..., None] / self.sigmas**2
-        a = self._by_start.reshape(count, -1, nx)
-        b = self._by_rho.reshape(count, -1, len(free))
-        w, r = weight.reshape(count, -1), self._off.reshape(count, -1)
+        """Eliminate the windows, then the means of the drives; `damping` raises the windows' information by that share.
+
+        With rho the means are the columns of the windows' factors; their prior connects them to the windows.
+        """
+        nx, nv, free, count = self._nx, len(self._varying), self._free, len(self.windows.segments)
+        known, rows = len(free), 3 * self.windows.since.shape[1]
+        trust = (MISFIT_FREEDOM + 1.0) / (MISFIT_FREEDOM + self._misfit(self._off))
+        weight = (trust[:, None] * self.noise.weights(self._off, self.sigmas))[..., None] / self.sigmas**2
+        a = self._by_start.reshape(count, rows, nx + nv)
+        b = self._by_rho.reshape(count, rows, known)
+        w, r = weight.reshape(count, rows), self._off.reshape(count, rows)
+        self._mean, varied = self._means(self._point.states)
+        prior = np.concatenate([self._observed[1] ** -2.0, self._within])
         deviation = self._point.states - self.prior_states(self._point.rho)
-        prior = self._observed[1] ** -2.0
-        wa = a * w[..., None]
+        deviation[:, nx:] = varied
+        wa, diagonal, ends = a * w[..., None], np.arange(nx + nv), np.arange(nv)
         information = np.swapaxes(wa, 1, 2) @ a
-        information[:, np.arange(nx), np.arange(nx)] += prior
-        information[:, np.arange(nx), np.arange(nx)] *= 1.0 + damping
-        cross = np.swapaxes(wa, 1, 2) @ b
+        information[:, diagonal, diagonal] += prior
+        information[:, diagonal, diagonal] *= 1.0 + damping
+        cross, own = np.zeros((count, nx + nv, known + nv)), np.zeros((count, known + nv, known + nv))
+        slope = np.zeros((count, known + nv))
+        cross[:, :, :known] = np.swapaxes(wa, 1, 2) @ b
+        cross[:, nx + ends, known + ends] = -self._within
+        own[:, :known, :known] = np.swapaxes(b * w[..., None], 1, 2) @ b
+        own[:, known + ends, known + ends] = self._within
+        slope[:, :known] = ((b * w[..., None]) * r[..., None]).sum(axis=1)
+        slope[:, known:] = -varied * self._within
         gradient = (wa * r[..., None]).sum(axis=1) + prior * deviation
         self._solved = np.linalg.solve(information, np.concatenate([cross, gradient[..., None]], axis=2))
-        own = np.swapaxes(b * w[..., None], 1, 2) @ b - np.swapaxes(cross, 1, 2) @ self._solved[..., :-1]
-        slope = ((b * w[..., None]) * r[..., None]).sum(axis=1) - np.einsum("wxr,wx->wr", cross, self._solved[..., -1])
-        size, folds = len(self._point.rho), self.windows.folds
-        full, slopes = np.zeros((folds, size, size)), np.zeros((folds, size))
-        for fold in range(folds):
-            chosen = self.windows.fold == fold
-            full[fold][np.ix_(free, free)] = own[chosen].sum(axis=0)
-            slopes[fold, free] = slope[chosen].sum(axis=0)
+        own -= np.swapaxes(cross, 1, 2) @ self._solved[..., :-1]
+        slope -= np.einsum("wxr,wx->wr", cross, self._solved[..., -1])
         p = self.problem.parameters
         inverse = np.where(p.free, 1.0 / p.std, 0.0)
+        full, slopes = self._reduce_means(own, slope)
         return RhoFactors(full, slopes, inverse**2, inverse * self.problem.prior_residuals(self._point.rho))
+
+    def _reduce_means(self, own: Floats, slope: Matrix) -> tuple[Floats, Matrix]:
+        """Information (folds, np, np) and gradient (folds, np) of rho without the means of the drives."""
+        free, size, folds = self._free, len(self._point.rho), self.windows.folds
+        known, ends = len(free), len(free) + np.arange(len(self._varying))
+        full, slopes = np.zeros((folds, size, size)), np.zeros((folds, size))
+        self._mean_solved = np.zeros((folds, len(ends), known + 1))
+        self._mean_spread = np.zeros((folds, len(ends)))
+        for fold in range(folds):
+            chosen = self.windows.fold == fold
+            joint, gradient = own[chosen].sum(axis=0), slope[chosen].sum(axis=0)
+            joint[ends, ends] += self._between
+            gradient[ends] += self._mean[fold] * self._between
+            inverse = np.linalg.inv(joint[known:, known:])
+            solved = inverse @ np.column_stack([joint[known:, :known], gradient[known:]])
+            self._mean_solved[fold], self._mean_spread[fold] = solved, np.diag(inverse)
+            full[fold][np.ix_(free, free)] = joint[:known, :known] - joint[:known, known:] @ solved[:, :-1]
+            slopes[fold, free] = gradient[:known] - joint[:known, known:] @ solved[:, -1]
+        return full, slopes
+
+    def found_variation(self, states: Matrix) -> Variation:
+        """Variation of the means of the drives as of the windows reduced last.
+
+        Squared means over the number of them that the data show (MacKay: Bayesian interpolation, Neural
+        Computation 4, 1992, eq. 4.9).
+        """
+        means, before = self._means(states)[0], self.variation.between
+        shown = np.maximum(np.sum(1.0 - self._mean_spread * self._between, axis=0), 1.0)
+        found = np.sqrt(np.sum(means**2, axis=0) / shown)
+        return Variation.of(self.variation.names, np.clip(found, VARIATION_MIN * before, before / VARIATION_MIN))
 
     def moved(self, change: Floats) -> Point:
         """Point with rho changed, each window beginning at the best of the linearised problem."""
-        rho = self.problem.parameters.within_bounds(self._point.rho + change)
-        step = -(self._solved[..., :-1] @ change[self._free] + self._solved[..., -1])
+        rho, known = self.problem.parameters.within_bounds(self._point.rho + change), len(self._free)
+        means = -(self._mean_solved[..., :-1] @ change[self._free] + self._mean_solved[..., -1])
+        step = -(self._solved[..., :known] @ change[self._free] + self._solved[..., -1])
+        step -= np.einsum("wxv,wv->wx", self._solved[..., known:-1], means[self.windows.fold])
         states = self.shifted(self._point.states, self._point.rho, rho) + step
         return replace(self._point, states=states, rho=rho)
+
+
+def process_noise(vehicle: Vehicle, growth: Floats, horizon: float) -> dict[str, float]:
+    """Random walks of speed and turning, by component, that make errors as large as the model's at the horizon."""
+    found = {}
+    per_rate = math.sqrt(3.0 / horizon)  # a random walk of a rate, integrated: q sqrt(t^3 / 3)
+    if (k := speed_index(vehicle)) >= 0:
+        found[vehicle.state[k]] = float(growth[0]) * per_rate
+    for name in vehicle.state:
+        if name in YAW_RATES:
+            found[name] = float(growth[2]) * per_rate
+    if "theta" in vehicle.state and not set(YAW_RATES) & set(vehicle.state):
+        found["theta"] = float(growth[2]) * math.sqrt(horizon)
+    return found
+
+
+def error_growth(vehicle: Vehicle, process: Floats, horizon: float) -> Floats:
+    """(3,) growth of the error in x, y and yaw that process noise (nx,) leads to: the inverse of `process_noise`."""
+    named = dict(zip(vehicle.state, map(float, process), strict=True))
+    per_rate, per_position = math.sqrt(3.0 / horizon), math.sqrt(horizon)
+    speed = speed_index(vehicle)
+    moving = [float(process[speed]) / per_rate] if speed >= 0 else [named[k] / per_position for k in ("x", "y")]
+    turning = [named[k] / per_rate for k in YAW_RATES if k in named] or [named.get("theta", 0.0) / per_position]
+    return np.array([max(moving), max(moving), max(turning)])
 
 
 def fit(graph: MultiStep, start: Point, most: int, on_iteration: OnIteration = ignore_iteration) -> Optimum:

@@ -103,26 +103,28 @@ class NoiseModel:
         """(3,) x, y, yaw."""
         return np.array([self.noise.position, self.noise.position, self.noise.yaw])
 
-    def distance(self, residuals: Matrix) -> Floats:
-        """Mahalanobis distances (n,) of pose residuals (n, 3)."""
-        distance: Floats = np.sqrt(np.sum((residuals / self.pose_sigmas) ** 2, axis=1))
+    def distance(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
+        """Mahalanobis distances (...) of pose residuals (..., 3); `sigmas` (..., 3) in place of those of the poses."""
+        distance: Floats = np.sqrt(np.sum((residuals / (self.pose_sigmas if sigmas is None else sigmas)) ** 2, axis=-1))
         return distance
 
-    def weights(self, residuals: Matrix) -> Floats:
-        """(n,) weight of each pose by the Huber loss: 1 up to the threshold, then decreasing with the distance."""
-        return (
-            self.threshold / np.maximum(self.distance(residuals), self.threshold)
-            if self.robust
-            else np.ones(len(residuals))
-        )
-
-    def loss(self, residuals: Matrix) -> float:
-        """Sum of the Huber losses: half the squared distance up to the threshold, then linear."""
-        distance = self.distance(residuals)
+    def weights(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
+        """(...) weight of each pose by the Huber loss: 1 up to the threshold, then decreasing with the distance."""
         if not self.robust:
-            return float(0.5 * np.sum(distance**2))
+            return np.ones(residuals.shape[:-1])
+        weights: Floats = self.threshold / np.maximum(self.distance(residuals, sigmas), self.threshold)
+        return weights
+
+    def loss(self, residuals: Floats, sigmas: Floats | None = None) -> float:
+        """Sum of the Huber losses."""
+        return float(np.sum(self.losses(residuals, sigmas)))
+
+    def losses(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
+        """(...) Huber loss of each pose: half the squared distance up to the threshold, then linear."""
+        distance = self.distance(residuals, sigmas)
         inside = np.minimum(distance, self.threshold)
-        return float(np.sum(inside * (distance - 0.5 * inside)))
+        losses: Floats = inside * (distance - 0.5 * inside)
+        return losses
 
     @property
     def robust(self) -> bool:

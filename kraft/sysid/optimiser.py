@@ -185,14 +185,17 @@ def _solve(factors: RhoFactors, damping: float, free: Bools, fixed: Floats) -> F
         NegativeResult: if the information of the free components is singular.
     """
     shift = np.where(free, 0.0, fixed)
+    prior = factors.prior_information + damping * np.diag(factors.total_information)
+    size = np.diag(factors.total_information)[free] + prior[free]
+    scale = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))  # units of the parameters differ by orders of magnitude
     graph = gtsam.GaussianFactorGraph()
     for information, gradient in zip(factors.information, factors.gradient, strict=True):
         slope = gradient + information @ shift
-        graph.add(gtsam.HessianFactor(RHO, information[np.ix_(free, free)], -slope[free], 0.0))
-    prior = factors.prior_information + damping * np.diag(factors.total_information)
-    graph.add(gtsam.HessianFactor(RHO, np.diag(prior[free]), -factors.prior_gradient[free], 0.0))
+        scaled = scale[:, None] * information[np.ix_(free, free)] * scale
+        graph.add(gtsam.HessianFactor(RHO, scaled, -scale * slope[free], 0.0))
+    graph.add(gtsam.HessianFactor(RHO, np.diag(prior[free] * scale**2), -scale * factors.prior_gradient[free], 0.0))
     try:
-        solution: Floats = graph.optimize().at(RHO)
+        solution: Floats = scale * graph.optimize().at(RHO)
     except RuntimeError:  # GTSAM's IndeterminantLinearSystemException
         raise NegativeResult(
             "the logs do not determine the parameters: the linear system of the optimiser is singular; "

@@ -37,6 +37,8 @@ class ParameterSpec:
     """value at which it has no effect"""
     fixed: bool = False
     """whether it is measured or chosen, not identified"""
+    variation: float = 0.0
+    """standard deviation of its changes during a drive"""
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,12 @@ def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, auxiliar
     return Parameters(vehicle_of(vehicle), specs, frozen)
 
 
+def variation_of(parameters: Parameters, settings: Settings) -> dict[str, float]:
+    """Standard deviation between windows of each parameter that varies, of the settings or of the vehicle."""
+    stated = {spec.name: settings.variation.get(spec.name, spec.variation) for spec in parameters.specs}
+    return {name: std for name, std in stated.items() if std > 0.0}
+
+
 def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]) -> tuple[ParameterSpec, ...]:
     """The parameters of the model and the named auxiliary parameters, before any setting is applied."""
     model = vehicle_of(vehicle)
@@ -146,8 +154,9 @@ def _spec(name: str, value: float, stated: Parameter | None) -> ParameterSpec:
     std = stated.std if stated.std is not None else high - low
     prior = stated.std is not None
     return ParameterSpec(
-        name, value, low, high, std, stated.unit, stated.description, prior, stated.neutral, stated.fixed
-    )
+        name, value, low, high, std, stated.unit, stated.description, prior, stated.neutral, stated.fixed,
+        stated.variation,
+    )  # fmt: skip
 
 
 def _default_bounds(value: float) -> tuple[float, float]:

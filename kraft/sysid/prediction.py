@@ -2,7 +2,7 @@
 
 The prediction of a window uses the commands and the poses up to its beginning; of later poses it uses only the measured
 noise.  The first window of a part that begins at rest begins at its first pose, at rest; every other window begins at
-the state that the graph, with fixed parameters, estimates from the 3 s before.
+the state, and with the deviations of the parameters that vary, which fit the poses of the 3 s before best.
 """
 
 from __future__ import annotations
@@ -16,12 +16,10 @@ import numpy as np
 from kraft.errors import Code, InputError
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
-from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.initial_values import smooth_chains
-from kraft.sysid.observation import noise_model
-from kraft.sysid.optimiser import optimise
-from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, vehicle_of
-from kraft.sysid.problem import Problem, assemble, simulated, starting_point
+from kraft.sysid.multistep import MultiStep, Variation, error_growth, fit, windows_of
+from kraft.sysid.observation import NoiseModel, noise_model
+from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, variation_of, vehicle_of
+from kraft.sysid.problem import Point
 from kraft.sysid.result import PredictionErrors
 from kraft.sysid.selection import check_settings
 from kraft.sysid.settings import Settings
@@ -39,6 +37,8 @@ WINDOW_LENGTH = 3.0
 HISTORY_PROCESS_FACTOR = 3.0
 """Process noise in the history of a window over that of an identification: the initial state shall follow the poses
 even if the parameters are wrong."""
+HISTORY_ITERATIONS = 15
+"""Most iterations of the fit of a history."""
 HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
 RECENT = 0.3
@@ -81,16 +81,87 @@ def predict_windows(
     check_settings(vehicle, given)
     parameters = parameters_of(vehicle, given, auxiliary)
     usable = usable_logs(model, logs)
-    pieces = [(i, before, ahead) for i, _, before, ahead in _all_pieces(usable, settings)]
-    problem = _problem([ahead for _, _, ahead in pieces], len(usable), parameters, settings)
-    start = _starts(pieces, len(usable), parameters, settings)
-    states = simulated(problem, start, problem.actuators.mean(parameters.nominal)[0], parameters.nominal)
-    predicted = problem.observation.predict(problem.at_poses(states), parameters.nominal)
-    ends = np.cumsum([len(ahead.part.pose_times[ahead.poses]) for _, _, ahead in pieces])[:-1]
-    return tuple(
-        Window(usable[i].name, ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses], part)
-        for (i, _, ahead), part in zip(pieces, np.split(predicted, ends), strict=True)
+    pieces = pieces_of(usable, settings)
+    noise = settings.noise or measured_noise(
+        [p.segment.part.pose_times[p.ahead] for p in pieces], [p.segment.part.poses[p.ahead] for p in pieces]
     )
+    known = noise_model(model, settings, noise)
+    growth = HISTORY_PROCESS_FACTOR * error_growth(model, known.process, WINDOW_LENGTH)
+    predictor = Predictor(pieces, parameters, known, growth, variation_of(parameters, settings))
+    predicted = predictor.poses(parameters.nominal)
+    return tuple(
+        Window(usable[p.segment.log].name, p.segment.part.pose_times[p.ahead], p.segment.part.poses[p.ahead], found)
+        for p, found in zip(
+            pieces, (row[own] for row, own in zip(predicted, predictor.ahead, strict=True)), strict=True
+        )
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A window of a log, with the history that shows its initial state."""
+
+    segment: Segment
+    """history and window"""
+    part: Part
+    """of the log, with all its poses"""
+    known: float
+    """time from the beginning of the segment to that of the window, s; 0 if the window begins at rest"""
+    ahead: slice
+    """poses of the window among those of the segment's part"""
+
+
+class Predictor:
+    """Predictions of some windows with one model, each from what the poses before it show."""
+
+    def __init__(
+        self,
+        pieces: Sequence[Piece],
+        parameters: Parameters,
+        noise: NoiseModel,
+        growth: Floats,
+        variation: Mapping[str, float],
+    ) -> None:
+        """Prepare the prediction; `variation` is the standard deviation of each parameter that varies."""
+        seen = [_until(p.part, p.segment.begin + p.known) for p in pieces]
+        known = np.array([p.known for p in pieces])
+        segments = [p.segment for p in pieces]
+        windows = windows_of(segments, seen, np.zeros(len(pieces), dtype=np.int64), known)
+        frozen = replace(parameters, frozen=frozenset(parameters.names))
+        self.graph = MultiStep(windows, frozen, noise, growth, Variation.independent(variation))
+        self._resting: Bools = known == 0.0
+        counts = np.array([len(s.part.pose_times[s.poses]) for s in segments])[:, None]
+        self.since: Floats = windows.since - known[:, None]
+        """(W, n) time since the beginning of the window, s"""
+        self.ahead: Bools = (self.since >= -1e-9) & (np.arange(self.since.shape[1]) < counts)
+        """(W, n) whether it is a pose of the window"""
+        self.observed: Floats = windows.poses
+        """(W, n, 3)"""
+        self._last: Point | None = None
+
+    def poses(self, rho: Floats) -> Floats:
+        """Predicted poses (W, n, 3) with the parameters rho (np,); those of the windows are `ahead` (W, n)."""
+        start = self.graph.start(rho)
+        if self._last is not None:
+            again = replace(
+                self._last, rho=rho.copy(), states=self.graph.shifted(self._last.states, self._last.rho, rho)
+            )
+            start = min(start, again, key=self.graph.cost)
+        self._last = fit(self.graph, start, HISTORY_ITERATIONS).point
+        states = self._last.states.copy()
+        for w in np.flatnonzero(self._resting):
+            states[w] = 0.0
+            states[w, : self.graph.problem.dynamics.nx] = _at_rest(
+                self.graph.problem.parameters, rho, self.observed[w, 0]
+            )
+        found: Floats = self.graph.predict([states], [rho])[0]
+        return found
+
+
+def _until(part: Part, time: float) -> Part:
+    """The part with its poses up to a time."""
+    count = int(np.searchsorted(part.pose_times, time + 1e-9, side="right"))
+    return replace(part, pose_times=part.pose_times[:count], poses=part.poses[:count])
 
 
 def constant_windows(
@@ -103,33 +174,31 @@ def constant_windows(
     """
     usable = usable_logs(vehicle_of(vehicle), logs)
     found = []
-    for i, part, before, ahead in _all_pieces(usable, settings or Settings()):
-        times, poses = ahead.part.pose_times[ahead.poses], ahead.part.poses[ahead.poses]
-        seen = part.pose_times <= times[0] + 1e-9
+    for piece in pieces_of(usable, settings or Settings()):
+        times, poses = piece.segment.part.pose_times[piece.ahead], piece.segment.part.poses[piece.ahead]
+        seen = _until(piece.part, times[0])
         x, y, yaw, speed, rate = (
-            (*poses[0], 0.0, 0.0)
-            if before is None
-            else constant_motion(part.pose_times[seen], part.poses[seen], RECENT)
+            (*poses[0], 0.0, 0.0) if piece.known == 0.0 else constant_motion(seen.pose_times, seen.poses, RECENT)
         )
         since = times - times[0]
         middle = yaw + 0.5 * rate * since
         chord = speed * since * np.sinc(0.5 * rate * since / np.pi)
         predicted = np.column_stack([x + chord * np.cos(middle), y + chord * np.sin(middle), yaw + rate * since])
-        found.append(Window(usable[i].name, times, poses, predicted))
+        found.append(Window(usable[piece.segment.log].name, times, poses, predicted))
     return tuple(found)
 
 
-def _all_pieces(logs: Sequence[Log], settings: Settings) -> list[tuple[int, Part, Segment | None, Segment]]:
-    """Log, part with all poses, history and window of each window.
+def pieces_of(logs: Sequence[Log], settings: Settings, length: float = WINDOW_LENGTH) -> list[Piece]:
+    """Windows of at most `length` s, one after the other, each with the history of at most that length before it.
 
     Raises:
         InputError: if there is none.
     """
     found = [
-        (i, part, before, ahead)
+        piece
         for i, log in enumerate(logs)
         for part in log.parts
-        for before, ahead in _pieces(thinned(part, settings.step), i, settings.step)
+        for piece in _pieces(part, thinned(part, settings.step), i, settings.step, length)
     ]
     if not found:
         raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict", Code.DATA)
@@ -174,60 +243,28 @@ def _rms(values: Floats, chosen: Bools) -> float:
     return float(np.sqrt(np.mean(values[chosen] ** 2)))
 
 
-def _pieces(part: Part, log: int, step: float) -> Iterator[tuple[Segment | None, Segment]]:
-    """History of each window (None if it begins at rest), and the window."""
+def _pieces(whole: Part, part: Part, log: int, step: float, length: float) -> Iterator[Piece]:
+    """Windows of a part, thinned from a whole one."""
     times = part.pose_times
     resting = begins_at_rest(part)
     begin = times[0] if resting else times[0] + HISTORY_MIN
     while times[-1] - begin >= WINDOW_MIN:
         first = int(np.searchsorted(times, begin - 1e-9))
-        last = int(np.searchsorted(times, times[first] + WINDOW_LENGTH + 0.5 * step, side="right"))
+        last = int(np.searchsorted(times, times[first] + length + 0.5 * step, side="right"))
         if last - first < 2:
             return
-        ahead = segment_between(part, log, step, first, last, resting)
-        seen = int(np.searchsorted(times, times[first] - WINDOW_LENGTH))
-        if first == 0:
-            yield None, ahead
-        elif first - seen >= 2:
-            yield segment_between(part, log, step, seen, first + 1, resting), ahead
+        seen = int(np.searchsorted(times, times[first] - length))
+        if first == 0 or first - seen >= 2:
+            segment = segment_between(part, log, step, seen, last, resting)
+            yield Piece(segment, whole, float(times[first] - times[seen]), slice(first, last))
         begin = times[last - 1]
 
 
-def _problem(segments: list[Segment], logs: int, parameters: Parameters, settings: Settings) -> Problem:
-    noise = settings.noise or measured_noise(
-        [s.part.pose_times[s.poses] for s in segments], [s.part.poses[s.poses] for s in segments]
-    )
-    return assemble(segments, logs, parameters, noise_model(parameters.vehicle, settings, noise))
-
-
-def _starts(
-    pieces: Sequence[tuple[int, Segment | None, Segment]],
-    logs: int,
-    parameters: Parameters,
-    settings: Settings,
-) -> Matrix:
-    """(windows, nx) initial states of the windows."""
-    model = parameters.vehicle
-    rho = parameters.nominal
-    start = np.zeros((len(pieces), len(model.state)))
-    histories = [before for _, before, _ in pieces if before is not None]
-    if histories:
-        problem = _problem(histories, logs, parameters, settings)
-        problem = replace(problem, noise=replace(problem.noise, process=HISTORY_PROCESS_FACTOR * problem.noise.process))
-        point = starting_point(problem, smooth_chains(problem.chains), rho)
-        optimum = optimise(FastGraph(problem), point, settings.iterations)
-        moving = np.array([before is not None for _, before, _ in pieces])
-        start[moving] = optimum.point.states[problem.chains.first[1:] - 1]
-    for row, (_, before, ahead) in zip(start, pieces, strict=True):
-        if before is None:
-            row[:] = _at_rest(model, parameters, ahead.part.poses[0])
-    return start
-
-
-def _at_rest(model: Vehicle, parameters: Parameters, pose: Floats) -> Floats:
+def _at_rest(parameters: Parameters, rho: Floats, pose: Floats) -> Floats:
     """State at rest with an observed pose."""
+    model = parameters.vehicle
     lever, side, offset = (
-        float(parameters.nominal[k]) if (k := parameters.auxiliary_index(name)) >= 0 else 0.0
+        float(rho[k]) if (k := parameters.auxiliary_index(name)) >= 0 else 0.0
         for name in ("lever", "side", "yaw_offset")
     )
     yaw = pose[2] - offset

@@ -103,18 +103,22 @@ def starting_point(problem: Problem, data: SmoothedPoses, rho: Floats) -> Point:
 
 def simulated(problem: Problem, start: Matrix, controls: Matrix, rho: Floats) -> Matrix:
     """States (S, nx) of all chains, open loop from `start` (chains, nx) with `controls` (N, nu)."""
-    chains = problem.chains
+    h = np.array([s.h for s in problem.chains.segments])
+    states = problem.dynamics.simulate(start, padded(controls, problem.chains), rho, h)
+    return stacked(states, problem.chains)
+
+
+def padded(controls: Matrix, chains: Chains) -> Floats:
+    """Controls (most steps, chains, nu) of the steps of each chain, from (N, nu); zeros beyond its last step."""
     steps = np.diff(chains.first) - 1
-    padded = np.zeros((int(steps.max()), len(steps), controls.shape[1]))
+    found = np.zeros((int(steps.max()), len(steps), controls.shape[1]))
     for c, count in enumerate(steps):
         begin = int(chains.first[c]) - c  # of its steps
-        padded[:count, c] = controls[begin : begin + count]
-    h = np.array([s.h for s in chains.segments])
-    states = problem.dynamics.simulate(start, padded, rho, h)
-    return _stacked(states, chains)
+        found[:count, c] = controls[begin : begin + count]
+    return found
 
 
-def _stacked(states: Floats, chains: Chains) -> Matrix:
+def stacked(states: Floats, chains: Chains) -> Matrix:
     """(S, nx) of states (most steps + 1, chains, nx)."""
     stacked: Matrix = np.concatenate([states[: s.steps + 1, c] for c, s in enumerate(chains.segments)])
     return stacked

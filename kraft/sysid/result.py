@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from kraft.sysid.settings import Noise
+from kraft.sysid.settings import Noise, Settings
 from ompl_ext.arrays import Floats
 
 AT_BOUND: Final = 1e-6
@@ -36,6 +36,8 @@ class ParameterEstimate:
     max: float
     frozen: bool
     at_bound: bool
+    variation: float = 0.0
+    """standard deviation with which it varies from drive to drive and during one"""
 
     @property
     def is_zero(self) -> bool:
@@ -139,7 +141,7 @@ class Identification:
     models: tuple[ModelTrial, ...] = ()
     """models that were compared by predicting logs that they were not fitted to from the poses before each window"""
     trials: tuple[ModelTrial, ...] = ()
-    """steps of the choice of terms, if the model has such, each compared over windows with fitted initial states"""
+    """steps of the choice of terms, if the model has such, compared by predicting logs that it was not fitted to"""
     off: tuple[str, ...] = ()
     """parameters of the model that are off"""
     without_log: tuple[Mapping[str, float], ...] = ()
@@ -149,6 +151,15 @@ class Identification:
     def values(self) -> dict[str, float]:
         """Value of each parameter, auxiliary ones included."""
         return {name: parameter.value for name, parameter in self.parameters.items()}
+
+    def predicting(self, settings: Settings) -> Settings:
+        """Settings for predictions with what was identified beside the parameters: process noise and variation."""
+        process = self.process if self.trials else {}
+        return replace(
+            settings,
+            process={**process, **settings.process},
+            variation={**{name: p.variation for name, p in self.parameters.items()}, **settings.variation},
+        )
 
     @property
     def correlation(self) -> Floats:

@@ -27,6 +27,8 @@ class Settings:
     """of the poses; measured from them if None"""
     process: Mapping[str, float] = field(default_factory=dict)
     """process noise by state component, in its unit per square root of a second; defaults for components not named"""
+    variation: Mapping[str, float] = field(default_factory=dict)
+    """standard deviation of the changes of a parameter during a drive, in its unit; those of the vehicle for others"""
     control_noise: Mapping[str, float] = field(default_factory=dict)
     """standard deviation of the applied control from the command, by control; by default a hundredth of its range"""
     robust: float | None = 1.345

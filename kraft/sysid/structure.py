@@ -23,7 +23,7 @@ import numpy as np
 
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
-from kraft.sysid.multistep import MultiStep, fit, windows_of
+from kraft.sysid.multistep import MultiStep, Variation, fit, windows_of
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import (
     OnIteration,
@@ -32,7 +32,8 @@ from kraft.sysid.optimiser import (
     bounded_step,
     held_at_bounds,
 )
-from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
+from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
+from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import Point
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
@@ -104,6 +105,7 @@ class StructureSearch:
         self.auxiliary = chosen if isinstance(chosen, tuple) else () if chosen == "none" else AUXILIARY
         self.model: Vehicle = vehicle_of(vehicle)
         self.iterations, self._on_iteration = 0, on_iteration
+        self._logs = len(logs)
         parts = [part for log in logs for part in log.parts]
         noise = settings.noise or measured_noise([p.pose_times for p in parts], [p.poses for p in parts])
         found = [
@@ -115,7 +117,11 @@ class StructureSearch:
         segments = [segment for segment, _ in found]
         self.noise: NoiseModel = noise_model(self.model, settings, noise)
         self.growth: Floats = np.array(FIRST_GROWTH)
+        stated = variation_of(self.parameters(()), settings)
+        self.variation = Variation.of(tuple(stated), np.array(list(stated.values())))
         self.windows = windows_of(segments, [part for _, part in found], _folds(segments, len(logs)))
+        self._pieces = pieces_of(logs, settings, settings.horizon)
+        self._predictors: list[Predictor] = []
 
     def parameters(self, terms: Sequence[str]) -> Parameters:
         """Parameters with the given terms on, and the others at their neutral value and frozen."""
@@ -146,7 +152,7 @@ class StructureSearch:
 
     def graph(self, terms: Sequence[str]) -> MultiStep:
         """The multi-step problem with some terms on."""
-        return MultiStep(self.windows, self.parameters(terms), self.noise, self.growth)
+        return MultiStep(self.windows, self.parameters(terms), self.noise, self.growth, self.variation)
 
     def full(self) -> Structure:
         """Fit of all terms, from the best of several first values."""
@@ -155,8 +161,9 @@ class StructureSearch:
         optimum = min(fits, key=lambda found: found.cost)
         for _ in range(GROWTH_ROUNDS):
             self.growth = _error_growth(graph, optimum.point)
+            self.variation = graph.found_variation(optimum.point.states)
             graph = self.graph(self.candidates)
-            optimum = self._optimise(graph, optimum.point)
+            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS)
         return self._judged(self.candidates, graph, optimum)
 
     def _first_values(self, graph: MultiStep) -> list[Floats]:
@@ -219,17 +226,33 @@ class StructureSearch:
             p.within_bounds(point.rho + bounded_step(_without_fold(optimum.factors, fold), 0.0, low, high, p.free))
             for fold in range(windows.folds)
         ]
-        poses = graph.predict([graph.shifted(point.states, point.rho, rho) for rho in rhos], rhos)
         errors = np.full((windows.folds, len(HORIZON_SHARES)), np.nan)
-        for fold in range(windows.folds):
-            off = poses[fold] - windows.poses
-            square, own = off[..., 0] ** 2 + off[..., 1] ** 2, windows.seen & (windows.fold == fold)[:, None]
+        for fold, (predictor, rho) in enumerate(zip(self._predictors_of_folds(), rhos, strict=True)):
+            off = predictor.poses(rho) - predictor.observed
+            square = off[..., 0] ** 2 + off[..., 1] ** 2
             for i, share in enumerate(HORIZON_SHARES):
                 after = share * self.settings.horizon
-                at = own & (np.abs(windows.since - after) <= 0.75 * self.settings.step)
+                at = predictor.ahead & (np.abs(predictor.since - after) <= 0.75 * self.settings.step)
                 if at.any():
                     errors[fold, i] = math.sqrt(float(np.mean(square[at]))) / after
         return Structure(terms, graph, optimum, errors, np.array(rhos))
+
+    def _predictors_of_folds(self) -> list[Predictor]:
+        """Predictors of the windows of each fold, which keep what they found for the structure before."""
+        if not self._predictors:
+            p, folds = self.parameters(self.candidates), [self._fold_of(piece) for piece in self._pieces]
+            self._predictors = [
+                Predictor([piece for piece, own in zip(self._pieces, folds, strict=True) if own == fold], p,
+                          self.noise, self.growth, self.variation.total)
+                for fold in range(self.windows.folds)
+            ]  # fmt: skip
+        return self._predictors
+
+    def _fold_of(self, piece: Piece) -> int:
+        """Fold of the window of the fit that begins nearest to a predicted one."""
+        begin = piece.segment.begin + piece.known
+        apart = [abs(s.begin - begin) if s.log == piece.segment.log else math.inf for s in self.windows.segments]
+        return int(self.windows.fold[int(np.argmin(apart))])
 
     def path(self) -> list[Structure]:
         """Structures from all terms to none, each without the term that costs least."""

@@ -125,14 +125,15 @@ def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tigh
     """A parameter with the estimate in place of its value.
 
     The bounds remain, unless the estimate is outside them.  The standard deviation is reduced, but not to that of the
-    estimate: it is the prior of the next identification.  Without `tighten` it remains.
+    estimate, because it is the prior of the next identification, and not below the variation from drive to drive.
+    Without `tighten` it remains.
     """
     value = float(f"{estimate.value:.{DIGITS}g}")
     low = None if parameter.min is None else min(parameter.min, value)
     high = None if parameter.max is None else max(parameter.max, value)
     std = parameter.std
     if tighten and std is not None and not estimate.frozen:
-        std = float(f"{min(std, max(STD_FACTOR * estimate.std, STD_SHARE_MIN * std)):.2g}")
+        std = float(f"{max(min(std, max(STD_FACTOR * estimate.std, STD_SHARE_MIN * std)), estimate.variation):.2g}")
     return Parameter(
         value=value,
         unit=estimate.unit or "1",
@@ -142,6 +143,7 @@ def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tigh
         std=std,
         neutral=parameter.neutral,
         fixed=parameter.fixed,
+        variation=float(f"{estimate.variation or parameter.variation:.2g}"),
     )
 
 
@@ -152,6 +154,7 @@ def _parameters(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], *
         limits = ((key, getattr(parameter, key)) for key in ("min", "max", "std", "neutral"))
         stated = "".join(f", {key}: {_number(value)}" for key, value in limits if value is not None)
         stated += ", fixed: true" if parameter.fixed else ""
+        stated += f", variation: {_number(parameter.variation)}" if parameter.variation else ""
         description = f", description: {_text(parameter.description)}" if parameter.description else ""
         yield f"  {name}: {{value: {_number(parameter.value)}, unit: {_text(parameter.unit)}{stated}{description}}}"
 

@@ -54,16 +54,17 @@ def actuation(u: Values, p: Values) -> Values:
 
 
 @derivative
-def acceleration(v: float, effective: float, lateral: float, turned: float, p: Values) -> float:
+def acceleration(v: float, effective: float, lateral: float, turned: float, sliding: float, p: Values) -> float:
     """Acceleration along the car (m/s^2), `lateral` its lateral acceleration, `turned` the tangent of the angle."""
     size = effective if effective > 0.0 else -effective
     against = -effective * v
     opposed = against / sqrt(against * against + 1e-6) if against > 0.0 else 0.0
     pushed = p[8] * effective * (1.0 + p[10] * size) * (1.0 + (p[11] - 1.0) * opposed)
     drag = lateral * turned
-    brake = p[14] + p[16] * (drag if drag > 0.0 else -drag)
+    brake = p[14] + p[16] * (drag if drag > 0.0 else -drag) + p[20] * (sliding if sliding > 0.0 else -sliding)
     beyond = (pushed - brake if pushed > brake else 0.0) + (pushed + brake if pushed < -brake else 0.0)
-    held = HOLD * v if beyond == 0.0 else 0.0
+    left = brake - (pushed if pushed > 0.0 else -pushed)  # friction that the drive does not use up
+    held = HOLD * v * left / brake if left > 0.0 else 0.0
     speed = sqrt(v * v + STANDSTILL * STANDSTILL)
     moving = v * v / (speed * speed)
     driven = moving * (pushed - brake * v / speed) + (1.0 - moving) * (beyond - held)
@@ -83,9 +84,11 @@ def prompt(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car whose wheels and yaw rate follow without lag."""
     _, _, theta, v = x
     turned = tan(u[1])
-    turning = v * curvature(v, turned, p)
+    bend = curvature(v, turned, p)
+    turning = v * bend
     beta = -p[19] * v * turning
-    return v * cos(theta + beta), v * sin(theta + beta), turning, acceleration(v, u[0], v * turning, turned, p)
+    sliding = v * turning * (turned - p[3] * bend)
+    return v * cos(theta + beta), v * sin(theta + beta), turning, acceleration(v, u[0], v * turning, turned, sliding, p)
 
 
 @derivative
@@ -94,15 +97,17 @@ def lagging(x: Values, u: Values, p: Values) -> Values:
     _, _, theta, v, delta, r = x
     turned = tan(delta)
     beta = -p[19] * v * r
-    rate = (u[1] - delta) / p[20]
-    limited = rate / sqrt(1.0 + rate * rate * p[22] * p[22])
+    rate = (u[1] - delta) / p[21]
+    limited = rate / sqrt(1.0 + rate * rate * p[23] * p[23])
+    bend = curvature(v, turned, p)
+    sliding = v * r * (turned - p[3] * bend)
     return (
         v * cos(theta + beta),
         v * sin(theta + beta),
         r,
-        acceleration(v, u[0], v * r, turned, p),
+        acceleration(v, u[0], v * r, turned, sliding, p),
         limited,
-        (v * curvature(v, turned, p) - r) / p[21],
+        (v * bend - r) / p[22],
     )
 
 
@@ -144,6 +149,7 @@ CAR = Vehicle(
         "understeer": 0.0,
         "slide": 0.0,
         "slip": 0.0,
+        "skid": 0.0,
     },
     footprint=Footprint(0.45, 0.28, 0.13),
     top_speed=5.0,

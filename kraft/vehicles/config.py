@@ -191,6 +191,8 @@ class Parameter(StrictModel):
     """value at which the parameter has no effect: `kraft sysid` chooses by prediction which ones are needed"""
     fixed: bool = False
     """measured or chosen, not identified: poses alone do not show it"""
+    variation: Annotated[float, Field(ge=0)] = 0.0
+    """standard deviation of its changes during a drive, such as those of a battery, a motor or a linkage"""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
