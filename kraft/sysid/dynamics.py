@@ -66,18 +66,24 @@ class Dynamics:
             full -= by_throttle[:, :, None] * (follows[:, None] * full[:, self._speed])[:, None, :]
         return after, full
 
-    def simulate(self, start: Matrix, u: Floats, rho: Floats, h: Floats) -> Floats:
-        """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu) and steps of `h` (m,) s."""
+    def simulate(self, start: Matrix, u: Floats, rho: Floats, h: Floats, own: Matrix | None = None) -> Floats:
+        """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu) and steps of `h` (m,) s.
+
+        `own` (m, np) are parameters of the model of each motion in place of those of rho.
+        """
+        own = np.tile(self._parameters.model_values(rho), (len(start), 1)) if own is None else own
         if self._friction < 0:
-            own = np.tile(self._parameters.model_values(rho), (len(start), 1))
             return self.discrete_model.simulate(start, u, own, h)
         states = np.empty((len(u) + 1, *start.shape))
         states[0] = start
         for k, controls in enumerate(u):
-            states[k + 1] = self.step(states[k], controls, rho, h)
+            left = self._effective_controls(states[k], controls, rho, h, own)[0]
+            states[k + 1] = self.discrete_model.simulate(states[k], left[None], own, h)[1]
         return states
 
-    def _effective_controls(self, x: Matrix, u: Matrix, rho: Floats, h: Floats) -> tuple[Matrix, Floats]:
+    def _effective_controls(
+        self, x: Matrix, u: Matrix, rho: Floats, h: Floats, own: Matrix | None = None
+    ) -> tuple[Matrix, Floats]:
         """Controls (n, nu) less friction, and the sense of motion (n,): 1 forward, -1 backward.
 
         The speed decreases with the sense, and the sense increases with the speed, so that the solution is unique.  The
@@ -85,20 +91,24 @@ class Dynamics:
         """
         if self._friction < 0:
             return u, np.zeros(len(x))
-        speeds = [self._speed_after(x, u, rho, h, np.full(len(x), side)) for side in (-1.0, 1.0)]
+        speeds = [self._speed_after(x, u, rho, h, np.full(len(x), side), own) for side in (-1.0, 1.0)]
         middle, change = 0.5 * (speeds[0] + speeds[1]), 0.5 * (speeds[0] - speeds[1])
         sense = self._sense(middle, change)
         for _ in range(SENSE_ITERATIONS_MAX):
-            found = self._sense(self._speed_after(x, u, rho, h, sense) + change * sense, change)
+            found = self._sense(self._speed_after(x, u, rho, h, sense, own) + change * sense, change)
             off, sense = np.abs(found - sense).max(initial=0.0), found
             if off <= SENSE_TOLERANCE:
                 break
         return self._less_friction(u, rho, sense), sense
 
-    def _speed_after(self, x: Matrix, u: Matrix, rho: Floats, h: Floats, sense: Floats) -> Floats:
+    def _speed_after(self, x: Matrix, u: Matrix, rho: Floats, h: Floats, sense: Floats, own: Matrix | None) -> Floats:
         """Speeds (n,) after the steps for a given `sense` (n,) of motion."""
-        own = self._parameters.model_values(rho)
-        speed: Floats = self.discrete_model.step(x, self._less_friction(u, rho, sense), own, h)[:, self._speed]
+        left = self._less_friction(u, rho, sense)
+        if own is None:
+            after = self.discrete_model.step(x, left, self._parameters.model_values(rho), h)
+        else:
+            after = self.discrete_model.simulate(x, left[None], own, h)[1]
+        speed: Floats = after[:, self._speed]
         return speed
 
     def _less_friction(self, u: Matrix, rho: Floats, sense: Floats) -> Matrix:

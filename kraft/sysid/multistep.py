@@ -222,8 +222,7 @@ class MultiStep:
         if self._hidden:
             steps = round(SETTLING / float(self.windows.h.min()))
             controls = np.repeat(self._controls(rho)[:1], steps, axis=0)
-            values = np.tile(self.problem.parameters.model_values(rho), (len(states), 1))
-            settled = self._kernel.simulate(states, controls, values, self.windows.h)[-1]
+            settled = self.problem.dynamics.simulate(states, controls, rho, self.windows.h)[-1]
             states[:, self._hidden] = settled[:, self._hidden]
         return np.hstack([states, np.zeros((len(states), len(self._varying)))])
 
@@ -270,13 +269,19 @@ class MultiStep:
 
     def _simulated(self, starts: Sequence[Matrix], rhos: Sequence[Floats]) -> Floats:
         """States (steps + 1, m W, nx) of all windows, m times."""
-        controls = np.concatenate([self._controls(rho) for rho in rhos], axis=1)
         values = np.repeat([self.problem.parameters.model_values(rho) for rho in rhos], len(self.windows.h), axis=0)
         unknowns = np.concatenate(starts)
         values[:, self._varying] += unknowns[:, self._nx :]
-        return self._kernel.simulate(
-            np.ascontiguousarray(unknowns[:, : self._nx]), controls, values, np.tile(self.windows.h, len(rhos))
-        )
+        states = np.ascontiguousarray(unknowns[:, : self._nx])
+        if self.problem.parameters.auxiliary_index("friction") < 0:
+            controls = np.concatenate([self._controls(rho) for rho in rhos], axis=1)
+            return self._kernel.simulate(states, controls, values, np.tile(self.windows.h, len(rhos)))
+        count, dynamics = len(self.windows.h), self.problem.dynamics
+        pieces = [
+            dynamics.simulate(states[own], self._controls(rho), rho, self.windows.h, values[own])
+            for rho, own in ((rho, slice(i * count, (i + 1) * count)) for i, rho in enumerate(rhos))
+        ]
+        return np.concatenate(pieces, axis=1)
 
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""

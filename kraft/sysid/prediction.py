@@ -1,8 +1,9 @@
 """Open-loop prediction of the model over windows of 3 s, and its errors after 1, 2 and 3 s.
 
 The prediction of a window uses the commands and the poses up to its beginning; of later poses it uses only the measured
-noise.  The first window of a part that begins at rest begins at its first pose, at rest; every other window begins at
-the state, and with the deviations of the parameters that vary, which fit the poses of the 3 s before best.
+noise.  The first window of a part that begins at rest begins at its first pose, at rest.  Every other window begins at
+the state that the graph, with fixed parameters, estimates from the 3 s before; if parameters of the model vary, at the
+state, and with their deviations, that fit the poses of these 3 s best without process noise.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ import numpy as np
 from kraft.errors import Code, InputError
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
+from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.initial_values import smooth_chains
 from kraft.sysid.multistep import MultiStep, Variation, error_growth, fit, windows_of
 from kraft.sysid.observation import NoiseModel, noise_model
+from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, variation_of, vehicle_of
-from kraft.sysid.problem import Point
+from kraft.sysid.problem import Point, Problem, assemble, simulated, starting_point
 from kraft.sysid.result import PredictionErrors
 from kraft.sysid.selection import check_settings
 from kraft.sysid.settings import Settings
@@ -82,19 +86,37 @@ def predict_windows(
     parameters = parameters_of(vehicle, given, auxiliary)
     usable = usable_logs(model, logs)
     pieces = pieces_of(usable, settings)
+    varying = variation_of(parameters, settings)
+    predict = _with_deviations if varying else _with_states
+    return tuple(
+        Window(usable[p.segment.log].name, p.segment.part.pose_times[p.ahead], p.segment.part.poses[p.ahead], poses)
+        for p, poses in zip(pieces, predict(pieces, len(usable), parameters, settings), strict=True)
+    )
+
+
+def _with_deviations(
+    pieces: Sequence[Piece], logs: int, parameters: Parameters, settings: Settings
+) -> Sequence[Matrix]:
+    """Predicted poses of each window, with the deviations of the parameters that its history shows."""
+    del logs
+    model = parameters.vehicle
     noise = settings.noise or measured_noise(
         [p.segment.part.pose_times[p.ahead] for p in pieces], [p.segment.part.poses[p.ahead] for p in pieces]
     )
     known = noise_model(model, settings, noise)
     growth = HISTORY_PROCESS_FACTOR * error_growth(model, known.process, WINDOW_LENGTH)
     predictor = Predictor(pieces, parameters, known, growth, variation_of(parameters, settings))
-    predicted = predictor.poses(parameters.nominal)
-    return tuple(
-        Window(usable[p.segment.log].name, p.segment.part.pose_times[p.ahead], p.segment.part.poses[p.ahead], found)
-        for p, found in zip(
-            pieces, (row[own] for row, own in zip(predicted, predictor.ahead, strict=True)), strict=True
-        )
-    )
+    return [row[own] for row, own in zip(predictor.poses(parameters.nominal), predictor.ahead, strict=True)]
+
+
+def _with_states(pieces: Sequence[Piece], logs: int, parameters: Parameters, settings: Settings) -> Sequence[Matrix]:
+    """Predicted poses of each window from the state that the graph estimates from its history."""
+    windows = [_between(p, p.ahead.start, p.ahead.stop, settings.step) for p in pieces]
+    problem = _problem(windows, logs, parameters, settings)
+    start = _starts(pieces, logs, parameters, settings)
+    states = simulated(problem, start, problem.actuators.mean(parameters.nominal)[0], parameters.nominal)
+    predicted = problem.observation.predict(problem.at_poses(states), parameters.nominal)
+    return np.split(predicted, np.cumsum([p.ahead.stop - p.ahead.start for p in pieces])[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +280,42 @@ def _pieces(whole: Part, part: Part, log: int, step: float, length: float) -> It
             segment = segment_between(part, log, step, seen, last, resting)
             yield Piece(segment, whole, float(times[first] - times[seen]), slice(first, last))
         begin = times[last - 1]
+
+
+def _problem(segments: list[Segment], logs: int, parameters: Parameters, settings: Settings) -> Problem:
+    noise = settings.noise or measured_noise(
+        [s.part.pose_times[s.poses] for s in segments], [s.part.poses[s.poses] for s in segments]
+    )
+    return assemble(segments, logs, parameters, noise_model(parameters.vehicle, settings, noise))
+
+
+def _starts(
+    pieces: Sequence[Piece],
+    logs: int,
+    parameters: Parameters,
+    settings: Settings,
+) -> Matrix:
+    """(windows, nx) initial states of the windows."""
+    model = parameters.vehicle
+    rho = parameters.nominal
+    start = np.zeros((len(pieces), len(model.state)))
+    moving = np.array([p.known > 0.0 for p in pieces])
+    histories = [_between(p, p.segment.poses.start, p.ahead.start + 1, settings.step) for p in pieces if p.known > 0.0]
+    if histories:
+        problem = _problem(histories, logs, parameters, settings)
+        problem = replace(problem, noise=replace(problem.noise, process=HISTORY_PROCESS_FACTOR * problem.noise.process))
+        point = starting_point(problem, smooth_chains(problem.chains), rho)
+        optimum = optimise(FastGraph(problem), point, settings.iterations)
+        start[moving] = optimum.point.states[problem.chains.first[1:] - 1]
+    for k in np.flatnonzero(~moving):
+        start[k] = _at_rest(parameters, rho, pieces[int(k)].segment.part.poses[0])
+    return start
+
+
+def _between(piece: Piece, first: int, last: int, step: float) -> Segment:
+    """Segment of the piece's part from pose `first` to the pose before `last`."""
+    segment = piece.segment
+    return segment_between(segment.part, segment.log, step, first, last, segment.resting)
 
 
 def _at_rest(parameters: Parameters, rho: Floats, pose: Floats) -> Floats:

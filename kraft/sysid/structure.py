@@ -35,6 +35,7 @@ from kraft.sysid.optimiser import (
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import Point
+from kraft.sysid.result import AT_BOUND
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
 from kraft.vehicles.config import VehicleConfig
@@ -61,6 +62,8 @@ FOLDS_MIN: Final = 5
 """Least number of folds: fewer logs are cut into blocks of windows."""
 FIRST_ITERATIONS: Final = 20
 """Most iterations of a fit whose weights are not final."""
+WORSE_MAX: Final = 3
+"""Structures in a row that predict worse than the best by more than one standard error, after which the search ends."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
 HORIZON_SHARES: Final = (1.0 / 3.0, 2.0 / 3.0, 1.0)
@@ -197,21 +200,21 @@ class StructureSearch:
         self.iterations += optimum.iterations
         return optimum
 
-    def without(self, structure: Structure, term: str) -> Structure:
-        """The structure with one term fewer, fitted again."""
-        terms = tuple(name for name in structure.terms if name != term)
+    def without(self, structure: Structure, *off: str) -> Structure:
+        """The structure with fewer terms, fitted again."""
+        terms = tuple(name for name in structure.terms if name not in off)
         graph, before = self.graph(terms), structure.optimum.point
         p = graph.problem.parameters
-        k = p.index(term)
+        chosen = np.isin(p.names, off)
         low, high = p.low - before.rho, p.high - before.rho
-        low[k] = high[k] = p.nominal[k] - before.rho[k]
-        rho = p.within_bounds(before.rho + _step_with(structure.optimum.factors, low, high, p.free, k))
-        rho[k] = p.nominal[k]
+        low[chosen] = high[chosen] = (p.nominal - before.rho)[chosen]
+        rho = p.within_bounds(before.rho + _step_with(structure.optimum.factors, low, high, p.free, chosen))
         kept = before.rho.copy()
-        kept[k] = p.nominal[k]
+        rho[chosen] = kept[chosen] = p.nominal[chosen]
         points = [replace(before, states=graph.shifted(before.states, before.rho, r), rho=r) for r in (rho, kept)]
-        start = min(points, key=graph.cost)  # the linearised step may lead far off where the term matters
-        return replace(self._judged(terms, graph, self._optimise(graph, start, REFIT_ITERATIONS)), without=term)
+        start = min(points, key=graph.cost)  # the linearised step may lead far off where a term matters
+        fitted = self._judged(terms, graph, self._optimise(graph, start, REFIT_ITERATIONS))
+        return replace(fitted, without=", ".join(off))
 
     def converged(self, structure: Structure) -> Structure:
         """The structure after a fit to the end."""
@@ -255,11 +258,25 @@ class StructureSearch:
         return int(self.windows.fold[int(np.argmin(apart))])
 
     def path(self) -> list[Structure]:
-        """Structures from all terms to none, each without the term that costs least."""
+        """Structures from all terms to few, each without the term that costs least.
+
+        Terms that the first fit left at their neutral value are switched off together.  The path ends where several
+        structures in a row predict worse than the best.
+        """
         found = [self.full()]
-        while found[-1].terms:
+        p, rho = found[0].graph.problem.parameters, found[0].optimum.point.rho
+        away = np.abs(rho - [spec.neutral if spec.neutral is not None else np.inf for spec in p.specs])
+        idle = [name for name in found[0].terms if away[p.index(name)] <= AT_BOUND * (p.high - p.low)[p.index(name)]]
+        if idle:
+            found.append(self.without(found[0], *idle))
+        while found[-1].terms and not self._too_few(found):
             found.append(self.without(found[-1], _cheapest(found[-1])))
         return found
+
+    @staticmethod
+    def _too_few(path: Sequence[Structure]) -> bool:
+        best = min(path, key=lambda s: float(s.scores.mean()))
+        return len(path) > WORSE_MAX and all(excess(s, best) > 0.0 for s in path[-WORSE_MAX:])
 
     def alike(self, other: Structure) -> Structure:
         """The structure with the terms of one of another model, as far as this model has them."""
@@ -305,19 +322,16 @@ def _cheapest(structure: Structure) -> str:
     return min(cost, key=lambda name: cost[name])
 
 
-def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, k: int) -> Floats:
-    """Change of rho that moves component k by low[k] and the other free ones to their best."""
-    shift = np.zeros(len(low))
-    shift[k] = low[k]
+def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, chosen: Bools) -> Floats:
+    """Change of rho that moves the chosen components by `low` and the other free ones to their best."""
+    shift = np.where(chosen, low, 0.0)
     moved = RhoFactors(
         factors.information,
         factors.gradient + factors.information @ shift,
         factors.prior_information,
         factors.prior_gradient + factors.prior_information * shift,
     )
-    rest = free.copy()
-    rest[k] = False
-    step: Floats = bounded_step(moved, 0.0, low, high, rest) + shift
+    step: Floats = bounded_step(moved, 0.0, low, high, free & ~chosen) + shift
     return step
 
 
