@@ -2,7 +2,7 @@
 
 from kraft.evaluation.evaluator import Evaluation, Observer, evaluate, usable_cores
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment
-from kraft.evaluation.row import TrialRow
+from kraft.evaluation.journal import TrialRow
 from kraft.evaluation.summary import Result, Summary
 from kraft.evaluation.table import markdown, overview, tables
 

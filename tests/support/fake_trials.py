@@ -19,7 +19,7 @@ from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceK
 from kraft.errors import InputError, MissingDependency
 from kraft.evaluation import cluster, evaluator, job, processes
 from kraft.evaluation.job import Job, Log, StopRequested, perform
-from kraft.evaluation.row import TrialRow
+from kraft.evaluation.journal import TrialRow
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 
