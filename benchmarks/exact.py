@@ -60,7 +60,8 @@ class Body:
         outlines = [outline(solid) for solid in solids if not isinstance(solid, Disc)]
         self._from = np.concatenate([*outlines, np.zeros((0, 2))])
         self._to = np.concatenate([*(np.roll(corners, -1, axis=0) for corners in outlines), np.zeros((0, 2))])
-        self._discs = np.array([[*solid.center, solid.radius] for solid in solids if isinstance(solid, Disc)])
+        discs = [[*solid.center, solid.radius] for solid in solids if isinstance(solid, Disc)]
+        self._discs = np.array(discs).reshape(-1, 3)
 
     def collides(self, x: float, y: float, theta: float) -> bool:
         """Whether the footprint at a pose touches a solid."""
@@ -71,7 +72,7 @@ class Body:
 
     def distance(self, x: float, y: float, theta: float) -> float:
         """Distance (m) to the nearest solid, 0 in contact, infinite without solids."""
-        return 0.0 if self.collides(x, y, theta) else self._gap(x, y, theta)
+        return float(self.distances(np.array([[x, y, theta]]))[0])
 
     def any_collision(self, poses: Matrix) -> bool:
         """Whether the footprint touches a solid at any row x, y, theta."""
@@ -79,25 +80,31 @@ class Body:
 
     def distances(self, poses: Matrix) -> Floats:
         """`distance` of each row x, y, theta."""
-        return np.array([self.distance(x, y, theta) for x, y, theta in poses.tolist()])
+        touching = [self.collides(x, y, theta) for x, y, theta in poses.tolist()]
+        found: Floats = np.where(touching, 0.0, self._gaps(poses))
+        return found
 
-    def _gap(self, x: float, y: float, theta: float) -> float:
-        """Distance of the outlines, for bodies that do not touch: from a corner of the one to a side of the other."""
-        turn = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
-        gaps = [np.array([math.inf])]
+    def _gaps(self, poses: Matrix) -> Floats:
+        """Distance of the outlines (n,), of bodies that do not touch: from a corner of one to a side of the other."""
+        x, y, c, s = poses[:, :1], poses[:, 1:2], np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        gaps = [np.full((len(poses), 1), math.inf)]
         if len(self._from):
-            gaps.append(to_segments(self._footprint.corners() @ turn.T + (x, y), self._from, self._to))
-            gaps.append(self._to_footprint((self._from - (x, y)) @ turn))
-        if len(self._discs):
-            gaps.append(self._to_footprint((self._discs[:, :2] - (x, y)) @ turn) - self._discs[:, 2])
-        return float(np.concatenate(gaps).min())
+            ahead, aside = self._footprint.corners().T
+            corners = np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], axis=2)
+            sides = to_segments(corners.reshape(-1, 2), self._from, self._to)
+            gaps.append(sides.reshape(len(poses), -1))
+        for points, radius in ((self._from, 0.0), (self._discs[:, :2], self._discs[:, 2])):
+            dx, dy = points[:, 0] - x, points[:, 1] - y
+            gaps.append(self._to_footprint(dx * c + dy * s, dy * c - dx * s) - radius)
+        least: Floats = np.concatenate(gaps, axis=1).min(axis=1)
+        return least
 
-    def _to_footprint(self, points: Matrix) -> Floats:
-        """Distance of each point (n, 2) in the body's frame from the rectangle."""
+    def _to_footprint(self, ahead: Matrix, aside: Matrix) -> Matrix:
+        """Distance of points in the body's frame from the rectangle."""
         shape = self._footprint
-        ahead = np.abs(points[:, 0] - shape.offset) - shape.length / 2
-        aside = np.abs(points[:, 1]) - shape.width / 2
-        gap: Floats = np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
+        ahead = np.abs(ahead - shape.offset) - shape.length / 2
+        aside = np.abs(aside) - shape.width / 2
+        gap: Matrix = np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
         return gap
 
     def _move(self, x: float, y: float, theta: float) -> None:

@@ -109,7 +109,8 @@ def set_up(query: Scene, repeats: int) -> list[Row]:
     poses = np.column_stack([rng.uniform(low + 1, high - 1, (20_000, 2)), rng.uniform(-4, 4, 20_000)])
     bound = dirt.clearances(poses)
     near = np.flatnonzero((bound > 0.0) & (bound < 0.3))[:2000]
-    centres = np.array([_disc_distance(query, pose) for pose in poses[near]])
+    point = ExactClearance(query.workspace, Footprint(1e-9, 1e-9))
+    centres = np.array([_disc_distance(point, query, pose) for pose in poses[near]])
     lost = centres - cover(footprint).radius - bound[near]
     megabytes = memory_of_fields(query.workspace, footprint, Settings().cell) / 1e6
     return [
@@ -119,9 +120,8 @@ def set_up(query: Scene, repeats: int) -> list[Row]:
     ]
 
 
-def _disc_distance(query: Scene, pose: Floats) -> float:
-    """Exact distance of the nearest centre of the covering discs (m)."""
-    point = ExactClearance(query.workspace, Footprint(1e-9, 1e-9))
+def _disc_distance(point: ExactClearance, query: Scene, pose: Floats) -> float:
+    """Exact distance of the nearest centre of the covering discs (m), where `point` measures that of a point."""
     x, y, theta = pose
     centres = cover(query.vehicle.footprint).centres
     return min(point.distance(x + d * math.cos(theta), y + d * math.sin(theta)) for d in centres)

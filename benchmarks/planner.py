@@ -11,7 +11,8 @@ from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, number, row
 from benchmarks.scenes import NO_MARGIN, RK4_STEPS, SCENES, Scene, scene
 from ompl_ext.query import Settings, make_problem
-from ompl_ext.solver import DirtSolver, Progress
+from ompl_ext.query_tree import Progress
+from ompl_ext.solver import DirtSolver
 
 TRIES = 5  # runs of one seed, of which the median counts: the same work every time, at other moments
 LOOKS = {0.005: 11.3, 0.020: 10.7, 0.100: 10.4}  # time (s) after which the cost (s) is at most this

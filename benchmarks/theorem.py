@@ -169,13 +169,9 @@ class _Drive:
 
     def _towards_obstacle(self, pose: Floats) -> Floats:
         """Unit vector along which the clearance falls fastest."""
-        here, ways = self._body.distance(*pose), np.linspace(-math.pi, math.pi, 16, endpoint=False)
-        step = 0.01
-        falls = [
-            here - self._body.distance(pose[0] + step * math.cos(a), pose[1] + step * math.sin(a), pose[2])
-            for a in ways
-        ]
-        best = ways[int(np.argmax(falls))]
+        ways, step = np.linspace(-math.pi, math.pi, 16, endpoint=False), 0.01
+        around = pose + step * np.column_stack([np.cos(ways), np.sin(ways), np.zeros(len(ways))])
+        best = ways[int(np.argmin(self._body.distances(around)))]
         return np.array([math.cos(best), math.sin(best)])
 
     def _room(self) -> float:

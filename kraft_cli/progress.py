@@ -10,7 +10,7 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
 from kraft.evaluation import Experiment, Observer, TrialRow
-from kraft.evaluation.row import Key
+from kraft.evaluation.journal import Key
 from kraft.text import counted
 from kraft.trial.result import outcome_text
 from kraft_cli.terminal import Terminal

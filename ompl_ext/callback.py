@@ -23,7 +23,17 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
 from ompl_ext.kernels.rng import generator
-from ompl_ext.kernels.tree_memory import CAPACITY, add_root, new_tree, path_to, prune, reset, set_costs_to_go, with_room
+from ompl_ext.kernels.tree_memory import (  # fmt: skip
+    CAPACITY,
+    add_root,
+    best_node,
+    new_tree,
+    path_to,
+    prune,
+    reset,
+    set_costs_to_go,
+    with_room,
+)
 from ompl_ext.plan import Contingency, TreeView, tree_view
 from ompl_ext.query import edges_to_retain, make_lanes
 
@@ -216,9 +226,7 @@ class CallbackSearch:
 
     def best(self) -> tuple[int, bool]:
         """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
-        if self._tree.count[at.BEST] >= 0:
-            return int(self._tree.count[at.BEST]), True
-        return int(self._tree.count[at.CLOSEST]), False
+        return best_node(self._tree)
 
     def best_path(self) -> tuple[oc.PathControl | None, bool]:
         """Path of the best plan, None without a plan, and whether it reaches the goal."""

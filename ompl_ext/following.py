@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
-from ompl_ext.kernels.posetogo import PosePath
+from ompl_ext.kernels.posepath import PosePath
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.motion import Motion, motion_of
 from ompl_ext.vehicle import Vehicle

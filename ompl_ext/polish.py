@@ -25,7 +25,7 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels import trajectory_types as st
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.kernels.penetration import fill_penetration
-from ompl_ext.kernels.posetogo import PosePath
+from ompl_ext.kernels.posepath import PosePath
 from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace

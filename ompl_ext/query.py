@@ -15,7 +15,8 @@ from ompl_ext.kernels.clearance import ClearanceField, cover, fields, memory_of_
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.fine_field import FineField
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Maps, Problem, Retained
-from ompl_ext.kernels.posetogo import PoseCostToGo, pose_cost_to_go
+from ompl_ext.kernels.posepath import PoseCostToGo
+from ompl_ext.kernels.posetogo import pose_cost_to_go
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Footprint, Vehicle

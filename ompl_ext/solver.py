@@ -4,53 +4,31 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Ints, Matrix
-from ompl_ext.checker import EdgeChecker
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.following import PathFollower
-from ompl_ext.growing_tree import GrowingTree
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
-from ompl_ext.kernels.rng import generator
-from ompl_ext.kernels.tree_memory import (  # fmt: skip
-    CAPACITY,
-    MAX_NODES,
-    add_root,
-    path_to,
-    prune,
-)
+from ompl_ext.kernels.tree_memory import CAPACITY, MAX_NODES, path_to, prune
 from ompl_ext.obstacles import Workspace
-from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
 from ompl_ext.polish import SMOOTHNESS_COST, Guess, Polish, guess_of, guess_to_goal
-from ompl_ext.query import (
-    Goal,
-    Safety,
-    Settings,
-    edges_to_retain,
-    pose_cost_to_go_of,
-    remaining_edges,
-    settings_for,
-)
-from ompl_ext.retainment import RetainableEdges, retainable_edges
+from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to_go_of, settings_for
+from ompl_ext.query_tree import Progress, QueryTree
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 16  # iterations between readings of the clock until a solution is found
 PRUNE_EVERY = 4096  # iterations
-MAX_THREADS = 64
 LONGEST_ROUND = 1024  # iterations of each thread between two exchanges of the best cost
 ROUNDS_TO_PRUNING = 4
-THREAD_SEEDS = 2**32  # difference between the seeds of the trees of one query
 LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
 POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation, and the factor from one to the next
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
 POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
-POLISH_SECONDS = 1e-4  # first estimate of the time that an optimisation takes, per interval (s)
 PATHS = 4  # that are tried before the search begins
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
@@ -72,26 +50,7 @@ class _Polished:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a query.  `history` has (seconds, cost) of each better solution, at readings of the clock."""
-
-    seconds: float = 0.0
-    iterations: int = 0
-    edges: int = 0
-    nodes: int = 0
-    unsafe: int = 0
-    retained: int = 0
-    first_iteration: int | None = None
-    history: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def first_solution(self) -> tuple[float, float] | None:
-        """Time until the first solution (s) and its cost (s), None without a solution."""
-        return self.history[0] if self.history else None
-
-
-class DirtSolver(EdgeChecker):
+class DirtSolver(QueryTree):
     """Algorithm 1 for one vehicle in one workspace towards one goal.
 
     Use: `start`, then `retain` if there is an earlier plan, then `grow` any number of times, and `plan` at any time.
@@ -116,104 +75,19 @@ class DirtSolver(EdgeChecker):
         max_nodes: int = MAX_NODES,
         threads: int = 1,
     ) -> None:
-        if not 1 <= threads <= MAX_THREADS:
-            raise ValueError(f"threads is {threads}, not 1 to {MAX_THREADS}")
-        super().__init__(vehicle, workspace, goal, safety, settings)
+        super().__init__(vehicle, workspace, goal, safety, settings, capacity, max_nodes, threads)
         self._first = vehicle, goal  # those of the cost-to-go of poses, whatever is estimated or set later
-        max_nodes = max(capacity, max_nodes)
-        self._trees = [
-            GrowingTree(vehicle, self._problem, workspace.bounds, capacity, max_nodes) for _ in range(threads)
-        ]  # the first one has the best plan
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self._rounds = 0
-        self._progress = Progress()
         self._polish: Polish | None = None  # made when it is needed: it may have to be compiled
         self._polished = _Polished()
         self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
 
-    @property
-    def _tree(self) -> at.Tree:
-        return self._trees[0].tree
-
-    @property
-    def tree_arrays(self) -> at.Tree:
-        """Arrays of the tree, not copied; valid until the next call that starts a query or adds nodes."""
-        return self._tree
-
-    @property
-    def unreachable(self) -> bool:
-        """Whether no path of the inscribed disc leads from any root to the goal; then no plan exists."""
-        roots = self._tree.link[: self._tree.count[at.SIZE], at.PARENT] < 0
-        togo: Floats = self._tree.value[: self._tree.count[at.SIZE], at.TOGO][roots]
-        return bool(np.all(togo >= UNREACHABLE))
-
-    @property
-    def progress(self) -> Progress:
-        """Progress of the query since `start`."""
-        return self._progress
-
-    def start(self, state: Floats, seed: int = 0) -> float:
-        """Begin a query at `state` (nx,), m, rad, m/s.  Returns its spare clearance (m), negative if it may collide.
-
-        A state without clearance becomes the root too, but no edge leaves it.
-        """
-        self.clear(seed)
-        return self.add_root(state)
-
     def clear(self, seed: int = 0) -> None:
         """Empty the tree; memory allocated since is kept for later queries."""
-        for number, each in enumerate(self._trees):
-            each.clear(generator(seed + number * THREAD_SEEDS))
+        super().clear(seed)
         self._rounds = 0
-        self._progress, self._polished, self._polish_due = Progress(), _Polished(), self._first_polish()
-
-    def add_root(self, state: Floats) -> float:
-        """Add a start state; returns its spare clearance as `start` does.
-
-        One in the goal is a plan only if it has a contingency, like every end of a plan.
-        """
-        slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
-        if self._work.at_goal[0] == 1 and self.safety.enabled and self.contingency(self._work.source) is None:
-            self._work.at_goal[0] = 0
-        for each in self._trees:
-            add_root(each.tree, self._work)
-        return slack
-
-    def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
-        """Add the rest of an earlier plan after `elapsed` s, propagated from the new root; returns the edges added.
-
-        The edge in progress is kept in part.  An edge that collides or is not safe is omitted, with all after it.
-        """
-        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
-
-    def retain_edges(
-        self, parents: Sequence[int] | Ints, controls: Matrix, durations: Floats, targets: Matrix | None = None
-    ) -> int:
-        """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added.
-
-        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any.
-        """
-        before = int(self._tree.count[at.RETAINED])
-        began = time.perf_counter()
-        for each in self._trees:
-            each.retained = edges_to_retain(parents, controls, durations, targets)
-            each.add(self._kernels, self._problem, each.retained)
-        self._update_progress(self._progress.seconds + time.perf_counter() - began)
-        return int(self._tree.count[at.RETAINED]) - before
-
-    @property
-    def retained_nodes(self) -> Ints:
-        """Node of each edge of the last call of `retain` or `retain_edges`; -1 if the edge was not added."""
-        return self._trees[0].retained.node
-
-    def retainable_edges(self, plan: Plan, elapsed: float, limit: int) -> RetainableEdges:
-        """Rest of a plan of this query after `elapsed` s, and up to `limit` edges of the tree that begin on it."""
-        states, vehicle = plan.states[1:], self.vehicle
-        x, y = states[:, vehicle.index("x")], states[:, vehicle.index("y")]
-        heading = states[:, vehicle.index("theta")] if "theta" in vehicle.state else np.zeros(len(states))
-        weight = self.settings.heading_weight
-        targets = np.column_stack([x, y, weight * np.cos(heading), weight * np.sin(heading)])
-        return retainable_edges(self._tree, plan, targets, elapsed, limit)
+        self._polished, self._polish_due = _Polished(), self._first_polish()
 
     def grow(
         self,
@@ -250,11 +124,7 @@ class DirtSolver(EdgeChecker):
             elapsed_before, before = elapsed, int(self._tree.count[at.ITERATIONS])
             self._trees[0].grow(self._kernels, self._problem, count)
             left -= int(self._tree.count[at.ITERATIONS]) - before
-            elapsed = time.perf_counter() - began
-            self._update_progress(base + elapsed)
-            if self._polishes_now(None if seconds is None else seconds - elapsed):
-                self._add_polished(base - began)
-                elapsed = time.perf_counter() - began
+            elapsed = self._after_growing(base, began, seconds)
             if self._tree.count[at.FULL] or self._prunes_now():
                 prune(self._tree)
                 if not self._trees[0].has_room(fixed=iterations is not None):
@@ -295,11 +165,7 @@ class DirtSolver(EdgeChecker):
             left -= sum(shares)
             self._rounds += 1
             self._take_best()
-            elapsed = time.perf_counter() - began
-            self._update_progress(base + elapsed)
-            if self._polishes_now(None if seconds is None else seconds - elapsed):
-                self._add_polished(base - began)
-                elapsed = time.perf_counter() - began
+            elapsed = self._after_growing(base, began, seconds)
             due = self.settings.pruning and self._rounds % ROUNDS_TO_PRUNING == 0
             full = [each for each in self._trees if due or each.tree.count[at.FULL]]
             for each in full:
@@ -323,16 +189,21 @@ class DirtSolver(EdgeChecker):
         began, root = time.perf_counter(), self._tree.state[0].copy()
         cell = settings_for(self.settings, vehicle, goal).cell
         found = pose_cost_to_go_of(vehicle, self.workspace, goal, cell)
-        follower, retained = PathFollower(vehicle, self._problem.parameters), int(self._tree.count[at.RETAINED])
+        follower = PathFollower(vehicle, self._problem.parameters)
         x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
         for path in found.paths_from(x, y, theta, PATHS):
             if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
                 break
             controls, durations = follower.edges_along(path, root)
-            edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
-            self._trees[0].add(self._kernels, self._problem, edges)
-        self._tree.count[at.RETAINED] = retained
+            self._add_edges(controls, durations)
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
+
+    def _add_edges(self, controls: Matrix, durations: Floats) -> None:
+        """Add edges one after the other from the root, with all checks; they do not count as retained."""
+        edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
+        retained = int(self._tree.count[at.RETAINED])
+        self._trees[0].add(self._kernels, self._problem, edges)
+        self._tree.count[at.RETAINED] = retained
 
     def _take_best(self) -> None:
         """Put the tree with the best plan first, and make its cost the bound of all trees."""
@@ -340,6 +211,10 @@ class DirtSolver(EdgeChecker):
         self._trees[0], self._trees[best] = self._trees[best], self._trees[0]
         for each in self._trees[1:]:
             each.tree.best[0] = min(self._tree.best[0], each.tree.best[0])
+
+    @property
+    def _least_cost(self) -> float:
+        return min(super()._least_cost, self._polished.cost)
 
     @property
     def _wants_polish(self) -> bool:
@@ -370,6 +245,18 @@ class DirtSolver(EdgeChecker):
         if self._polished.attempts > 0 and self._tree.best[0] >= self._polished.searched - POLISH_GAIN:
             return False
         return left is None or left > self._polished.seconds
+
+    def _after_growing(self, base: float, began: float, seconds: float | None) -> float:
+        """Update the progress and improve the plan if that is due; the time since the reading `began` of the clock, s.
+
+        `base` is the time of the query at that reading, `seconds` the budget since then.
+        """
+        elapsed = time.perf_counter() - began
+        self._update_progress(base + elapsed)
+        if self._polishes_now(None if seconds is None else seconds - elapsed):
+            self._add_polished(base - began)
+            elapsed = time.perf_counter() - began
+        return elapsed
 
     def _add_polished(self, offset: float) -> None:
         """Improve the best plan and, if the goal has a heading, at first one along the cost-to-go of poses.
@@ -427,7 +314,7 @@ class DirtSolver(EdgeChecker):
                 return False
             durations = np.concatenate([tree.edge[head, nu], found.durations])
             cost = float(np.cumsum(durations)[-1])
-            if cost < min(float(tree.best[0]), self._polished.cost):
+            if cost < self._least_cost:
                 controls = np.concatenate([tree.edge[head, :nu], found.controls])
                 self._polished = replace(self._polished, cost=cost, controls=controls, durations=durations)
                 return True
@@ -440,115 +327,12 @@ class DirtSolver(EdgeChecker):
         controls, durations = self._polished.controls, self._polished.durations
         if controls is None or durations is None:
             return
-        edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
-        retained = int(self._tree.count[at.RETAINED])
-        self._trees[0].add(self._kernels, self._problem, edges)
-        self._tree.count[at.RETAINED] = retained
+        self._add_edges(controls, durations)
         self._polished = replace(self._polished, controls=None, durations=None, cost=float(self._tree.best[0]))
 
     def _prunes_now(self) -> bool:
         """Whether to prune: at fixed iterations, so that readings of the clock do not matter."""
         return self.settings.pruning and self._tree.count[at.ITERATIONS] % PRUNE_EVERY == 0
-
-    def best_node(self) -> tuple[int, bool]:
-        """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
-        if self._tree.count[at.BEST] >= 0:
-            return int(self._tree.count[at.BEST]), True
-        return int(self._tree.count[at.CLOSEST]), False
-
-    @property
-    def best_cost(self) -> float:
-        """Cost of the best plan plus the cost-to-go from its end (s); infinite without a plan."""
-        node, reaches_goal = self.best_node()
-        if node < 0:
-            return math.inf
-        cost, to_go = self._tree.value[node, [at.COST, at.TOGO]]
-        return float(cost) if reaches_goal else float(cost + to_go)
-
-    def plan(self) -> Plan | None:
-        """Best plan so far, or the plan that ends closest to the goal if none reaches it, or None.
-
-        With SAFETY enabled every plan has a contingency.
-        """
-        node, reaches_goal = self.best_node()
-        if node < 0 or (self._tree.link[node, at.PARENT] < 0 and not reaches_goal):
-            return None
-        return self.plan_to(node)
-
-    def plan_to(self, node: int) -> Plan:
-        """Plan that ends at a node of the tree, without a contingency if the node is not one where a plan may end."""
-        tree, reaches_goal = self._tree, bool(self._tree.link[node, at.AT_GOAL])
-        path = path_to(tree, node)
-        nu = len(self.vehicle.controls)
-        controls, durations = tree.edge[path[1:], :nu].copy(), tree.edge[path[1:], nu].copy()
-        times, trajectory = self._trajectory(tree.state[path[0]], controls, durations)
-        return Plan(
-            states=tree.state[path].copy(),
-            controls=controls,
-            durations=durations,
-            times=times,
-            trajectory=trajectory,
-            cost=float(tree.value[node, at.COST]),
-            cost_to_go=0.0 if reaches_goal else float(tree.value[node, at.TOGO]),
-            reaches_goal=reaches_goal,
-            contingency=self._contingency_of(tree.state[path], controls, durations) if self.safety.enabled else None,
-        )
-
-    def tree(self) -> TreeView:
-        """Copy of the tree."""
-        return tree_view(self._tree, self._tree.state[: self._tree.count[at.SIZE]].copy())
-
-    def set_goal_radius(self, radius: float) -> None:
-        """Set the radius of the goal region, m; the cost-to-go stays that of the initial radius."""
-        if self.goal is None:
-            raise ValueError("there is no goal to aim for")
-        self.goal = replace(self.goal, radius=radius)
-        self._problem.scalar[at.GOAL_RADIUS] = radius
-
-    def goal_nodes(self) -> Ints:
-        """Nodes in the goal region (n,), the one with the lowest cost first."""
-        size = int(self._tree.count[at.SIZE])
-        nodes = np.flatnonzero(self._tree.link[:size, at.AT_GOAL] == 1)
-        return nodes[np.argsort(self._tree.value[nodes, at.COST], kind="stable")]
-
-    def _trajectory(self, root: Floats, controls: Matrix, durations: Floats) -> tuple[Floats, Matrix]:
-        times, states, state, clock = [np.zeros(1)], [root[None, :].copy()], root, 0.0
-        for control, duration in zip(controls, durations, strict=True):
-            samples, _ = self.edge(state, control, duration)
-            times.append(clock + duration * np.arange(1, len(samples)) / (len(samples) - 1))
-            states.append(samples[1:])
-            state, clock = samples[-1], clock + duration
-        return np.concatenate(times), np.vstack(states)
-
-    def _contingency_of(self, states: Matrix, controls: Matrix, durations: Floats) -> Contingency | None:
-        """Contingency at the end of the cycle, or at the end of the plan if that is earlier."""
-        if len(durations) == 0:  # the start is in the goal
-            return self.contingency(states[0])
-        ends = np.cumsum(durations)
-        leaves = min(self.safety.cycle, float(ends[-1]))
-        k = int(np.searchsorted(ends, leaves - 1e-12))
-        begins = float(ends[k] - durations[k])
-        self._propagate(states[k], controls[k], float(durations[k]))
-        return self._first_safe_manoeuvre(begins, leaves)
-
-    def _update_progress(self, seconds: float) -> None:
-        """Update the progress after a call of the kernel."""
-        count, history = self._tree.count, self._progress.history
-        cost = min(float(self._tree.best[0]), self._polished.cost)
-        if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
-            history = (*history, (seconds, cost))
-        first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None
-        total = sum((each.tree.count for each in self._trees[1:]), start=count)
-        self._progress = Progress(
-            seconds=seconds,
-            iterations=int(total[at.ITERATIONS]),
-            edges=int(total[at.EDGES]),
-            nodes=int(total[at.SIZE]),
-            unsafe=int(total[at.UNSAFE]),
-            retained=int(count[at.RETAINED]),
-            first_iteration=first,
-            history=history,
-        )
 
 
 def _next_chunk(count: int, seconds: float, remaining: float | None) -> int:

@@ -28,14 +28,14 @@ for name in sys.argv[1:]:
         grow()
     if not is_cached(vehicle):
         kernels(vehicle)
-    if name in ("benchmark", "rover", "jackal", "f1tenth", "unicycle2"):
+    if name in ("benchmark", "rover", "jackal", "mushr-drive", "unicycle2"):
         polish_kernels(vehicle)
     if name not in ("benchmark", "rover") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """
 VEHICLES = (
-    ("mushr", "unicycle2", "benchmark", "f1tenth"),
-    ("mushr-force", "mushr-drive", "mushr-lag", "rover", "jackal"),
+    ("mushr", "unicycle2", "benchmark"),
+    ("mushr-force", "mushr-drive", "mushr-lag", "rover", "jackal", "f1tenth"),
 )
 """Vehicles that two processes compile, in about the same time each."""
 LONG = (

@@ -23,8 +23,9 @@ from kraft.text import counted
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query import Safety, remaining_edges
+from ompl_ext.query_tree import Progress
 from ompl_ext.retainment import RetainableEdges
-from ompl_ext.solver import DirtSolver, Progress
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import verify
 

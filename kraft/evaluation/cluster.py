@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.evaluation.job import Job, Log, StopRequested, failed_row, perform
-from kraft.evaluation.row import TrialRow
+from kraft.evaluation.journal import TrialRow
 from kraft.provenance import SIMULATION, versions
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
 from kraft.evaluation.folder import Folder, create, reopen, write_results
 from kraft.evaluation.job import Executor, Log
+from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
-from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps
 from kraft.evaluation.summary import Summary, summarise
 from kraft.planning.compilation import ensure_compiled

@@ -11,10 +11,9 @@ from typing import Any, Final
 from kraft.errors import Code, InputError
 from kraft.evaluation import journal, manifest, report
 from kraft.evaluation.experiment import Experiment
-from kraft.evaluation.journal import Journal, read_journal
+from kraft.evaluation.journal import Journal, Key, TrialRow, read_journal
 from kraft.evaluation.ompl_log import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
-from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json
 from kraft.files import check_writable, write_json, write_whole

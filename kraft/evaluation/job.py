@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeAlias
 
 from kraft.driving.method import Method
 from kraft.errors import InputError, MissingDependency, MissingError
-from kraft.evaluation.row import Key, TrialRow, trial_row
+from kraft.evaluation.journal import Key, TrialRow, trial_row
 from kraft.scenario import Scenario
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle

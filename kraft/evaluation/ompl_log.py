@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.evaluation.experiment import Cell, Experiment
-from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.statistics import percentile
 from kraft.files import EXPECTED, Replacement, write_whole
 from kraft.text import slugs

@@ -18,7 +18,7 @@ from typing import Final, TypeAlias
 
 from kraft.errors import Defect, KraftError
 from kraft.evaluation.job import DEATHS, Job, Log, StopRequested, failed_row, perform
-from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.journal import Key, TrialRow
 
 POLL: Final = 0.1  # s, delay until a request to stop takes effect
 FAILED_STARTS: Final = 3  # workers in a row that die before they are ready

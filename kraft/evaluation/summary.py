@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from kraft.evaluation.experiment import Experiment
+from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.paper import PaperRow, paper_row
-from kraft.evaluation.row import Key, TrialRow
 from kraft.evaluation.statistics import McNemar, mcnemar, percentile, wilson
 from kraft.trial.measures import BAND, Measures, pooled
 

@@ -27,7 +27,8 @@ from kraft.text import counted
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
-from ompl_ext.solver import DirtSolver, Progress
+from ompl_ext.query_tree import Progress
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import Requirement, Verification, verify
 

@@ -13,7 +13,8 @@ from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
-from ompl_ext.solver import MAX_THREADS, DirtSolver, Progress
+from ompl_ext.query_tree import MAX_THREADS, Progress
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 

@@ -14,8 +14,17 @@ from matplotlib.figure import Figure
 from kraft.plot.frame import Frame, PoseTrajectory, outlines
 from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import Curve, LegendEntry, Panel, draw_legend, draw_panel, draw_title, lay_out, quantity
-from kraft.plot.plan_path import draw_contingency, draw_plan, draw_start, footprint_interval
-from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace, tree_lines, widest_place
+from kraft.plot.scene import (
+    draw_contingency,
+    draw_goal,
+    draw_obstacle,
+    draw_plan,
+    draw_start,
+    draw_workspace,
+    footprint_interval,
+    tree_lines,
+    widest_place,
+)
 from kraft.plot.style import CYCLE, CYCLE_FAINT, DASHED, GOAL, INK, WARNING, Style
 from kraft.scenario import OccupancyMap, Task
 from ompl_ext.arrays import Floats

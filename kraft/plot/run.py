@@ -17,8 +17,7 @@ from kraft.driving.messages import ReferenceKind, as_driven
 from kraft.plot.frame import Frame
 from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import LegendEntry, draw_legend, lay_out
-from kraft.plot.plan_path import draw_start
-from kraft.plot.scene import draw_goal, draw_obstacle, draw_workspace
+from kraft.plot.scene import draw_goal, draw_obstacle, draw_start, draw_workspace
 from kraft.plot.style import CYCLE, GOAL, INK, WARNING, picture_format, plot_style, write_picture
 from kraft.plot.traces import (
     COLLISION,

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from kraft.scenario.planning import Planning as Planning
     from kraft.scenario.planning import Safety as Safety
     from kraft.scenario.schema import Bounds as Bounds
-    from kraft.scenario.trial import Sensing as Sensing
-    from kraft.scenario.trial import Trial as Trial
+    from kraft.scenario.schema import Sensing as Sensing
+    from kraft.scenario.schema import Trial as Trial
     from kraft.scenario.truth import Truth as Truth
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
@@ -35,8 +35,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "loader": ["load_scenario", "parse_scenario"],
         "model": ["Goal", "Scenario", "Start", "Task"],
         "planning": ["Planning", "Safety"],
-        "schema": ["Bounds"],
-        "trial": ["Sensing", "Trial"],
+        "schema": ["Bounds", "Sensing", "Trial"],
         "truth": ["Truth"],
     },
 )

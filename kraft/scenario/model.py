@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, fields
 from kraft.config.source import Source
 from kraft.scenario.geometry import Obstacle, Vec2
 from kraft.scenario.planning import Planning
-from kraft.scenario.schema import Bounds
-from kraft.scenario.trial import Sensing, Trial
+from kraft.scenario.schema import Bounds, Sensing, Trial
 from kraft.scenario.truth import Truth
 
 

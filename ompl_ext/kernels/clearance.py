@@ -290,3 +290,23 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
         if slack < 0.0:
             return slack
     return slack
+
+
+@inlined
+def swept_margin(
+    dx: float, dy: float, turn: float, c0: float, s0: float, c1: float, s1: float, reach: float, length: float
+) -> float:
+    """Clearance (m) needed at both ends of a step so that no point of the body hits anything in between.
+
+    The body moves `along` its axis, sideways, and turns.  In a motion along its axis by no more than its length it
+    stays inside the union of its two end positions.  `off` bounds all other motion; it moves the corners out of that
+    union by at most off (along + off) / (along + 2 off).  This holds for constant rates; docs/planner.md has the
+    derivation, `lanes.step_margin` adds the effect of changing rates.
+    """
+    side0 = abs(dy * c0 - dx * s0)
+    side1 = abs(dy * c1 - dx * s1)
+    side = side0 if side0 > side1 else side1
+    along = abs(dx * c0 + dy * s0)
+    off = side + abs(turn) * reach
+    margin = off * (along + off) / (along + 2.0 * off + 1e-12)
+    return margin if along < length else 0.5 * (along + off)

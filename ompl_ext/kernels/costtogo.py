@@ -15,7 +15,7 @@ import numpy as np
 from ompl_ext.arrays import Bools, Floats, Floats32, Ints32, int64
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.clearance import ClearanceField
-from ompl_ext.kernels.kernel_types import GRID_INVERSE, GRID_X, GRID_Y, Problem
+from ompl_ext.kernels.kernel_types import BRAKING, GOAL_SPEED, GRID_INVERSE, GRID_X, GRID_Y, TOP_SPEED, Problem
 
 CELLS_IN_ORDER = 300_000  # number of cells up to which the march takes exactly the nearest cell next
 BUCKETS, BUCKETS_PER_CELL = 32, 8  # of the march in larger workspaces: distances below 1 / 8 cell apart are one bucket
@@ -283,3 +283,16 @@ def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
     low = togo[row, column] * (1.0 - u) + togo[row, column + 1] * u
     high = togo[row + 1, column] * (1.0 - u) + togo[row + 1, column + 1] * u
     return low * (1.0 - v) + high * v
+
+
+@inlined
+def with_braking(scalar: Floats, seconds: float, speed: float) -> float:
+    """Least time for as far as the top speed gets in `seconds`, at least the braking distance, ending at GOAL_SPEED."""
+    rate, top = scalar[BRAKING], scalar[TOP_SPEED]
+    speed = min(speed, top)
+    last = scalar[GOAL_SPEED]
+    distance = max(seconds * top, (speed * speed - last * last) / (2.0 * rate))
+    peak = min(math.sqrt(rate * distance + 0.5 * (speed * speed + last * last)), top)
+    last = min(last, peak)
+    even = distance - (2.0 * peak * peak - speed * speed - last * last) / (2.0 * rate)
+    return (2.0 * peak - speed - last) / rate + max(even, 0.0) / top

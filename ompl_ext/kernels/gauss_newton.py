@@ -308,17 +308,9 @@ def state_penalties(
 
 
 @inlined
-def merit(
-    n: int,
-    problem: Problem,
-    signed: Matrix32,
-    setting: Floats,
-    work: Shooting,
-    stages: Stages,
-    states: Matrix,
-    inputs: Matrix,
-) -> float:
-    """Cost of a trajectory with its penalties (s); `after` receives what the model predicts."""
+def merit(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> float:
+    """Cost of the trajectory `tried` with its penalties (s); `after` receives what the model predicts."""
+    states, inputs = work.tried_states, work.tried_inputs
     predict(n, problem, states, inputs, work.after, work.block)
     defect, rough, time = 0.0, 0.0, 0.0
     for k in range(n):
@@ -432,7 +424,7 @@ def _evaluate(
     for k in range(n):
         for i in range(M):
             work.tried_inputs[k, i] = work.inputs[k, i] + (backward.du[k, i] if stepping else 0.0)
-    return merit(n, problem, signed, setting, work, stages, work.tried_states, work.tried_inputs)
+    return merit(n, problem, signed, setting, work, stages)
 
 
 _ARGUMENTS = types.int64, PROBLEM, types.float32[:, ::1], types.float64[::1], SHOOTING, STAGES

@@ -14,8 +14,8 @@ from numba import types
 from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix, int64
 from ompl_ext.jit import compiled, inlined, part, template
 from ompl_ext.kernels import dirt
-from ompl_ext.kernels.clearance import pose_slack
-from ompl_ext.kernels.costtogo import UNREACHABLE, seconds_to_goal
+from ompl_ext.kernels.clearance import pose_slack, swept_margin
+from ompl_ext.kernels.costtogo import UNREACHABLE, seconds_to_goal, with_braking
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKE_STEP,
     BRAKE_STEPS,
@@ -32,7 +32,6 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     GOAL_NEAR,
     GOAL_RADIUS,
     GOAL_SIN,
-    GOAL_SPEED,
     GOAL_TOLERANCE,
     GOAL_X,
     GOAL_Y,
@@ -46,7 +45,6 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     REST_SPEED,
     RETAINED_EDGES,
     STEPS,
-    TOP_SPEED,
     TREE,
     Lanes,
     Maps,
@@ -106,26 +104,6 @@ def rate_change(first: Values, last: Values) -> tuple[float, float]:
     """Change of the rates of position (m/s, as the sum over both axes) and heading (rad/s) between two derivatives."""
     turning = abs(last[THETA] - first[THETA]) if THETA >= 0 else 0.0
     return abs(last[X] - first[X]) + abs(last[Y] - first[Y]), turning
-
-
-@inlined
-def swept_margin(
-    dx: float, dy: float, turn: float, c0: float, s0: float, c1: float, s1: float, reach: float, length: float
-) -> float:
-    """Clearance (m) needed at both ends of a step so that no point of the body hits anything in between.
-
-    The body moves `along` its axis, sideways, and turns.  In a motion along its axis by no more than its length it
-    stays inside the union of its two end positions.  `off` bounds all other motion; it moves the corners out of that
-    union by at most off (along + off) / (along + 2 off).  This holds for constant rates; docs/planner.md has the
-    derivation, `step_margin` adds the effect of changing rates.
-    """
-    side0 = abs(dy * c0 - dx * s0)
-    side1 = abs(dy * c1 - dx * s1)
-    side = side0 if side0 > side1 else side1
-    along = abs(dx * c0 + dy * s0)
-    off = side + abs(turn) * reach
-    margin = off * (along + off) / (along + 2.0 * off + 1e-12)
-    return margin if along < length else 0.5 * (along + off)
 
 
 @inlined
@@ -197,19 +175,6 @@ def in_goal(problem: Problem, states: Floats, at: int, lane: int) -> bool:
             if not limits[k, 0] <= value <= limits[k, 1]:
                 return False
     return True
-
-
-@inlined
-def with_braking(scalar: Floats, seconds: float, speed: float) -> float:
-    """Least time for as far as the top speed gets in `seconds`, at least the braking distance, ending at GOAL_SPEED."""
-    rate, top = scalar[BRAKING], scalar[TOP_SPEED]
-    speed = min(speed, top)
-    last = scalar[GOAL_SPEED]
-    distance = max(seconds * top, (speed * speed - last * last) / (2.0 * rate))
-    peak = min(math.sqrt(rate * distance + 0.5 * (speed * speed + last * last)), top)
-    last = min(last, peak)
-    even = distance - (2.0 * peak * peak - speed * speed - last * last) / (2.0 * rate)
-    return (2.0 * peak - speed - last) / rate + max(even, 0.0) / top
 
 
 @inlined

@@ -74,7 +74,7 @@ def near_poses(maps: Maps, region: Floats, twists: Matrix, reversal: float, widt
     for finer, spare in LEVELS:
         cell = finer * max(CELL * width, least)
         bins = math.ceil(2.0 * math.pi * maps.scalar[REACH] / cell)
-        motions = _motions(twists, cell, bins)
+        motions = motions_of(twists, cell, bins, LONG_STRIDE)
         shortest = float(motions[:, 3].min())
         most = round(CELLS / finer**1.5)
         slots = 2 ** math.ceil(math.log2(LOAD * most))
@@ -104,11 +104,11 @@ def _reached(table: _Sparse, motions: Matrix) -> NearPoses:
     return NearPoses(table.seconds[slots], table.pose[slots], after, motions, float(table.result[2]))
 
 
-def _motions(twists: Matrix, cell: float, bins: int) -> Matrix:
-    """Motions (n, 4): the twists with the time in which each moves by LONG_STRIDE cells, or turns by as many bins."""
+def motions_of(twists: Matrix, cell: float, bins: int, stride: float) -> Matrix:
+    """Motions (n, 4): the twists with the time in which each moves by `stride` cells, or turns by as many bins."""
     speed, turning = np.hypot(twists[:, 0], twists[:, 1]), np.abs(twists[:, 2])
     with np.errstate(divide="ignore"):
-        time = np.minimum(LONG_STRIDE * cell / speed, LONG_STRIDE * 2.0 * math.pi / bins / turning)
+        time = np.minimum(stride * cell / speed, stride * 2.0 * math.pi / bins / turning)
     return np.column_stack([twists, time])
 
 

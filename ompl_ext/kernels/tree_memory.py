@@ -248,6 +248,12 @@ def _keep_ancestors(keep: Bools, parent: Ints32) -> None:
             keep[parent[node]] = True
 
 
+def best_node(tree: Tree) -> tuple[int, bool]:
+    """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
+    reaches_goal = bool(tree.count[BEST] >= 0)
+    return int(tree.count[BEST if reaches_goal else CLOSEST]), reaches_goal
+
+
 def path_to(tree: Tree, node: int) -> list[int]:
     """Nodes from the root to `node`."""
     path = []

@@ -13,7 +13,7 @@ from support.evaluation import places
 from support.paths import ROOT
 
 from kraft.driving.method import load_method
-from kraft.evaluation.row import digest
+from kraft.evaluation.journal import digest
 from kraft.scenario import load_scenario
 from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial

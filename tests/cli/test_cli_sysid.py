@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
-import shutil
-from collections.abc import Sequence
-from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
@@ -15,66 +11,17 @@ import numpy as np
 import pytest
 from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
-from support.recorded import recorded_logs
+from support.recorded import FOUR, IDENTIFY
 
 from kraft.sysid import fast_graph as compilation
 from kraft.sysid.parameters import affects_motion
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
-from kraft_cli.terminal import Terminal
 from kraft_cli.work import sysid as module
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
 
-PLAIN = ("sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json")
-FOUR = tuple(f"logs/run_{k:02d}" for k in (2, 3, 4, 5))
-"""Logs where eight would show nothing more."""
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return recorded_logs(tmp_path_factory)
-
-
-@pytest.fixture(autouse=True)
-def logs(folder: Path, recorded: Path) -> None:
-    shutil.copytree(recorded, folder / "logs")
-
-
-def printed(recorded: Path, arguments: Sequence[str]) -> tuple[str, str]:
-    """What a command prints on stdout and stderr beside the recorded logs."""
-    out, err = io.StringIO(), io.StringIO()
-    with chdir(recorded.parent):
-        assert main(arguments, Terminal(out, err)) == 0
-    return out.getvalue(), err.getvalue()
-
-
-@pytest.fixture(scope="module")
-def plain(recorded: Path) -> dict[str, Any]:
-    """What `PLAIN` prints."""
-    content: dict[str, Any] = json.loads(printed(recorded, PLAIN)[0])
-    return content
-
-
-@pytest.fixture(scope="module")
-def with_extras(recorded: Path) -> dict[str, Any]:
-    """What `kraft sysid logs --json` prints."""
-    content: dict[str, Any] = json.loads(printed(recorded, ("sysid", "logs", "--model", "mushr-lag", "--json"))[0])
-    return content
-
-
-@pytest.fixture(scope="module")
-def tables(recorded: Path) -> tuple[str, str]:
-    """Tables and messages of an identification without extra parameters."""
-    return printed(recorded, ("sysid", "logs", "--model", "mushr-lag", "--extras", "none"))
-
-
-def shorten(run: Path, poses: int, apart: int = 3) -> None:
-    """Leave some poses of a log, `apart` thirtieths of a second from each other, where it is fastest."""
-    heading, *rows = (run / "poses.csv").read_text().splitlines(keepends=True)
-    places = np.loadtxt(rows, delimiter=",")[:, 1:3]
-    first = int(np.argmax(np.hypot(*(places[apart * poses :] - places[: -apart * poses]).T)))
-    (run / "poses.csv").write_text("".join([heading, *rows[first : first + apart * poses : apart]]))
+pytestmark = pytest.mark.usefixtures("logs")
 
 
 def keep_seconds(run: Path, seconds: float) -> None:
@@ -110,7 +57,7 @@ def test_the_json_object_holds_what_was_promised(plain: dict[str, Any], capsys: 
     assert 0 < content["rmse_holdout_m"] < 0.1
     assert len(content["held_out"]) == 2
     assert content["vehicle_file"] is None
-    assert main(PLAIN) == 0
+    assert main([*IDENTIFY, "--json"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert {**again, "wall_s": 0} == {**content, "wall_s": 0}
 
@@ -143,41 +90,6 @@ def test_what_many_logs_have_and_costs_nothing_is_said_once(
     run = each[0].partition(":")[0]
     assert main(["sysid", f"logs/{run}", *options]) == 0
     assert any(line.startswith(each[0].partition(", first")[0]) for line in said(capsys))
-
-
-@pytest.mark.parametrize(
-    ("mapping", "options", "expected"),
-    [
-        ("commands: {controls: {throttle: thrott}}\n", [], ["m.yaml:1:33: commands.controls.throttle: "]),
-        (
-            "commands: {controls: {throttel: throttle}}\nposes: {yaw: hed, quaternion: null}\n",
-            [],
-            ["m.yaml:1:23: commands.controls.throttel: ", "m.yaml:2:14: poses.yaw: "],
-        ),
-        ("{}\n", ["--model", "unicycle2"], ["logs: the logs have throttle, steering; "]),
-    ],
-)
-def test_a_mapping_or_a_vehicle_that_fits_no_log_is_one_line_for_each_mistake(
-    mapping: str, options: list[str], expected: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (folder / "m.yaml").write_text(mapping)
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--mapping", "m.yaml", *options]) == 2
-    for line, start in zip(said(capsys), expected, strict=True):
-        assert line.startswith(start)
-
-
-def test_a_column_that_only_some_logs_lack_leaves_those_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    commands = folder / "logs" / "run_02" / "commands.csv"
-    for run in (folder / "logs").iterdir():
-        if run.is_dir() and run.name != "run_02":
-            path = run / "commands.csv"
-            path.write_text(path.read_text().replace("throttle", "gas", 1))
-    (folder / "m.yaml").write_text("commands: {controls: {throttle: gas}}\n")
-    assert "throttle" in commands.read_text()
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--mapping", "m.yaml", "--extras", "none", "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert json.loads(out)["logs"] == 7
-    assert "left out: m.yaml:1:33: commands.controls.throttle: " in err
 
 
 def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_read(
@@ -381,7 +293,7 @@ def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_no
     for run in (folder / "logs").iterdir():
         if run.is_dir() and run.name not in held_out:
             weaken(run, factor)
-    assert main([*PLAIN, "--out", "my.yaml"]) == status
+    assert main([*IDENTIFY, "--json", "--out", "my.yaml"]) == status
     out, err = capsys.readouterr()
     content = json.loads(out)
     identified, initial = (100 * content[f"rmse_holdout{which}_m"] for which in ("", "_initial"))
@@ -391,76 +303,6 @@ def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_no
     assert content["identifiable"] == (status == 0)
     refused = f"error: not identified: held-out logs are predicted far better with the initial values {both})"
     assert (f"{refused}; my.yaml was not written" in err) == (status == 1)
-
-
-def test_a_bad_log_is_left_out_and_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "logs" / "run_02" / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
-    out, err = capsys.readouterr()
-    content = json.loads(out)
-    assert content["logs"] == 7
-    (left_out,) = content["left_out"]
-    assert left_out.startswith("logs/run_02/poses.csv")
-    assert f"left out: {left_out}" in err
-
-
-def test_a_log_of_a_few_poses_is_left_out_and_counted_so(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shorten(folder / "logs" / "run_02", 4, 9)
-    options = ["--extras", "none", "--out", "my.yaml", "--plot", "my.png", "--json"]
-    assert main(["sysid", "logs", "--model", "mushr-lag", *options]) == 0
-    out, err = capsys.readouterr()
-    content = json.loads(out)
-    assert content["logs"] == 7
-    assert content["left_out"] == ["run_02: has no part with 5 poses, the longest has 4; expected a longer drive"]
-    assert f"left out: {content['left_out'][0]}" in err
-    config = load_vehicle_config("my.yaml")
-    assert config.identification is not None
-    assert "run_02" not in [log.name for log in config.identification.logs]
-    assert "of 7 logs held out" in err
-
-
-def test_when_all_logs_have_a_few_poses_it_ends_with_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for run in (folder / "logs").iterdir():
-        shorten(run, 4, 9)
-    assert main(["sysid", "logs", "--model", "mushr-lag"]) == 1
-    assert said(capsys)[-1] == "error: none of the 8 logs can be used"
-
-
-def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--model", "mushr-lag", "--extras", "none"]
-    assert main(["sysid", "--model", "mushr-lag", *FOUR, *options, "--json"]) == 0
-    (held_out,) = json.loads(capsys.readouterr().out)["held_out"]
-    shorten(folder / "logs" / held_out, 7)
-    assert (
-        main(["sysid", "--model", "mushr-lag", *FOUR, *options, "--out", "my.yaml", "--plot", "my.png", "--json"]) == 0
-    )
-    out, err = capsys.readouterr()
-    content = json.loads(out)
-    assert content["held_out"] == [held_out]
-    assert (content["rmse_holdout_m"], content["rmse_holdout_initial_m"]) == (None, None)
-    assert (content["prediction"]["holdout"], content["prediction"]["holdout_initial"]) == (None, None)
-    assert content["rmse_train_m"] > 0
-    why = "the fit is not tested: 1 held-out log cannot be predicted (logs are all shorter than a second)"
-    assert why in content["warnings"]
-    assert f"warning: {why}" in err
-    assert (folder / "my.png").stat().st_size > 50_000
-    config = load_vehicle_config("my.yaml")
-    assert config.identification is not None
-    assert config.identification.held_out is None
-    assert why in config.identification.warnings
-    assert main(["sysid", "--model", "mushr-lag", *FOUR, *options]) == 0
-    assert "OPEN LOOP, fitted logs" in capsys.readouterr().out
-
-
-def test_a_held_out_log_that_is_too_short_beside_others_is_named(
-    plain: dict[str, Any], folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    first, _ = plain["held_out"]
-    shorten(folder / "logs" / first, 7)
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert content["rmse_holdout_m"] > 0
-    assert f"held-out logs too short to be predicted: {first}" in content["warnings"]
 
 
 def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not(
@@ -476,45 +318,6 @@ def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not
         assert not any("compil" in line for line in said(capsys))
     assert main(["sysid", "--model", "mushr-lag", "logs/run_02", "--extras", "none"]) == 0
     assert not any("compil" in line for line in said(capsys))
-
-
-def test_when_all_logs_are_bad_each_is_explained_and_it_ends_with_1(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for run in (folder / "logs").iterdir():
-        (run / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--plot", "my.png"]) == 1
-    err = said(capsys)
-    assert err[-1] == "error: none of the 8 logs can be used"
-    assert sum("poses.csv" in line for line in err) == 8
-
-
-def test_what_only_the_estimator_refuses_leaves_a_picture_of_the_logs(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from kraft.errors import InputError
-
-    def refused(*_: object) -> None:
-        raise InputError.of("logs", "show no motion", "expected drives")
-
-    monkeypatch.setattr(module, "identify", refused)
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--plot", "my.png"]) == 1
-    assert said(capsys)[-2:] == [
-        "logs: show no motion; expected drives",
-        "error: the parameters cannot be identified from these logs",
-    ]
-    assert (folder / "my.png").stat().st_size > 20_000
-
-
-def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sysid", "--model", "mushr-lag", *FOUR, "--extras", "none", "--json"]
-    assert main(arguments) == 0
-    before = json.loads(capsys.readouterr().out)
-    for run in (folder / "logs").iterdir():
-        (run / "truth.csv").unlink()
-        (run / "truth.csv").mkdir()  # whoever opens it fails
-    assert main(arguments) == 0
-    assert {**json.loads(capsys.readouterr().out), "wall_s": 0} == {**before, "wall_s": 0}
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from support.adaptive import BEGIN, OTHER, correlated, driven, exciting, pose_at
 from support.driving import RATE
 
 from kraft.driving.car_model import CarModel
-from kraft.driving.estimation import AdaptiveEstimator, make_estimator
-from kraft.driving.estimation.adaptive import online_parameters
+from kraft.driving.estimation import make_estimator
+from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_parameters
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive

@@ -15,7 +15,8 @@ from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import MIN_GOAL_RADIUS, RECOVERY_MARGIN, Solvers
 from kraft.errors import Defect
 from ompl_ext.plan import Plan
-from ompl_ext.solver import DirtSolver, Progress
+from ompl_ext.query_tree import Progress
+from ompl_ext.solver import DirtSolver
 from ompl_ext.verification import Verification
 
 

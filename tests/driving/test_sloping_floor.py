@@ -11,7 +11,8 @@ from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehic
 from support.driving import RATE
 
 from kraft.driving.car_model import CarModel
-from kraft.driving.estimation import AdaptiveEstimator, LevelCamera
+from kraft.driving.estimation import LevelCamera
+from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.method import Adaptive
 from kraft.scenario import Sensing
 from kraft.scenario.truth import Tilt

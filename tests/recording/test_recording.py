@@ -9,9 +9,8 @@ import pytest
 
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
-from kraft.recording.free_space import MARGIN, STEP, FreeSpace, moved
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, ToControl, manoeuvre
-from kraft.recording.recorder import COMMAND_RATE, STOP, Recorder, Recording
+from kraft.recording.recorder import COMMAND_RATE, MARGIN, STEP, STOP, FreeSpace, Recorder, Recording, moved
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance

@@ -17,9 +17,9 @@ import pytest
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.errors import InputError, MissingDependency
-from kraft.evaluation import cluster, evaluator, job, processes
+from kraft.evaluation import job, processes
 from kraft.evaluation.job import Job, Log, StopRequested, perform
-from kraft.evaluation.row import TrialRow
+from kraft.evaluation.journal import TrialRow
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 
@@ -31,6 +31,8 @@ Trial: TypeAlias = Callable[[TrialSpec], TrialResult]
 
 def use(patch: pytest.MonkeyPatch, trial: Trial, *, inline: bool = False) -> None:
     """Run `trial` instead of the simulator: in worker processes, on a Dask cluster, or all `inline` in this process."""
+    from kraft.evaluation import cluster, evaluator  # which workers do not need
+
     patch.setattr(job, "run_trial", trial)
     patch.setattr(processes, "serve", partial(serve, trial))
     patch.setattr(cluster, "perform_checked", partial(perform_checked, trial))
@@ -46,6 +48,8 @@ def serve(trial: Trial, pipe: Connection) -> None:
 
 def perform_checked(trial: Trial, task: Job, versions_there: Mapping[str, str]) -> TrialRow:
     """Run one trial on a Dask worker."""
+    from kraft.evaluation import cluster
+
     job.run_trial = trial
     return cluster.perform_checked(task, versions_there)
 

@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
+from ompl_ext.plan import Plan
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
 from ompl_ext.trigonometry import cos, sin
@@ -130,6 +132,47 @@ def fast(**changes: float) -> Vehicle:
     """The benchmark vehicle with other parameters; its kernels are the same."""
     vehicle = BENCHMARK.with_parameters(changes)
     return replace(vehicle, top_speed=vehicle.parameters["gain"])
+
+
+def tree_bytes(dirt: DirtSolver) -> bytes:
+    tree = dirt.tree()
+    arrays = (tree.states, tree.parents, tree.controls, tree.durations, tree.costs, tree.costs_to_go)
+    return b"".join(a.tobytes() for a in arrays)
+
+
+def planned(dirt: DirtSolver, iterations: int = 800, seed: int = 0, start: Array = START) -> Plan:
+    dirt.start(start, seed)
+    dirt.grow(iterations=iterations)
+    plan = dirt.plan()
+    assert plan is not None
+    return plan
+
+
+def check_plan(dirt: DirtSolver, plan: Plan) -> None:
+    """What holds for every plan, by a second integrator and FCL."""
+    vehicle, rate = dirt.vehicle, benchmark_rate(dirt.vehicle)
+    assert plan.cost == pytest.approx(plan.durations.sum(), abs=1e-9)
+    assert plan.times[0] == 0.0
+    assert plan.times[-1] == pytest.approx(plan.cost)
+    assert (np.diff(plan.times) > 0).all()
+    assert (plan.trajectory[0] == plan.states[0]).all()
+    assert (plan.trajectory[-1] == plan.states[-1]).all()
+    low, high = vehicle.control_bounds.T
+    assert ((low <= plan.controls) & (plan.controls <= high)).all()
+    dense = []
+    for k, (state, control) in enumerate(zip(plan.states, plan.controls, strict=False)):
+        flown = integrate(rate, state, control, plan.durations[k], 40)
+        assert np.abs(flown[-1] - plan.states[k + 1]).max() < 1e-3
+        dense.append(flown)
+    poses = np.vstack(dense)[:, :3]
+    assert dirt.exact.distances(poses).min() > -1e-9
+    assert dirt.exact.distances(plan.trajectory[:, :3]).min() > 0.0
+    if plan.reaches_goal and dirt.goal is not None:
+        assert math.dist(plan.states[-1, :2], dirt.goal.center) <= dirt.goal.radius
+        assert plan.cost_to_go == 0.0
+    if dirt.safety.enabled:
+        assert plan.contingency is not None
+        assert plan.contingency.spare >= 0.0
 
 
 def point_to_segment(p: Sequence[float], a: Sequence[float], b: Sequence[float]) -> float:

@@ -77,6 +77,8 @@ entries:
   - {name: second, scenario: boxes, set: {goal.radius: 0.3}}
 """
 ITERATIONS = "30"
+NEAR = ("plan", "turns", "--set", "goal.center=[1.4, 0.6]")
+"""A goal to which plans, and plan files, are short."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,8 @@ INPUTS = (
     Input("suite", "suite.yaml", (("validate", "suite.yaml"),)),
     Input("map", "map.yaml", (("validate", "map.yaml"), ("plan", "mapped.yaml", "--iterations", ITERATIONS))),
     Input("image", "map.pgm", (("validate", "map.yaml"), ("plan", "mapped.yaml", "--iterations", ITERATIONS))),
-    Input("mapping", "mapping.yaml", (("validate", "mapping.yaml"), ("sysid", "logs", "--mapping", "mapping.yaml"))),
-    Input("plan", "plan.json", (("validate", "plan.json"), ("plan", "turns", "--from", "plan.json", "--after", "1", "--iterations", ITERATIONS))),
+    Input("mapping", "mapping.yaml", (("validate", "mapping.yaml"), ("sysid", "logs", "--mapping", "mapping.yaml", "--model", "mushr"))),
+    Input("plan", "plan.json", (("validate", "plan.json"), (*NEAR, "--from", "plan.json", "--after", "1", "--iterations", ITERATIONS))),
     Input("log", "logs/log.csv", (("sysid", "logs", "--json"),)),
 )  # fmt: skip
 
@@ -132,7 +134,7 @@ def write_inputs(folder: Path) -> None:
     (folder / "mapped.yaml").write_text(mapped)
     (folder / "mapping.yaml").write_text(MAPPING)
     write_wide(folder / "logs" / "log.csv")
-    assert run_command(folder, ("plan", "turns", "--iterations", "1000", "--out", ".")).status == 0
+    assert run_command(folder, (*NEAR, "--iterations", "1000", "--out", ".")).status == 0
 
 
 def run_command(folder: Path, command: Sequence[str], kind: str = "", content: bytes = b"") -> Outcome:

@@ -11,6 +11,9 @@ import pytest
 from kraft_cli.main import main
 
 RUNS, SEED = 8, 1
+IDENTIFY = ("sysid", "logs", "--model", "mushr-lag", "--extras", "none")
+FOUR = tuple(f"logs/run_{k:02d}" for k in (2, 3, 4, 5))
+"""Logs where eight would show nothing more."""
 
 
 def recorded_logs(factory: pytest.TempPathFactory) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.estimation.dead_reckoning import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.estimation.sloping_floor import LevelCamera
@@ -13,7 +12,7 @@ from kraft.driving.method import Adaptive, Filter, Latest
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 
-__all__ = ["AdaptiveEstimator", "Estimator", "LatestPose", "LevelCamera", "PoseFilter", "make_estimator"]
+__all__ = ["Estimator", "LatestPose", "LevelCamera", "PoseFilter", "make_estimator"]
 
 
 class Estimator(Protocol):
@@ -55,6 +54,8 @@ def make_estimator(
         InputError: if parameters are to be estimated whose ranges the vehicle does not state.
     """
     if isinstance(settings, Adaptive):
+        from kraft.driving.estimation.adaptive import AdaptiveEstimator  # which needs system identification
+
         return AdaptiveEstimator(settings, model, start_state, camera)
     if isinstance(settings, Filter):
         return PoseFilter(settings, model, start_state)

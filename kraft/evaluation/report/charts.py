@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 from xml.etree.ElementTree import Element
 
+from kraft.evaluation.journal import TrialRow
 from kraft.evaluation.paper import PaperRow
 from kraft.evaluation.report.elements import element, svg
-from kraft.evaluation.row import TrialRow
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import Result
 from kraft.trial.result import outcome_text

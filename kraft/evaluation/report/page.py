@@ -10,6 +10,7 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+from kraft.evaluation.journal import TrialRow
 from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element
 from kraft.evaluation.report.floor import floor_plan
@@ -18,7 +19,6 @@ from kraft.evaluation.report.overview import chip, overview, settings_of
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.report.sweep_picture import sweep_pictures
 from kraft.evaluation.report.sweeps import sweeps
-from kraft.evaluation.row import TrialRow
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 

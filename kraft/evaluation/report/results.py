@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
-from kraft.evaluation.row import Key, TrialRow
+from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import RowName, Summary, tabulate
 from kraft.scenario import Scenario, load_scenario

@@ -1,0 +1,255 @@
+"""Tree of a query: its roots, edges of earlier plans and trees, and the plans in it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.checker import EdgeChecker
+from ompl_ext.growing_tree import GrowingTree
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.costtogo import UNREACHABLE
+from ompl_ext.kernels.rng import generator
+from ompl_ext.kernels.tree_memory import add_root, best_node, path_to
+from ompl_ext.obstacles import Workspace
+from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
+from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, remaining_edges
+from ompl_ext.retainment import RetainableEdges, retainable_edges
+from ompl_ext.vehicle import Vehicle
+
+MAX_THREADS = 64
+THREAD_SEEDS = 2**32  # difference between the seeds of the trees of one query
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of a query.  `history` has (seconds, cost) of each better solution, at readings of the clock."""
+
+    seconds: float = 0.0
+    iterations: int = 0
+    edges: int = 0
+    nodes: int = 0
+    unsafe: int = 0
+    retained: int = 0
+    first_iteration: int | None = None
+    history: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def first_solution(self) -> tuple[float, float] | None:
+        """Time until the first solution (s) and its cost (s), None without a solution."""
+        return self.history[0] if self.history else None
+
+
+class QueryTree(EdgeChecker):
+    """Trees of a query for one vehicle in one workspace: one for each thread, of which the first has the best plan."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        workspace: Workspace,
+        goal: Goal | None,
+        safety: Safety | None,
+        settings: Settings | None,
+        capacity: int,
+        max_nodes: int,
+        threads: int,
+    ) -> None:
+        if not 1 <= threads <= MAX_THREADS:
+            raise ValueError(f"threads is {threads}, not 1 to {MAX_THREADS}")
+        super().__init__(vehicle, workspace, goal, safety, settings)
+        max_nodes = max(capacity, max_nodes)
+        self._trees = [
+            GrowingTree(vehicle, self._problem, workspace.bounds, capacity, max_nodes) for _ in range(threads)
+        ]
+        self._progress = Progress()
+
+    @property
+    def _tree(self) -> at.Tree:
+        return self._trees[0].tree
+
+    @property
+    def tree_arrays(self) -> at.Tree:
+        """Arrays of the tree, not copied; valid until the next call that starts a query or adds nodes."""
+        return self._tree
+
+    @property
+    def unreachable(self) -> bool:
+        """Whether no path of the inscribed disc leads from any root to the goal; then no plan exists."""
+        roots = self._tree.link[: self._tree.count[at.SIZE], at.PARENT] < 0
+        togo: Floats = self._tree.value[: self._tree.count[at.SIZE], at.TOGO][roots]
+        return bool(np.all(togo >= UNREACHABLE))
+
+    @property
+    def progress(self) -> Progress:
+        """Progress of the query since `start`."""
+        return self._progress
+
+    def start(self, state: Floats, seed: int = 0) -> float:
+        """Begin a query at `state` (nx,), m, rad, m/s.  Returns its spare clearance (m), negative if it may collide.
+
+        A state without clearance becomes the root too, but no edge leaves it.
+        """
+        self.clear(seed)
+        return self.add_root(state)
+
+    def clear(self, seed: int = 0) -> None:
+        """Empty the tree; memory allocated since is kept for later queries."""
+        for number, each in enumerate(self._trees):
+            each.clear(generator(seed + number * THREAD_SEEDS))
+        self._progress = Progress()
+
+    def add_root(self, state: Floats) -> float:
+        """Add a start state; returns its spare clearance as `start` does.
+
+        One in the goal is a plan only if it has a contingency, like every end of a plan.
+        """
+        slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
+        if self._work.at_goal[0] == 1 and self.safety.enabled and self.contingency(self._work.source) is None:
+            self._work.at_goal[0] = 0
+        for each in self._trees:
+            add_root(each.tree, self._work)
+        return slack
+
+    def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
+        """Add the rest of an earlier plan after `elapsed` s, propagated from the new root; returns the edges added.
+
+        The edge in progress is kept in part.  An edge that collides or is not safe is omitted, with all after it.
+        """
+        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
+
+    def retain_edges(
+        self, parents: Sequence[int] | Ints, controls: Matrix, durations: Floats, targets: Matrix | None = None
+    ) -> int:
+        """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added.
+
+        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any.
+        """
+        before = int(self._tree.count[at.RETAINED])
+        began = time.perf_counter()
+        for each in self._trees:
+            each.retained = edges_to_retain(parents, controls, durations, targets)
+            each.add(self._kernels, self._problem, each.retained)
+        self._update_progress(self._progress.seconds + time.perf_counter() - began)
+        return int(self._tree.count[at.RETAINED]) - before
+
+    @property
+    def retained_nodes(self) -> Ints:
+        """Node of each edge of the last call of `retain` or `retain_edges`; -1 if the edge was not added."""
+        return self._trees[0].retained.node
+
+    def retainable_edges(self, plan: Plan, elapsed: float, limit: int) -> RetainableEdges:
+        """Rest of a plan of this query after `elapsed` s, and up to `limit` edges of the tree that begin on it."""
+        states, vehicle = plan.states[1:], self.vehicle
+        x, y = states[:, vehicle.index("x")], states[:, vehicle.index("y")]
+        heading = states[:, vehicle.index("theta")] if "theta" in vehicle.state else np.zeros(len(states))
+        weight = self.settings.heading_weight
+        targets = np.column_stack([x, y, weight * np.cos(heading), weight * np.sin(heading)])
+        return retainable_edges(self._tree, plan, targets, elapsed, limit)
+
+    def best_node(self) -> tuple[int, bool]:
+        """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
+        return best_node(self._tree)
+
+    @property
+    def _least_cost(self) -> float:
+        """Cost of the best plan to the goal that is known (s), infinite without one."""
+        return float(self._tree.best[0])
+
+    @property
+    def best_cost(self) -> float:
+        """Cost of the best plan plus the cost-to-go from its end (s); infinite without a plan."""
+        node, reaches_goal = self.best_node()
+        if node < 0:
+            return math.inf
+        cost, to_go = self._tree.value[node, [at.COST, at.TOGO]]
+        return float(cost) if reaches_goal else float(cost + to_go)
+
+    def plan(self) -> Plan | None:
+        """Best plan so far, or the plan that ends closest to the goal if none reaches it, or None.
+
+        With SAFETY enabled every plan has a contingency.
+        """
+        node, reaches_goal = self.best_node()
+        if node < 0 or (self._tree.link[node, at.PARENT] < 0 and not reaches_goal):
+            return None
+        return self.plan_to(node)
+
+    def plan_to(self, node: int) -> Plan:
+        """Plan that ends at a node of the tree, without a contingency if the node is not one where a plan may end."""
+        tree, reaches_goal = self._tree, bool(self._tree.link[node, at.AT_GOAL])
+        path = path_to(tree, node)
+        nu = len(self.vehicle.controls)
+        controls, durations = tree.edge[path[1:], :nu].copy(), tree.edge[path[1:], nu].copy()
+        times, trajectory = self._trajectory(tree.state[path[0]], controls, durations)
+        return Plan(
+            states=tree.state[path].copy(),
+            controls=controls,
+            durations=durations,
+            times=times,
+            trajectory=trajectory,
+            cost=float(tree.value[node, at.COST]),
+            cost_to_go=0.0 if reaches_goal else float(tree.value[node, at.TOGO]),
+            reaches_goal=reaches_goal,
+            contingency=self._contingency_of(tree.state[path], controls, durations) if self.safety.enabled else None,
+        )
+
+    def tree(self) -> TreeView:
+        """Copy of the tree."""
+        return tree_view(self._tree, self._tree.state[: self._tree.count[at.SIZE]].copy())
+
+    def set_goal_radius(self, radius: float) -> None:
+        """Set the radius of the goal region, m; the cost-to-go stays that of the initial radius."""
+        if self.goal is None:
+            raise ValueError("there is no goal to aim for")
+        self.goal = replace(self.goal, radius=radius)
+        self._problem.scalar[at.GOAL_RADIUS] = radius
+
+    def goal_nodes(self) -> Ints:
+        """Nodes in the goal region (n,), the one with the lowest cost first."""
+        size = int(self._tree.count[at.SIZE])
+        nodes = np.flatnonzero(self._tree.link[:size, at.AT_GOAL] == 1)
+        return nodes[np.argsort(self._tree.value[nodes, at.COST], kind="stable")]
+
+    def _trajectory(self, root: Floats, controls: Matrix, durations: Floats) -> tuple[Floats, Matrix]:
+        times, states, state, clock = [np.zeros(1)], [root[None, :].copy()], root, 0.0
+        for control, duration in zip(controls, durations, strict=True):
+            samples, _ = self.edge(state, control, duration)
+            times.append(clock + duration * np.arange(1, len(samples)) / (len(samples) - 1))
+            states.append(samples[1:])
+            state, clock = samples[-1], clock + duration
+        return np.concatenate(times), np.vstack(states)
+
+    def _contingency_of(self, states: Matrix, controls: Matrix, durations: Floats) -> Contingency | None:
+        """Contingency at the end of the cycle, or at the end of the plan if that is earlier."""
+        if len(durations) == 0:  # the start is in the goal
+            return self.contingency(states[0])
+        ends = np.cumsum(durations)
+        leaves = min(self.safety.cycle, float(ends[-1]))
+        k = int(np.searchsorted(ends, leaves - 1e-12))
+        begins = float(ends[k] - durations[k])
+        self._propagate(states[k], controls[k], float(durations[k]))
+        return self._first_safe_manoeuvre(begins, leaves)
+
+    def _update_progress(self, seconds: float) -> None:
+        """Update the progress after a call of the kernel."""
+        count, history = self._tree.count, self._progress.history
+        cost = self._least_cost
+        if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
+            history = (*history, (seconds, cost))
+        first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None
+        total = sum((each.tree.count for each in self._trees[1:]), start=count)
+        self._progress = Progress(
+            seconds=seconds,
+            iterations=int(total[at.ITERATIONS]),
+            edges=int(total[at.EDGES]),
+            nodes=int(total[at.SIZE]),
+            unsafe=int(total[at.UNSAFE]),
+            retained=int(count[at.RETAINED]),
+            first_iteration=first,
+            history=history,
+        )

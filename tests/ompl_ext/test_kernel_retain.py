@@ -1,0 +1,127 @@
+"""Edges of an earlier plan or tree in a new query: kept where they are free and safe, dropped elsewhere."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.kernels import (
+    BENCHMARK,
+    GOAL,
+    NO_SAFETY,
+    START,
+    TURNS,
+    check_plan,
+    planned,
+    turns,
+)  # fmt: skip
+
+from ompl_ext.plan import Plan
+from ompl_ext.query import Safety
+from ompl_ext.solver import DirtSolver
+
+
+def test_retaining_more_than_memory_holds_stops_cleanly() -> None:
+    plan = planned(turns())
+    small = DirtSolver(BENCHMARK, TURNS, GOAL, NO_SAFETY, capacity=5, max_nodes=5)
+    small.start(START, 0)
+    added = small.retain(plan)
+    assert small.progress.nodes == 5
+    assert added == 4
+
+
+def remaining(plan: Plan, k: int) -> float:
+    return plan.cost - float(plan.times[k])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_retained_plan_is_never_lost_at_the_end_of_an_edge(seed: int) -> None:
+    dirt = turns()
+    plan = planned(dirt, 1000, seed)
+    assert plan.reaches_goal
+    for k, elapsed in enumerate([0.0, *np.cumsum(plan.durations)[:-1]]):
+        dirt.start(plan.states[k], 1)
+        assert dirt.retain(plan, float(elapsed)) == len(plan.durations) - k
+        again = dirt.plan()
+        assert again is not None
+        assert again.reaches_goal
+        assert again.cost <= plan.cost - elapsed + 1e-9
+        assert np.abs(again.states - plan.states[k:]).max() < 1e-12
+
+
+def test_a_plan_retained_in_the_middle_of_an_edge_is_hardly_ever_lost() -> None:
+    dirt, kept, asked = turns(), 0, 0
+    for seed in range(8):
+        plan = planned(dirt, 1000, seed)
+        for k in range(1, len(plan.times) - 1, 2):
+            dirt.start(plan.trajectory[k], 1)
+            dirt.retain(plan, float(plan.times[k]))
+            if dirt.best_node() == (0, True):  # begins inside the goal
+                continue
+            again = dirt.plan()
+            asked += 1
+            kept += again is not None and again.reaches_goal and again.cost <= remaining(plan, k) + 1e-9
+    assert kept >= 0.98 * asked  # a partial edge is sampled anew, a few end a millimetre short of the margin
+
+
+def test_growing_after_retaining_never_makes_the_plan_worse() -> None:
+    dirt = turns()
+    plan = planned(dirt, 400, 3)
+    k = 20
+    dirt.start(plan.trajectory[k], 9)
+    dirt.retain(plan, float(plan.times[k]))
+    cost = math.inf
+    for _ in range(10):
+        dirt.grow(iterations=100)
+        better = dirt.plan()
+        assert better is not None
+        assert better.cost <= min(cost, remaining(plan, k) + 1e-9)
+        cost = better.cost
+        check_plan(dirt, better)
+
+
+def test_from_a_displaced_root_only_free_and_safe_edges_are_retained() -> None:
+    rng, safety = np.random.default_rng(0), Safety(delta=0.03, delta_per_speed=0.05)
+    dirt = turns(safety)
+    plan, dropped = planned(dirt, 1200, 1), 0
+    for _ in range(60):
+        k = int(rng.integers(0, len(plan.times) - 1))
+        displaced = plan.trajectory[k] + rng.normal(0, (0.05, 0.05, 0.15, 0.05))
+        left = int((np.cumsum(plan.durations) > plan.times[k] + 1e-9).sum())
+        dirt.start(displaced, 1)
+        added, tree = dirt.retain(plan, float(plan.times[k])), dirt.tree()
+        assert added == len(tree.states) - 1 <= left
+        assert (tree.parents[1:] == np.arange(added)).all()  # what follows a dropped edge is dropped
+        dropped += left - added
+        for node in range(1, added + 1):
+            parent = tree.parents[node]
+            samples, slack = dirt.edge(
+                tree.states[parent], tree.controls[node], float(tree.durations[node]), float(tree.costs[parent])
+            )
+            assert slack >= 0.0
+            assert dirt.exact.distances(samples[:, :3]).min() > 0.0
+        again = dirt.plan()
+        if again is not None:
+            check_plan(dirt, again)
+    assert dropped > 0
+
+
+def test_retaining_nothing_adds_nothing() -> None:
+    dirt = turns()
+    plan = planned(dirt)
+    for elapsed in (plan.cost, plan.cost + 5.0):
+        dirt.start(START, 0)
+        assert dirt.retain(plan, elapsed) == 0
+    dirt.start(START, 0)
+    assert dirt.retain_edges([], np.zeros((0, 2)), np.zeros(0)) == 0
+
+
+def test_a_whole_tree_can_be_retained() -> None:
+    dirt = turns()
+    planned(dirt, 600)
+    tree = dirt.tree()
+    dirt.start(START, 5)
+    added = dirt.retain_edges([int(p) - 1 for p in tree.parents[1:]], tree.controls[1:], tree.durations[1:])
+    assert added == len(tree.states) - 1
+    assert dirt.tree().states.tobytes() == tree.states.tobytes()
