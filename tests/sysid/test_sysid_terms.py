@@ -83,13 +83,28 @@ def test_the_terms_of_a_car_are_chosen_and_predict_other_drives() -> None:
     assert {"slide", "slip", "scrub", "understeer"} & set(found.off)
     assert found.values["lever"] == pytest.approx(LEVER, abs=0.01)
     assert found.values["steer"] == pytest.approx(TRUTH["steer"], rel=0.05)
-    settings = Settings(process=found.process)
-    errors = prediction_errors(choice.vehicle, unseen, found.values, settings)
+    errors = prediction_errors(choice.vehicle, unseen, found.values, found.predicting(Settings()))
     constant = window_errors(constant_windows(choice.vehicle, unseen))
     assert errors.position[3.0] < 0.06
     assert errors.position[3.0] < 0.2 * constant.position[3.0]
     assert sum(trial.chosen for trial in found.trials) == 1
     assert len(found.without_log) == len(fitted)
+
+
+def test_a_drive_that_differs_between_logs_is_found_and_used_in_predictions() -> None:
+    """Each log has another battery: the gain of the drive differs by 15 % and the wheels by 15 mrad."""
+    rng = np.random.default_rng(7)
+    gains, angles = rng.normal(3.0, 0.45, 8), rng.normal(0.0, 0.015, 8)
+    logs = [drive(car(a_drive=g, phi_diff=a), k) for k, (g, a) in enumerate(zip(gains, angles, strict=True))]
+    choice = identify_terms(car_file(), logs[:6])
+    found = choice.identification
+    assert found.values["a_drive"] == pytest.approx(gains[:6].mean(), rel=0.15)
+    assert found.parameters["a_drive"].variation == pytest.approx(np.std(gains[:6]), rel=0.6)
+    assert found.parameters["phi_diff"].variation == pytest.approx(np.std(angles[:6]), rel=0.6)
+    varying = prediction_errors(choice.vehicle, logs[6:], found.values, found.predicting(Settings()))
+    none = {"a_drive": 0.0, "phi_diff": 0.0}
+    same = prediction_errors(choice.vehicle, logs[6:], found.values, Settings(variation=none))
+    assert varying.position[3.0] < 0.7 * same.position[3.0]
 
 
 def test_flipped_steering_is_a_negative_gain() -> None:
