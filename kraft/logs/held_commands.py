@@ -77,6 +77,17 @@ def merge_commands(streams: Sequence[Samples], controls: Sequence[str], limits: 
     return HeldCommands(times, np.column_stack([columns[name] for name in controls]), until)
 
 
+def masked(commands: HeldCommands, columns: Sequence[int], intervals: Array) -> HeldCommands:
+    """Commands whose `columns` are 0 outside of `intervals`, shape (k, 2), s."""
+    edges = intervals[(intervals > commands.times[0]) & (intervals <= commands.times[-1])]
+    times = np.union1d(commands.times, edges)
+    index = np.searchsorted(commands.times, times, side="right") - 1
+    values, until = commands.values[index].copy(), commands.until[index]
+    known = times <= until  # in a gap of the commands nothing is in force
+    values[np.ix_(interval_of(times, intervals) < 0, columns)] = 0.0
+    return HeldCommands(times[known], values[known], until[known])
+
+
 def held_intervals(switch: Samples, rule: DeadMan | None) -> Array:
     """Intervals during which the switch is held, shape (k, 2), s; the last may have no end."""
     held: Flags = switch.values[:, 0] > (0.5 if rule is None else rule.above)

@@ -76,6 +76,16 @@ def tracks(times: Array, poses: Array, speed: float) -> Rows:
     return labels
 
 
+def leading_zeros(times: Array, poses: Array, speed: float) -> int:
+    """Number of first poses, shape (n, 3), that are all 0 and from which the next one cannot be reached."""
+    count = int(np.argmax(np.any(poses != 0.0, axis=1))) if np.any(poses) else 0
+    if count == 0:
+        return 0
+    reach = max(0.05, NOISE_MARGIN * position_noise(poses[:, :2]))
+    last, first = slice(count - 1, count), slice(count, count + 1)
+    return 0 if _reachable(times[last], poses[last], times[first], poses[first], speed, reach)[0] else count
+
+
 def _reachable(t0: Array, p0: Array, t1: Array, p1: Array, speed: float, reach: float) -> Flags:
     dt, step = t1 - t0, p1 - p0
     turn = np.abs((step[:, 2] + np.pi) % (2 * np.pi) - np.pi)

@@ -13,7 +13,7 @@ import numpy as np
 
 from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.logs.choice import Choice, on_one_clock
+from kraft.logs.choice import Choice, in_any_unit, on_one_clock
 from kraft.logs.cleaning import clean
 from kraft.logs.column_match import written_at
 from kraft.logs.csv_table import read_csv
@@ -39,6 +39,8 @@ def read_logs(
     paths: str | Path | Iterable[str | Path],
     controls: Sequence[str] = CONTROLS,
     mapping: Mapping | None = None,
+    *,
+    any_command_unit: bool = False,
 ) -> LogSet:
     """Read every log in files and folders; a log that cannot be read is a problem of the set.
 
@@ -46,6 +48,8 @@ def read_logs(
         paths: files and folders, see ``docs/logs.md`` for what they may hold.
         controls: names of the vehicle's controls.
         mapping: a mapping file (`load_mapping`), where the names of the columns are not sufficient.
+        any_command_unit: whether commands may be in any unit, as `kraft.sysid.command_units` finds it; otherwise a
+            steering command without a stated unit is in radians, and pulse widths are refused.
 
     Raises:
         InputError: if there is no log at all, or if none can be read; with every problem.  It is a `MismatchError`
@@ -68,7 +72,7 @@ def read_logs(
             continue
         tables += map(heading, found)
         try:
-            read.append(_read(candidate.name, sources, found, controls, stated))
+            read.append(_read(candidate.name, sources, found, controls, stated, any_unit=any_command_unit))
         except DegreesError as error:
             degrees |= error.columns
             problems += error.diagnostics
@@ -97,9 +101,16 @@ def _tables(candidate: Candidate, mapping: Mapping) -> tuple[list[Source], list[
 
 
 def _read(
-    name: str, sources: Sequence[Source], tables: Sequence[Table], controls: Sequence[str], mapping: Mapping
+    name: str,
+    sources: Sequence[Source],
+    tables: Sequence[Table],
+    controls: Sequence[str],
+    mapping: Mapping,
+    *,
+    any_unit: bool,
 ) -> tuple[Log, Choice]:
     choice = on_one_clock(choose(tables, controls, mapping))
+    choice = in_any_unit(choice) if any_unit else choice
     parts, findings = clean(choice, controls, mapping)
     return Log(name, tuple(sources), tuple(controls), parts, findings, str(choice)), choice
 

@@ -80,7 +80,7 @@ def _clock(poses: Samples) -> list[Diagnostic]:
 
 
 def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnostic]:
-    if channel.place is not None or not 500 <= values.min() <= values.max() <= 2500:
+    if channel.any_unit or channel.place is not None or not 500 <= values.min() <= values.max() <= 2500:
         return []
     problem = (
         f"{channel.column!r} goes from {values.min():g} to {values.max():g}: these look like pulse widths of a servo"

@@ -20,9 +20,10 @@ from kraft.sysid.fast_graph import FastGraph
 from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chains
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at_bounds, ignore_iteration, optimise
-from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
+from kraft.sysid.parameters import DELAY_MIN, Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, simulated, starting_point
 from kraft.sysid.result import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit
+from kraft.sysid.screening import turns_before_steered
 from kraft.sysid.selection import (
     candidates_of,
     check_free_parameters,
@@ -80,7 +81,10 @@ def identify(
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
     check_free_parameters(vehicle, settings)
-    estimator = _Estimator(vehicle, model, settings, usable_logs(model, logs), on_iteration)
+    usable = usable_logs(model, logs)
+    if settings.clock_offset is None:
+        settings = replace(settings, clock_offset=-DELAY_MIN if turns_before_steered(usable) else 0.0)
+    estimator = _Estimator(vehicle, model, settings, usable, on_iteration)
     auxiliary = candidates_of(model, settings)
     fit = estimator.fit(estimator.start(auxiliary), settings.iterations)
     if estimator.rescale(fit):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
@@ -15,6 +15,7 @@ from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
 from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions, objections
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
+from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.fast_graph import ensure_compiled
 from kraft.sysid.identify import has_terms, identify
@@ -85,6 +86,7 @@ class SysidResult:
         evaluation: prediction errors with the identified and with the initial values.
         objections: reasons why the parameters must not be used; empty if they may be used.
         seconds: duration of the identification, without reading and predicting.
+        units: found meaning of the numbers of each command; empty for a model whose commands have units.
     """
 
     request: SysidRequest
@@ -95,6 +97,7 @@ class SysidResult:
     evaluation: PredictionEvaluation
     objections: tuple[str, ...]
     seconds: float
+    units: Mapping[str, CommandUnit]
 
 
 def run_sysid(
@@ -117,13 +120,19 @@ def run_sysid(
     """
     base = load_base_vehicle(models_of_cars()[0] if request.model == AUTO else request.model)
     settings = _checked_settings(request, base)
-    logs = read_sysid_logs(request.logs, request.mapping, tuple(base.vehicle.controls), info, warn, detail)
+    auto = request.model == AUTO
+    controls = tuple(base.vehicle.controls)
+    logs = read_sysid_logs(request.logs, request.mapping, controls, info, warn, detail, any_command_unit=auto)
     split = split_logs(logs.logs, request.holdout)
     info(split.note)
+    units = command_units(split.fitted) if auto else {}
+    split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
+    for text in unit_notes(units):
+        info(text)
     ensure_compiled(base.vehicle, base.reference, info)
     began = time.perf_counter()
     try:
-        if request.model == AUTO:
+        if auto:
             for name in models_of_cars():
                 other = load_base_vehicle(name)
                 ensure_compiled(other.vehicle, other.reference, info)
@@ -139,11 +148,20 @@ def run_sysid(
         raise NegativeResult("the parameters cannot be identified from these logs") from None
     identification = replace(
         identification,
-        warnings=(*identification.warnings, *evaluation.warnings, *_unknown_to_planning(request, identification)),
-        notes=(*identification.notes, *(() if has_terms(base.definition) else _excluded_note(base, settings))),
+        warnings=(
+            *identification.warnings,
+            *sign_warnings(units),
+            *evaluation.warnings,
+            *_unknown_to_planning(request, identification),
+        ),
+        notes=(
+            *identification.notes,
+            *unit_notes(units),
+            *(() if has_terms(base.definition) else _excluded_note(base, settings)),
+        ),
     )
     found = objections(identification, evaluation)
-    result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds)
+    result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds, units)
     _draw(result)
     _write(result)
     return result
@@ -310,5 +328,7 @@ def _draw_logs(request: SysidRequest, base: BaseVehicle, split: LogSplit, error:
 def _write(result: SysidResult) -> None:
     request = result.request
     if request.out is not None and not result.objections:
-        record = identification_record(request.model, result.identification, result.split, result.evaluation)
+        record = identification_record(
+            request.model, result.identification, result.split, result.evaluation, result.units
+        )
         write_vehicle(request.out, result.base, result.identification.parameters, record)
