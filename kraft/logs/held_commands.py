@@ -84,7 +84,9 @@ def masked(commands: HeldCommands, columns: Sequence[int], intervals: Array) -> 
     index = np.searchsorted(commands.times, times, side="right") - 1
     values, until = commands.values[index].copy(), commands.until[index]
     known = times <= until  # in a gap of the commands nothing is in force
-    values[np.ix_(interval_of(times, intervals) < 0, columns)] = 0.0
+    released = interval_of(times, intervals) < 0
+    for k in columns:
+        values[released, k] = 0.0
     return HeldCommands(times[known], values[known], until[known])
 
 

@@ -22,8 +22,10 @@ from kraft.sysid.identify import has_terms, identify
 from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification
+from kraft.sysid.screening import check_consistency
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
+from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
 from kraft_cli.work.parameters import parse_parameters
@@ -87,6 +89,7 @@ class SysidResult:
         objections: reasons why the parameters must not be used; empty if they may be used.
         seconds: duration of the identification, without reading and predicting.
         units: found meaning of the numbers of each command; empty for a model whose commands have units.
+        left_out: stretches of logs that no model explains.
     """
 
     request: SysidRequest
@@ -98,6 +101,7 @@ class SysidResult:
     objections: tuple[str, ...]
     seconds: float
     units: Mapping[str, CommandUnit]
+    left_out: tuple[Stretch, ...]
 
 
 def run_sysid(
@@ -127,11 +131,14 @@ def run_sysid(
     info(split.note)
     units = command_units(split.fitted) if auto else {}
     split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
-    for text in unit_notes(units):
-        info(text)
     ensure_compiled(base.vehicle, base.reference, info)
     began = time.perf_counter()
     try:
+        check_consistency(split.fitted)
+        left_out = unexplained_stretches((*split.fitted, *split.held_out))
+        for stretch in left_out:
+            info(f"left out, because no model explains it: {stretch}")
+        split = replace(split, fitted=without(split.fitted, left_out), held_out=without(split.held_out, left_out))
         if auto:
             for name in models_of_cars():
                 other = load_base_vehicle(name)
@@ -161,7 +168,7 @@ def run_sysid(
         ),
     )
     found = objections(identification, evaluation)
-    result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds, units)
+    result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds, units, left_out)
     _draw(result)
     _write(result)
     return result

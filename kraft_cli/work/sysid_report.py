@@ -63,6 +63,7 @@ def sysid_json(result: SysidResult) -> dict[str, Any]:
             name: {"neutral": unit.neutral, "scale": unit.scale, "as_is": unit.as_is}
             for name, unit in result.units.items()
         },
+        "unexplained": [{"log": s.log, "begin_s": s.begin, "end_s": s.end, "what": s.what} for s in result.left_out],
         "wall_s": result.seconds,
         "warnings": list(identification.warnings),
         "notes": list(identification.notes),
