@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.choice import Channel
 from kraft.logs.log import Array, Findings
 from kraft.logs.motion import Chords, agreement, chords
@@ -19,6 +19,8 @@ POSE_INTERVAL_MAX: Final = 2.0
 """Time between poses above which stamps are not in seconds, s."""
 STEERING_MAX: Final = 1.6
 """Steering command above which it is no angle in radians, a little more than a right angle."""
+SWAPPED_OFFSET_MIN: Final = 1.2
+"""Difference of the direction of motion from the negative yaw, rad, above which x and y are swapped: a right angle."""
 _CHORDS_MIN: Final = 5
 
 
@@ -137,6 +139,12 @@ def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
 def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> None:
     if len(path.directions) < _CHORDS_MIN or agreement(path, yaw)[0] > 0.7:
         return
-    mirrored = agreement(path, -yaw)[0] > 0.9
+    follows, offset = agreement(path, -yaw)
+    mirrored = follows > 0.9
+    if mirrored and abs(offset) > SWAPPED_OFFSET_MIN:
+        x, y = (channel.column for channel in poses.stream.channels[:2])
+        problem = f"{x!r} and {y!r} are swapped: the vehicle moves as its yaw says if the first is y"
+        expected = f"write poses: {{x: {y!r}, y: {x!r}}} into a mapping file"
+        raise InputError([poses.diagnostic(problem, expected, code=Code.MISMATCH)])
     why = "it follows when its sign is changed (scale: -1 in a mapping file)" if mirrored else "are x, y and yaw right?"
     findings.add("heading", 1, f"{poses.stream.table.name}: yaw does not follow the direction of motion; {why}")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.screening import Motion, motions
+from kraft.sysid.screening import SPAN, STEP, Motion, motions
 from ompl_ext.arrays import Floats
 
 if TYPE_CHECKING:
@@ -102,14 +102,25 @@ def _throttle(found: Sequence[Motion]) -> CommandUnit:
     if neutral is None:
         neutral = 0.0 if values.min() <= 0.0 <= values.max() or np.abs(values).max() <= THROTTLE_MAX else None
     if neutral is None:  # the car never rests: where its speed would be 0
-        slope, level = np.polyfit(values, speed, 1)
-        neutral = _rounded(-level / slope, values) if slope else float(np.median(values))
+        neutral = _rounded(_throttle_of_no_speed(found), values)
     away = values - neutral
     forward = float(np.sign(np.sum(away * speed))) or 1.0
     largest = float(np.abs(away).max())
     if neutral == 0.0 and forward > 0.0 and largest <= THROTTLE_MAX:
         return CommandUnit()
     return CommandUnit(neutral, float(f"{forward / largest:.4g}") if largest > THROTTLE_MAX or neutral else forward)
+
+
+def _throttle_of_no_speed(found: Sequence[Motion]) -> float:
+    """Throttle that would bring the car to rest, from the change of its speed with throttle and speed."""
+    count, terms, changes = round(SPAN / STEP), [], []
+    for m in found:
+        total = np.concatenate([[0.0], np.cumsum(m.commands()[:-1, 0])])
+        terms.append(np.column_stack([np.ones(len(m.speed) - count), total[count:] - total[:-count], m.speed[:-count]]))
+        changes.append(m.speed[count:] - m.speed[:-count])
+    table = np.concatenate(terms) / [1.0, count, 1.0]
+    level, slope, _ = np.linalg.lstsq(table, np.concatenate(changes), rcond=None)[0]
+    return float(-level / slope) if slope else float(np.mean(table[:, 1]))
 
 
 def _throttle_at_rest(values: Floats, speed: Floats) -> float | None:

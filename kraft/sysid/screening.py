@@ -150,14 +150,18 @@ def check_consistency(logs: Sequence[Log]) -> None:
     Logs without throttle and steering are not checked.
 
     Raises:
-        InputError: if throttle and steering are swapped, if the clocks of commands and poses are apart, or if the logs
-            fall into two groups; with what to do.
+        InputError: if the yaw does not follow the motion, if throttle and steering are swapped, if the clocks of
+            commands and poses are apart, or if the logs fall into two groups; with what to do.
     """
     if not logs or any(not {"throttle", "steering"} <= set(log.controls) for log in logs):
         return
     found = motions(logs)
     if not found:
         return
+    astray = [log for log in logs if any(finding.kind == "heading" for finding in log.findings)]
+    if 2 * len(astray) > len(logs):
+        problem, expected = "the yaw does not follow the direction of motion", "expected x, y and yaw of one pose"
+        raise InputError([Diagnostic(log.name, problem, expected, code=Code.MISMATCH) for log in astray])
     for check in (_check_columns, _check_clock, _check_groups):
         problem = check(found, logs)
         if problem is not None:

@@ -162,9 +162,11 @@ def without(logs: Sequence[Log], stretches: Sequence[Stretch]) -> tuple[Log, ...
     cut = []
     for log in logs:
         own = [s for s in stretches if s.log == log.name]
-        parts = [piece for part in log.parts for piece in _pieces(part, own)] if own else list(log.parts)
-        if parts:
-            cut.append(replace(log, parts=tuple(parts)))
+        parts = tuple(piece for part in log.parts for piece in _pieces(part, own))
+        if not own:
+            cut.append(log)
+        elif parts:
+            cut.append(replace(log, parts=parts))
     return tuple(cut)
 
 

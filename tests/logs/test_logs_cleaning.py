@@ -437,3 +437,9 @@ def test_commands_that_are_recorded_more_often_than_they_are_sent_are_said(
         wide[name] = (0.3 + 0.02 * np.sin(rows))[(np.arange(len(rows)) // every) * every]
     (log,) = read_logs(write_table(tmp_path / "a.csv", list(wide), list(wide.values()))).logs
     assert len([f for f in log.findings if f.kind == "repeated"]) == found
+
+
+def test_swapped_x_and_y_are_refused_with_what_to_write(tmp_path: Path) -> None:
+    problems, message = refused(tmp_path, x=WIDE["y"], y=WIDE["x"])
+    assert problems == ["a.csv mismatch"]
+    assert "write poses: {x: 'y', y: 'x'} into a mapping file" in message
