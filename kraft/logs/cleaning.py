@@ -84,7 +84,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     held = interval_of(poses.times, intervals)
     add_left_out("dead man", poses, held < 0, "while the dead-man switch is released", findings)
     parts = _cut(poses, xyyaw, commands, held, intervals, limits, findings)
-    _check_motion(poses, parts, limits)
+    _check_motion(poses, parts, controls, limits)
     return parts, findings.as_tuple()
 
 
@@ -196,12 +196,14 @@ def _cut(
     )
 
 
-def _check_motion(poses: Samples, parts: tuple[Part, ...], limits: Limits) -> None:
+def _check_motion(poses: Samples, parts: tuple[Part, ...], controls: Sequence[str], limits: Limits) -> None:
     ways = [extent(part.pose_times, part.poses) for part in parts]
     if all(way < limits.least_motion and turn < TURN_MIN for way, turn in ways):
         way = max(way for way, _ in ways)
         expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
-        fact = f"the vehicle moves {way:.2g} m (between means over up to {AVERAGING_TIME:g} s)"
+        most = np.max([np.abs(part.commands).max(axis=0) for part in parts], axis=0)
+        given = " and ".join(f"{name} up to {value:.3g}" for name, value in zip(controls, most, strict=True))
+        fact = f"the vehicle moves {way:.2g} m (between means over up to {AVERAGING_TIME:g} s), with {given}"
         raise poses.refuse(f"there is no motion: {fact}", expected)
 
 

@@ -23,7 +23,7 @@ from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.names import SYNONYMS, control_score
 from kraft.logs.table import Table
-from kraft.logs.unit_checks import DegreesError, assumed_radians
+from kraft.logs.unit_checks import DegreesError, SwappedError, assumed_radians
 from kraft.text import suggestion
 
 CONTROLS: Final = ("throttle", "steering")
@@ -62,6 +62,7 @@ def read_logs(
     candidates, problems = discover([Path(path) for path in given], controls, stated)
     read: list[tuple[Log, Choice]] = []
     degrees: set[tuple[str, str]] = set()
+    swapped: set[tuple[str, str]] = set()
     places, tables, unread = tuple(problems), list[Table](), 0
     for candidate in candidates:
         try:
@@ -76,10 +77,14 @@ def read_logs(
         except DegreesError as error:
             degrees |= error.columns
             problems += error.diagnostics
+        except SwappedError as error:
+            swapped.add(error.columns)
+            problems += error.diagnostics
         except InputError as error:
             problems += error.diagnostics
+    read, turned = _without_swapped(read, swapped)
     logs, alike = _without_degrees(read, degrees)
-    problems += alike
+    problems += [*turned, *alike]
     if not logs:
         # a log that cannot be read may have the column
         if not unread and tables and (wrong := mapping_mismatch(_common(candidates), tables, controls, stated)):
@@ -150,6 +155,22 @@ def _bag(path: Path, mapping: Mapping) -> tuple[list[Source], list[Table]]:
 def _hashed(path: Path) -> Source:
     with path.open("rb") as file:
         return Source(str(path), hashlib.file_digest(file, "sha256").hexdigest())
+
+
+def _without_swapped(
+    read: Sequence[tuple[Log, Choice]], columns: set[tuple[str, str]]
+) -> tuple[list[tuple[Log, Choice]], list[Diagnostic]]:
+    """Leave out logs whose x and y are swapped in other logs, even if a straight drive does not reveal it."""
+    kept, problems = [], []
+    for log, choice in read:
+        x, y = (channel.column for channel in choice.poses.channels[:2])
+        if (x, y) in columns:
+            problem = f"{x!r} and {y!r} are swapped in other logs"
+            expected = f"write poses: {{x: {y!r}, y: {x!r}}} into a mapping file"
+            problems.append(choice.poses.table.diagnostic(problem, expected, code=Code.MISMATCH))
+        else:
+            kept.append((log, choice))
+    return kept, problems
 
 
 def _without_degrees(

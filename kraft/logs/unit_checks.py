@@ -35,6 +35,14 @@ class DegreesError(InputError):
         self.columns = frozenset(columns)
 
 
+class SwappedError(InputError):
+    """The columns of x and y are swapped; so are the same columns of other logs."""
+
+    def __init__(self, diagnostics: Iterable[Diagnostic], columns: tuple[str, str]) -> None:
+        super().__init__(diagnostics)
+        self.columns = columns
+
+
 def assumed_radians(channel: Channel) -> bool:
     """Whether radians are only assumed for a column."""
     return channel.unit == "rad" and not (channel.place is not None and channel.stated)
@@ -45,6 +53,7 @@ def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, fin
 
     Raises:
         DegreesError: if yaw or steering are in degrees and neither name nor mapping file states it.
+        SwappedError: if x and y are swapped.
         InputError: if another unit is wrong.
     """
     problems = _clock(poses)
@@ -145,6 +154,6 @@ def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> No
         x, y = (channel.column for channel in poses.stream.channels[:2])
         problem = f"{x!r} and {y!r} are swapped: the vehicle moves as its yaw says if the first is y"
         expected = f"write poses: {{x: {y!r}, y: {x!r}}} into a mapping file"
-        raise InputError([poses.diagnostic(problem, expected, code=Code.MISMATCH)])
+        raise SwappedError([poses.diagnostic(problem, expected, code=Code.MISMATCH)], (x, y))
     why = "it follows when its sign is changed (scale: -1 in a mapping file)" if mirrored else "are x, y and yaw right?"
     findings.add("heading", 1, f"{poses.stream.table.name}: yaw does not follow the direction of motion; {why}")

@@ -78,7 +78,7 @@ def warnings_of(solution: Solution, *, windows: bool = False) -> tuple[str, ...]
     With `windows`, those of a fit of open-loop windows: its residuals are the model's errors and no noise, and how well
     its terms are known shows in its predictions.
     """
-    checks: list[Callable[[Solution], Iterator[str]]] = [_convergence, _steering, _bounds, _negative_delay]
+    checks: list[Callable[[Solution], Iterator[str]]] = [_convergence, _steering, _throttle, _bounds, _negative_delay]
     if not windows:
         checks += [_unidentified, _unbounded, _correlation, _residuals, _disagreement]
     return tuple(warning for check in checks for warning in check(solution))
@@ -124,6 +124,15 @@ def _bounds(solution: Solution) -> Iterator[str]:
             f"{name} is at its {which} bound {bound:g} {spec.unit}".rstrip()
             + ": widen the bound if it is wrong; otherwise the model lacks an effect that the parameter compensates for"
         )
+
+
+def _throttle(solution: Solution) -> Iterator[str]:
+    controls = list(solution.problem.parameters.vehicle.controls)
+    if "throttle" in controls:
+        k = controls.index("throttle")
+        values = np.concatenate([s.part.commands[:, k] for s in solution.problem.chains.segments])
+        if np.ptp(values) == 0.0:
+            yield f"the throttle is always {values[0]:g}: drive {_THROTTLE_LEVELS}"
 
 
 def _negative_delay(solution: Solution) -> Iterator[str]:

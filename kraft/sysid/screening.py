@@ -160,8 +160,8 @@ def check_consistency(logs: Sequence[Log]) -> None:
         return
     astray = [log for log in logs if any(finding.kind == "heading" for finding in log.findings)]
     if 2 * len(astray) > len(logs):
-        problem, expected = "the yaw does not follow the direction of motion", "expected x, y and yaw of one pose"
-        raise InputError([Diagnostic(log.name, problem, expected, code=Code.MISMATCH) for log in astray])
+        what, expected = "the yaw does not follow the direction of motion", "expected x, y and yaw of one pose"
+        raise InputError([Diagnostic(log.name, what, expected, code=Code.MISMATCH) for log in astray])
     for check in (_check_columns, _check_clock, _check_groups):
         problem = check(found, logs)
         if problem is not None:

@@ -13,7 +13,12 @@ from kraft.errors import Code, Diagnostic, InputError, NegativeResult
 from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
-from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions, objections
+from kraft.sysid.acceptance import (
+    PredictionEvaluation,
+    evaluate_predictions,
+    objections,
+    replacement_objections,
+)
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, split_logs
@@ -28,6 +33,7 @@ from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
+from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
@@ -130,15 +136,16 @@ def run_sysid(
     split = split_logs(logs.logs, request.holdout)
     info(split.note)
     units = command_units(split.fitted) if auto else {}
+    recorded = split.held_out
     split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
-    ensure_compiled(base.vehicle, base.reference, info)
-    began = time.perf_counter()
     try:
         check_consistency(split.fitted)
         left_out = unexplained_stretches((*split.fitted, *split.held_out))
         for stretch in left_out:
             info(f"left out, because no model explains it: {stretch}")
         split = replace(split, fitted=without(split.fitted, left_out), held_out=without(split.held_out, left_out))
+        ensure_compiled(base.vehicle, base.reference, info)
+        began = time.perf_counter()
         if auto:
             for name in models_of_cars():
                 other = load_base_vehicle(name)
@@ -168,6 +175,14 @@ def run_sysid(
         ),
     )
     found = objections(identification, evaluation)
+    if request.out is not None and request.out.exists() and not found:
+        before = load_vehicle_config(str(request.out))
+        record = before.identification
+        scales = record.commands or {} if record else {}
+        known = {name: CommandUnit(c.neutral, c.scale) for name, c in scales.items()}
+        as_before = with_units(recorded, {name: known.get(name, CommandUnit()) for name in controls})
+        as_before = without(as_before, left_out)
+        found = replacement_objections(before, str(request.out), as_before, evaluation, settings)
     result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds, units, left_out)
     _draw(result)
     _write(result)
