@@ -22,20 +22,20 @@ from kraft.logs.findings import (
     add_wraps,
     add_zeros,
 )
-from kraft.logs.held_commands import (
+from kraft.logs.log import Array, Finding, Findings, Part
+from kraft.logs.mapping import Limits, Mapping
+from kraft.logs.motion import AVERAGING_TIME, OUTLIER, extent, leading_zeros, stale, top_speed, tracks
+from kraft.logs.samples import (
     GAP_MIN,
     GAP_STEPS,
     HeldCommands,
+    Samples,
     held_intervals,
     interval_of,
     masked,
     merge_commands,
+    read_samples,
 )
-from kraft.logs.log import Array, Finding, Findings, Part
-from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGING_TIME, extent
-from kraft.logs.outliers import OUTLIER, leading_zeros, stale, top_speed, tracks
-from kraft.logs.samples import Samples, read_samples
 from kraft.logs.table import Flags, Rows
 from kraft.logs.unit_checks import check_units
 from kraft.text import counted

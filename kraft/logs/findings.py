@@ -8,11 +8,10 @@ from typing import Final
 import numpy as np
 
 from kraft.logs.choice import Choice
-from kraft.logs.held_commands import HeldCommands, timeout
 from kraft.logs.log import Array, Findings
 from kraft.logs.mapping import Limits
-from kraft.logs.outliers import OUTLIER
-from kraft.logs.samples import Samples
+from kraft.logs.motion import OUTLIER
+from kraft.logs.samples import HeldCommands, Samples, timeout
 from kraft.logs.table import Flags, Rows
 from kraft.text import counted
 

@@ -10,8 +10,7 @@ from support.logs import Drive, drive, located, wide_columns, wrapped, write_pai
 
 from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
-from kraft.logs.motion import extent
-from kraft.logs.outliers import tracks
+from kraft.logs.motion import extent, tracks
 from kraft.logs.reader import read_logs
 
 MADE = drive()

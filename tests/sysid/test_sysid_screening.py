@@ -9,17 +9,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.disturbances import Disturbance, drive
 from benchmarks.synthetic_logs import synthetic_logs
 from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
 from kraft.sysid import identify, prediction_errors
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
-from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.parameters import speed_index
 from kraft.sysid.screening import check_consistency
 from kraft.sysid.unexplained import unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
-from kraft.vehicles.load import load_vehicle
 
 TRUTH = {"L": 0.3, "v_delta": 0.9, "tau": 0.5}
 Change = Callable[[np.ndarray], np.ndarray]
@@ -142,35 +140,10 @@ def test_a_yaw_of_something_else_is_refused() -> None:
     assert [problem.file for problem in error.value.diagnostics] == [log.name for log in logs()]
 
 
-STEP = 0.02
-TIMES = np.arange(0.0, 24.0, STEP)
-
-
-def disturbed(seed: int, kind: str = "", begin: float = 9.0, end: float = 11.0) -> Log:
-    """A drive of `mushr-lag` with something that no command explains from `begin` to `end`."""
-    vehicle = load_vehicle("mushr-lag", parameters=TRUTH)
-    model, speed = DiscreteModel(vehicle), speed_index(vehicle)
-    rng = np.random.default_rng(seed)
-    levels = np.repeat(rng.uniform([0.5, -0.3], [1.0, 0.3], (len(TIMES) // 60 + 1, 2)), 60, axis=0)[: len(TIMES)]
-    states, values = np.zeros((len(TIMES), len(vehicle.state))), vehicle.parameter_array[None]
-    for k in range(1, len(TIMES)):
-        command = np.ascontiguousarray(levels[k - 1][None, None])
-        state = model.simulate(states[k - 1][None], command, values, np.array([STEP]))[-1, 0]
-        if begin <= TIMES[k] < end and kind == "held":
-            state[:3], state[speed] = states[k - 1][:3], 0.0
-        elif begin <= TIMES[k] < end and kind == "carried":
-            state[:3], state[speed] = states[k - 1][:3] + STEP * np.array([0.4, -0.3, 0.5]), 0.0
-        elif begin <= TIMES[k] < end and kind == "pushed":
-            state[speed] = 1.6
-        elif begin <= TIMES[k] < end and kind == "turned":
-            state[2] = states[k - 1][2] + 1.2 * STEP
-        states[k] = state
-    poses = states[:, :3] + rng.normal(0.0, [0.003, 0.003, 0.01], (len(TIMES), 3))
-    if kind == "glitch":
-        bump = np.where((begin <= TIMES) & (end > TIMES), np.sin(np.pi * (TIMES - begin) / (end - begin)), 0.0)
-        poses += bump[:, None] * [0.25, -0.2, 0.3]
-    part = replace(logs()[0].parts[0], command_times=TIMES, commands=levels, pose_times=TIMES, poses=poses)
-    return replace(logs()[0], name=f"{kind or 'good'}-{seed}", parts=(part,))
+def disturbed(seed: int, kind: str = "") -> Log:
+    """A drive of `mushr-lag`, with something that no command explains from 9 to 11 s."""
+    given = (Disturbance(kind, 9.0, 11.0),) if kind else ()
+    return drive(f"{kind or 'good'}-{seed}", "mushr-lag", seed, given, seconds=24.0)
 
 
 @cache
