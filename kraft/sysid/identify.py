@@ -82,8 +82,7 @@ def identify(
     check_settings(vehicle, settings)
     check_free_parameters(vehicle, settings)
     usable = usable_logs(model, logs)
-    if settings.clock_offset is None:
-        settings = replace(settings, clock_offset=-DELAY_MIN if turns_before_steered(usable) else 0.0)
+    settings = _with_clock_offset(settings, usable)
     estimator = _Estimator(vehicle, model, settings, usable, on_iteration)
     auxiliary = candidates_of(model, settings)
     fit = estimator.fit(estimator.start(auxiliary), settings.iterations)
@@ -141,6 +140,7 @@ def identify_terms(
     check_settings(vehicle, settings)
     usable = usable_logs(vehicle_of(vehicle), logs)
     _check_controls(vehicle_of(vehicle), usable)
+    settings = _with_clock_offset(settings, usable)
     search = StructureSearch(vehicle, usable, settings, on_iteration)
     path = search.path()
     best = search.converged(chosen(path))
@@ -156,6 +156,13 @@ def identify_terms(
     identification = _identified(best, search, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
     return ModelChoice(vehicle, replace(identification, trials=rows))
+
+
+def _with_clock_offset(settings: Settings, logs: Sequence[Log]) -> Settings:
+    """Settings that allow a negative delay where the logs show it; elsewhere it would stand for what a model lacks."""
+    if settings.clock_offset is not None:
+        return settings
+    return replace(settings, clock_offset=-DELAY_MIN if turns_before_steered(logs) else 0.0)
 
 
 def _check_controls(model: Vehicle, logs: Sequence[Log]) -> None:

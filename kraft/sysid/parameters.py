@@ -117,10 +117,7 @@ def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, auxiliar
         InputError: if a value in the settings is outside the bounds.
     """
     every = [_with_value(spec, settings.values) for spec in parameter_specs(vehicle, auxiliary)]
-    ahead = settings.clock_offset
-    if ahead is None:  # a model with terms is judged by its predictions, so that a delay cannot stand for what it lacks
-        terms = any(spec.neutral is not None for spec in every if spec.name not in auxiliary)
-        ahead = -DELAY_MIN if terms else 0.0
+    ahead = settings.clock_offset or 0.0
     specs = tuple(replace(s, min=max(s.min, min(-ahead, s.value))) if s.name == "delay" else s for s in every)
     frozen = frozenset(spec.name for spec in specs if spec.fixed or spec.name in settings.frozen)
     return Parameters(vehicle_of(vehicle), specs, frozen)

@@ -19,7 +19,7 @@ from kraft.sysid.acceptance import (
     objections,
     replacement_objections,
 )
-from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
+from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded_commands
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.fast_graph import ensure_compiled
@@ -152,6 +152,10 @@ def run_sysid(
                 ensure_compiled(other.vehicle, other.reference, info)
             model = identify_car(split.fitted, settings, ProgressReporter(info))
             base, identification = model.base, model.identification
+            if has_terms(base.definition) and all(u.neutral == 0.0 < u.scale for u in units.values()):
+                factors = {name: unit.scale for name, unit in units.items()}
+                base, identification = with_recorded_commands(base, identification, factors)
+                split, units = _restored(split, units), {name: CommandUnit() for name in units}
         else:
             identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
         seconds = time.perf_counter() - began
@@ -187,6 +191,12 @@ def run_sysid(
     _draw(result)
     _write(result)
     return result
+
+
+def _restored(split: LogSplit, units: Mapping[str, CommandUnit]) -> LogSplit:
+    """The split with commands as they were recorded, for units without a neutral value."""
+    back = {name: CommandUnit(0.0, 1.0 / unit.scale) for name, unit in units.items()}
+    return replace(split, fitted=with_units(split.fitted, back), held_out=with_units(split.held_out, back))
 
 
 def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
