@@ -47,6 +47,8 @@ HISTORY: Final = 1.0
 POSES_MIN: Final = 3
 MOVED_MIN: Final = 0.2
 """Least distance at which a vehicle moves while commands of 0 are recorded, m."""
+MASKED_LOW_MAX: Final = 10.0
+"""Lowest number of a control up to which 0 may be its neutral one."""
 ALWAYS: Final = np.array([[-np.inf, np.inf]])
 """Interval of a dead-man switch that is always held."""
 UPRIGHT_COSINE_MIN: Final = 0.7
@@ -78,6 +80,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     intervals = _held(choice, mapping, origin, findings)
     if mapping.dead_man is not None and mapping.dead_man.masks is not None:
         columns = [list(controls).index(name) for name in mapping.dead_man.masks]
+        _check_masked(commands, columns, controls, mapping)
         before, commands = commands, masked(commands, columns, intervals)
         add_masked(before, commands, poses, mapping.dead_man.masks, findings)
         intervals = ALWAYS
@@ -142,6 +145,17 @@ def _sent(samples: Samples, times: Array, xyyaw: Array, findings: Findings) -> S
 def _check_number(poses: Samples, only: str) -> None:
     if len(poses) < POSES_MIN:
         raise poses.refuse(f"{only} {counted(len(poses), 'pose')}", f"expected {POSES_MIN} or more", 0)
+
+
+def _check_masked(commands: HeldCommands, columns: Sequence[int], controls: Sequence[str], mapping: Mapping) -> None:
+    """Refuse to mask numbers of which 0 cannot be the neutral one, such as pulse widths."""
+    for k in columns:
+        low, high = float(commands.values[:, k].min()), float(commands.values[:, k].max())
+        stated = mapping.commands.controls.get(controls[k])
+        if low > max(high - low, MASKED_LOW_MAX) and (stated is None or stated.zero == 0.0):
+            problem = f"sets {controls[k]} to 0, and its numbers are from {low:g} to {high:g}"
+            expected = f"state its neutral number, commands.controls.{controls[k]}: {{column: ..., zero: ...}}"
+            raise InputError([mapping.source.diagnostic(("dead_man", "masks"), problem, expected)])
 
 
 def _check_overlap(commands: HeldCommands, poses: Samples, choice: Choice) -> None:

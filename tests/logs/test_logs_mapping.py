@@ -299,6 +299,20 @@ def test_a_switch_may_act_on_the_throttle_alone(tmp_path: Path) -> None:
     assert len(read_logs(path).logs[0].parts) == 2  # without the mapping file the log does not count meanwhile
 
 
+def test_pulse_widths_are_masked_only_with_their_neutral_number(tmp_path: Path) -> None:
+    columns = {**WIDE, "throttle": 1500.0 + 400.0 * WIDE["throttle"], "dead_man": (TIMES < 3.0).astype(float)}
+    switch = "dead_man: {column: dead_man, masks: [throttle]}\n"
+    path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
+    with pytest.raises(InputError) as error:
+        read_logs(path, mapping=mapping_of(tmp_path, switch), any_command_unit=True)
+    (problem,) = error.value.diagnostics
+    assert (problem.line, problem.path) == (1, "dead_man.masks")
+    assert "zero" in problem.expected
+    stated = switch + "commands: {controls: {throttle: {column: throttle, zero: 1500}}}\n"
+    (part,) = read_logs(path, mapping=mapping_of(tmp_path, stated), any_command_unit=True).logs[0].parts
+    assert part.commands[-1, 0] == 0.0
+
+
 def test_a_switch_between_two_commands_acts_at_its_own_time(tmp_path: Path) -> None:
     made = drive()
     write_table(
