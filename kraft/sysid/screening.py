@@ -41,9 +41,13 @@ SWAPPED_LEAST, SWAPPED_RATIO = 0.3, 0.75
 """Share of both motions that swapped commands explain in addition, at least, and of what is left by them, at most."""
 OFFSET_LEAST, OFFSET_RATIO = 0.2, 0.6
 """The same for commands at another time."""
+OFFSET_WIDTH: Final = 1.0
+"""Time from the found offset at which commands must explain less, s."""
 AVERAGED: Final = 0.6
 """Time over which the yaw rate of different logs is compared, s."""
 GROUP_LOGS_MIN: Final = 4
+GROUP_TIME_MIN: Final = 20.0
+"""Least duration of the logs of a group, s: a few seconds may differ by chance."""
 GROUP_ROUNDS: Final = 20
 GROUP_DELAYS: Final = (0.1, 0.3)
 """Delays of the response with which groups are sought, s: that of a mixture would say nothing about either."""
@@ -189,6 +193,9 @@ def _check_clock(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | None
     far, delay = _least(found, FAR_DELAYS)
     if near - far < OFFSET_LEAST or far > OFFSET_RATIO * near:
         return None
+    beside, _delay = _least(found, (delay - OFFSET_WIDTH, delay + OFFSET_WIDTH))
+    if beside - far < 0.5 * OFFSET_LEAST:  # slow ramps are explained by commands of any time
+        return None
     _error, delay = _least(found, delay + STEP * np.arange(-4.0, 5.0, dtype=np.float64))
     offset = USUAL_DELAY - delay
     problem = (
@@ -231,7 +238,9 @@ def _check_groups(found: Sequence[Motion], logs: Sequence[Log]) -> Diagnostic | 
         normal = min(tried, key=lambda each: _two_groups(each)[1])
         one = normal.cost(np.ones(len(logs), bool)).sum()
         first, two = _two_groups(normal)
-        fair = 2 <= first.sum() <= len(logs) - 2
+        times = np.bincount([m.log for m in found], [len(m.times) * STEP for m in found], len(logs))
+        long = min(times[first].sum(), times[~first].sum()) >= GROUP_TIME_MIN
+        fair = long and 2 <= first.sum() <= len(logs) - 2
         if fair and one - two >= least * normal.square.sum() and two <= most * one:
             sides = [
                 ", ".join(log.name for log, own in zip(logs, first == k, strict=True) if own) for k in (True, False)
