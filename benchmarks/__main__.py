@@ -32,6 +32,7 @@ TOPICS = (
     "changes",
     "arenas",
     "sysid",
+    "disturbances",
     "sensing",
 )
 NEEDS_OUT = ("peers",)

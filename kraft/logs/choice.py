@@ -31,6 +31,7 @@ class Channel:
         stated: whether the name or the mapping file states the unit; otherwise it is the expected one.
         place: where the mapping file names it, for errors; None if it was guessed.
         note: remark for the line of text.
+        any_unit: whether its numbers may be in a unit that `unit` does not state.
     """
 
     role: str
@@ -41,6 +42,7 @@ class Channel:
     stated: bool = False
     place: Diagnostic | None = None
     note: str = ""
+    any_unit: bool = False
 
     def values(self, table: Table) -> Array:
         """Numbers in SI units and radians, shape (n,)."""
@@ -146,6 +148,18 @@ def on_one_clock(choice: Choice) -> Choice:
         poses=_by_recorder(choice.poses, note),
         dead_man=None if dead_man is None else _by_recorder(dead_man, note),
     )
+
+
+def in_any_unit(choice: Choice) -> Choice:
+    """Leave open what the numbers of commands mean, where neither name nor mapping file states it."""
+    streams = tuple(
+        replace(
+            stream,
+            channels=tuple(c if c.stated else replace(c, unit="1", any_unit=True) for c in stream.channels),
+        )
+        for stream in choice.commands
+    )
+    return replace(choice, commands=streams)
 
 
 def _lag(stream: Stream) -> float:

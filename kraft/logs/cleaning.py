@@ -14,17 +14,28 @@ from kraft.logs.findings import (
     add_command_gaps,
     add_dropouts,
     add_left_out,
+    add_masked,
     add_pose_gaps,
+    add_repeated_commands,
     add_teleports,
     add_uncommanded,
     add_wraps,
+    add_zeros,
 )
-from kraft.logs.held_commands import GAP_MIN, GAP_STEPS, HeldCommands, held_intervals, interval_of, merge_commands
 from kraft.logs.log import Array, Finding, Findings, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGING_TIME, extent
-from kraft.logs.outliers import OUTLIER, stale, top_speed, tracks
-from kraft.logs.samples import Samples, read_samples
+from kraft.logs.motion import AVERAGING_TIME, OUTLIER, extent, leading_zeros, stale, top_speed, tracks
+from kraft.logs.samples import (
+    GAP_MIN,
+    GAP_STEPS,
+    HeldCommands,
+    Samples,
+    held_intervals,
+    interval_of,
+    masked,
+    merge_commands,
+    read_samples,
+)
 from kraft.logs.table import Flags, Rows
 from kraft.logs.unit_checks import check_units
 from kraft.text import counted
@@ -34,6 +45,12 @@ TURN_MIN: Final = 0.2
 HISTORY: Final = 1.0
 """Time before the first pose of a part from which commands are kept, s: they may take effect with a delay."""
 POSES_MIN: Final = 3
+MOVED_MIN: Final = 0.2
+"""Least distance at which a vehicle moves while commands of 0 are recorded, m."""
+MASKED_LOW_MAX: Final = 10.0
+"""Lowest number of a control up to which 0 may be its neutral one."""
+ALWAYS: Final = np.array([[-np.inf, np.inf]])
+"""Interval of a dead-man switch that is always held."""
 UPRIGHT_COSINE_MIN: Final = 0.7
 """Cosine of the tilt below which the vehicle is not upright."""
 
@@ -50,6 +67,8 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     poses, xyyaw = planar(poses, findings)
     _check_number(poses, "has an orientation in only")
     check_units(streams, poses, xyyaw, findings)
+    poses, xyyaw = _without_zeros(poses, xyyaw, limits, findings)
+    streams = tuple(_sent(samples, poses.times, xyyaw, findings) for samples in streams)
     commands = merge_commands(streams, controls, limits)
     _check_overlap(commands, poses, choice)
     add_dropouts(poses, pose_gap(poses.times, limits), findings)
@@ -57,9 +76,18 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     add_left_out("stale", poses, repeated, "repeat the one before while the vehicle moves", findings)
     poses, xyyaw = poses.keep(~repeated), xyyaw[~repeated]
     add_command_gaps(streams, limits, findings)
-    held, intervals = _held(choice, poses, mapping, origin, findings)
+    add_repeated_commands(streams, findings)
+    intervals = _held(choice, mapping, origin, findings)
+    if mapping.dead_man is not None and mapping.dead_man.masks is not None:
+        columns = [list(controls).index(name) for name in mapping.dead_man.masks]
+        _check_masked(commands, columns, controls, mapping)
+        before, commands = commands, masked(commands, columns, intervals)
+        add_masked(before, commands, poses, mapping.dead_man.masks, findings)
+        intervals = ALWAYS
+    held = interval_of(poses.times, intervals)
+    add_left_out("dead man", poses, held < 0, "while the dead-man switch is released", findings)
     parts = _cut(poses, xyyaw, commands, held, intervals, limits, findings)
-    _check_motion(poses, parts, limits)
+    _check_motion(poses, parts, controls, limits)
     return parts, findings.as_tuple()
 
 
@@ -86,9 +114,48 @@ def _read(choice: Choice, findings: Findings) -> tuple[tuple[Samples, ...], Samp
     return tuple(streams), poses, origin
 
 
+def _without_zeros(poses: Samples, xyyaw: Array, limits: Limits, findings: Findings) -> tuple[Samples, Array]:
+    """Poses without the zeros that a recorder writes before the first one is measured."""
+    count = leading_zeros(poses.times, xyyaw, limits.top_speed or top_speed(poses.times, xyyaw[:, :2]))
+    add_zeros(poses, count, "pose", findings)
+    kept = np.arange(len(poses)) >= count
+    return (poses.keep(kept), xyyaw[kept]) if count else (poses, xyyaw)
+
+
+def _sent(samples: Samples, times: Array, xyyaw: Array, findings: Findings) -> Samples:
+    """Commands without the zeros that a recorder writes before the first one is sent.
+
+    A vehicle at rest may well be commanded 0; zeros count as not sent if the vehicle moves meanwhile, or if they are
+    far from all other commands, as for pulse widths.
+    """
+    raw = np.column_stack([samples.stream.table.columns[c.column] for c in samples.stream.channels])[samples.index]
+    if not raw[0].any():
+        count = int(np.argmax(np.any(raw != 0.0, axis=1)))  # 0 if all are
+        rest = raw[count:]
+        low, high = rest.min(axis=0), rest.max(axis=0)
+        far = (np.maximum(low, -high) > high - low).all() and (high > low).any()
+        meanwhile = xyyaw[(times >= samples.times[0]) & (times < samples.times[count])]
+        moved = len(meanwhile) > 1 and float(np.hypot(*np.ptp(meanwhile[:, :2], axis=0))) > MOVED_MIN
+        if count and (far or moved):
+            add_zeros(samples, count, "command", findings)
+            return samples.keep(np.arange(len(samples)) >= count)
+    return samples
+
+
 def _check_number(poses: Samples, only: str) -> None:
     if len(poses) < POSES_MIN:
         raise poses.refuse(f"{only} {counted(len(poses), 'pose')}", f"expected {POSES_MIN} or more", 0)
+
+
+def _check_masked(commands: HeldCommands, columns: Sequence[int], controls: Sequence[str], mapping: Mapping) -> None:
+    """Refuse to mask numbers of which 0 cannot be the neutral one, such as pulse widths."""
+    for k in columns:
+        low, high = float(commands.values[:, k].min()), float(commands.values[:, k].max())
+        stated = mapping.commands.controls.get(controls[k])
+        if low > max(high - low, MASKED_LOW_MAX) and (stated is None or stated.zero == 0.0):
+            problem = f"sets {controls[k]} to 0, and its numbers are from {low:g} to {high:g}"
+            expected = f"state its neutral number, commands.controls.{controls[k]}: {{column: ..., zero: ...}}"
+            raise InputError([mapping.source.diagnostic(("dead_man", "masks"), problem, expected)])
 
 
 def _check_overlap(commands: HeldCommands, poses: Samples, choice: Choice) -> None:
@@ -107,15 +174,12 @@ def _check_overlap(commands: HeldCommands, poses: Samples, choice: Choice) -> No
     raise poses.refuse(fact, expected)
 
 
-def _held(choice: Choice, poses: Samples, mapping: Mapping, origin: float, findings: Findings) -> tuple[Rows, Array]:
-    """Interval of the dead-man switch that each pose is in, shape (n,), and the intervals, shape (k, 2), s."""
+def _held(choice: Choice, mapping: Mapping, origin: float, findings: Findings) -> Array:
+    """Intervals during which the dead-man switch is held, shape (k, 2), s."""
     if choice.dead_man is None:
-        return np.zeros(len(poses), np.int64), np.array([[-np.inf, np.inf]])
+        return ALWAYS
     switch = read_samples("switch positions", choice.dead_man, findings).shifted(origin)
-    intervals = held_intervals(switch, mapping.dead_man)
-    held = interval_of(poses.times, intervals)
-    add_left_out("dead man", poses, held < 0, "while the dead-man switch is released", findings)
-    return held, intervals
+    return held_intervals(switch, mapping.dead_man)
 
 
 def _cut(
@@ -146,12 +210,14 @@ def _cut(
     )
 
 
-def _check_motion(poses: Samples, parts: tuple[Part, ...], limits: Limits) -> None:
+def _check_motion(poses: Samples, parts: tuple[Part, ...], controls: Sequence[str], limits: Limits) -> None:
     ways = [extent(part.pose_times, part.poses) for part in parts]
     if all(way < limits.least_motion and turn < TURN_MIN for way, turn in ways):
         way = max(way for way, _ in ways)
         expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
-        fact = f"the vehicle moves {way:.2g} m (between means over up to {AVERAGING_TIME:g} s)"
+        most = np.max([np.abs(part.commands).max(axis=0) for part in parts], axis=0)
+        given = " and ".join(f"{name} up to {value:.3g}" for name, value in zip(controls, most, strict=True))
+        fact = f"the vehicle moves {way:.2g} m (between means over up to {AVERAGING_TIME:g} s), with {given}"
         raise poses.refuse(f"there is no motion: {fact}", expected)
 
 

@@ -8,14 +8,21 @@ from typing import Final
 import numpy as np
 
 from kraft.logs.choice import Choice
-from kraft.logs.held_commands import HeldCommands, timeout
 from kraft.logs.log import Array, Findings
 from kraft.logs.mapping import Limits
-from kraft.logs.outliers import OUTLIER
-from kraft.logs.samples import Samples
+from kraft.logs.motion import OUTLIER
+from kraft.logs.samples import HeldCommands, Samples, timeout
 from kraft.logs.table import Flags, Rows
 from kraft.text import counted
 
+REPEATED_ROWS: Final = 3
+"""Rows between two changes of the commands from which they are recorded more often than sent."""
+REGULAR_RATIO: Final = 1.5
+"""Ratio of the usual time between two changes of the commands to the shortest, up to which they are sent at a rate."""
+REFRESH_MAX: Final = 0.5
+"""Longest time between two commands that are sent at a rate, s."""
+CHANGES_MIN: Final = 10
+"""Number of changes that shows how often commands are sent."""
 DROPOUT_STEPS: Final = 1.6
 """Poses are missing where the next one comes later than this many usual steps."""
 
@@ -58,6 +65,46 @@ def add_command_gaps(streams: Sequence[Samples], limits: Limits, findings: Findi
     for samples in streams:
         steps = np.diff(samples.times)
         _add_gaps("command gap", "commands", samples, steps > timeout(samples.times, limits), steps, findings)
+
+
+def add_repeated_commands(streams: Sequence[Samples], findings: Findings) -> None:
+    """Add commands that are recorded more often than they are sent, so that a change is older than its record."""
+    for samples in streams:
+        changed = np.flatnonzero(np.any(np.diff(samples.values, axis=0) != 0.0, axis=1)) + 1
+        if len(changed) <= CHANGES_MIN:
+            continue
+        apart, usual = np.quantile(np.diff(changed), (0.05, 0.5))
+        step = float(np.median(np.diff(samples.times)))
+        regular = usual <= REGULAR_RATIO * apart and apart * step <= REFRESH_MAX  # no manoeuvre of few changes
+        if apart >= REPEATED_ROWS and regular:
+            text = (
+                f"commands are recorded every {step:.2g} s and change every {apart * step:.2g} s at most: a change may "
+                "be older than its record by as much; nothing is left out"
+            )
+            findings.add("repeated", len(samples) - len(changed), text)
+
+
+def add_zeros(samples: Samples, count: int, what: str, findings: Findings) -> None:
+    """Add zeros at the beginning that were recorded before the first message."""
+    if count:
+        text = f"the first {counted(count, what)} of {len(samples)} are 0, before there was a first one, from "
+        findings.add("zeros", count, f"{text}{samples.where(0)} on; left out")
+
+
+def add_masked(
+    before: HeldCommands, after: HeldCommands, poses: Samples, names: Sequence[str], findings: Findings
+) -> None:
+    """Add controls that are 0 because the dead-man switch is released."""
+    index = before.in_force(poses.times), after.in_force(poses.times)
+    known = (index[0] >= 0) & (index[1] >= 0)
+    bad = np.zeros(len(poses), bool)
+    bad[known] = np.any(before.values[index[0][known]] != after.values[index[1][known]], axis=1)
+    if bad.any():
+        first = poses.where(int(np.argmax(bad)))
+        text = (
+            f"{', '.join(names)} is 0 at {int(bad.sum())} of {len(poses)} poses, while the dead-man switch is released"
+        )
+        findings.add("dead man", int(bad.sum()), f"{text}, first in {first}; nothing is left out")
 
 
 def _add_gaps(kind: str, what: str, samples: Samples, long: Flags, steps: Array, findings: Findings) -> None:

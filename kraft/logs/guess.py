@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Final, TypeVar
 
+from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.choice import Channel, Choice, Stream
 from kraft.logs.column_match import MAPPING_HINT, ColumnMatch, ColumnMatcher, missing_columns
@@ -184,16 +185,21 @@ def match_commands(table: Table, controls: Sequence[str], mapping: Mapping) -> T
 
 
 def unknown_controls(controls: Sequence[str], mapping: Mapping) -> list[Diagnostic]:
-    """Controls with a column in the mapping file that the vehicle does not have."""
+    """Controls that the mapping file names, for a column or the dead man, and that the vehicle does not have."""
+    masks = mapping.dead_man.masks or () if mapping.dead_man else ()
+    named: list[tuple[KeyPath, str, bool]] = [
+        *((("commands", "controls", name), name, True) for name in mapping.commands.controls),
+        *((("dead_man", "masks", i), name, False) for i, name in enumerate(masks)),
+    ]
     return [
         mapping.source.diagnostic(
-            ("commands", "controls", name),
-            "is not a control of the vehicle",
+            path,
+            "is not a control of the vehicle" if at_key else f"{name!r} is not a control of the vehicle",
             suggestion(name, controls),
-            at_key=True,
+            at_key=at_key,
             code=Code.UNKNOWN,
         )
-        for name in mapping.commands.controls
+        for path, name, at_key in named
         if name not in controls
     ]
 

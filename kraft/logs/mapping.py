@@ -139,11 +139,20 @@ class DeadMan(StrictModel):
     """it is held while its number is greater than this"""
     inverted: bool = False
     """it is held while its number is not greater"""
+    masks: tuple[str, ...] | None = None
+    """controls that are 0 while it is released, the others act; by default the log does not count then"""
 
     @field_validator("time")
     @classmethod
     def _time(cls, value: Column | None) -> Column | None:
         return _in(value, "time")
+
+    @field_validator("masks")
+    @classmethod
+    def _masks(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if value == ():
+            raise refuse("is empty", "expected the controls that the switch acts on, such as [throttle]")
+        return value
 
 
 class Limits(StrictModel):

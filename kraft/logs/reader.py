@@ -13,7 +13,7 @@ import numpy as np
 
 from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.logs.choice import Choice, on_one_clock
+from kraft.logs.choice import Choice, in_any_unit, on_one_clock
 from kraft.logs.cleaning import clean
 from kraft.logs.column_match import written_at
 from kraft.logs.csv_table import read_csv
@@ -23,7 +23,7 @@ from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.names import SYNONYMS, control_score
 from kraft.logs.table import Table
-from kraft.logs.unit_checks import DegreesError, assumed_radians
+from kraft.logs.unit_checks import DegreesError, SwappedError, assumed_radians
 from kraft.text import suggestion
 
 CONTROLS: Final = ("throttle", "steering")
@@ -39,6 +39,8 @@ def read_logs(
     paths: str | Path | Iterable[str | Path],
     controls: Sequence[str] = CONTROLS,
     mapping: Mapping | None = None,
+    *,
+    any_command_unit: bool = False,
 ) -> LogSet:
     """Read every log in files and folders; a log that cannot be read is a problem of the set.
 
@@ -46,6 +48,8 @@ def read_logs(
         paths: files and folders, see ``docs/logs.md`` for what they may hold.
         controls: names of the vehicle's controls.
         mapping: a mapping file (`load_mapping`), where the names of the columns are not sufficient.
+        any_command_unit: whether commands may be in any unit, as `kraft.sysid.command_units` finds it; otherwise a
+            steering command without a stated unit is in radians, and pulse widths are refused.
 
     Raises:
         InputError: if there is no log at all, or if none can be read; with every problem.  It is a `MismatchError`
@@ -58,6 +62,7 @@ def read_logs(
     candidates, problems = discover([Path(path) for path in given], controls, stated)
     read: list[tuple[Log, Choice]] = []
     degrees: set[tuple[str, str]] = set()
+    swapped: set[tuple[str, str]] = set()
     places, tables, unread = tuple(problems), list[Table](), 0
     for candidate in candidates:
         try:
@@ -68,14 +73,18 @@ def read_logs(
             continue
         tables += map(heading, found)
         try:
-            read.append(_read(candidate.name, sources, found, controls, stated))
+            read.append(_read(candidate.name, sources, found, controls, stated, any_unit=any_command_unit))
         except DegreesError as error:
             degrees |= error.columns
             problems += error.diagnostics
+        except SwappedError as error:
+            swapped.add(error.columns)
+            problems += error.diagnostics
         except InputError as error:
             problems += error.diagnostics
+    read, turned = _without_swapped(read, swapped)
     logs, alike = _without_degrees(read, degrees)
-    problems += alike
+    problems += [*turned, *alike]
     if not logs:
         # a log that cannot be read may have the column
         if not unread and tables and (wrong := mapping_mismatch(_common(candidates), tables, controls, stated)):
@@ -97,9 +106,16 @@ def _tables(candidate: Candidate, mapping: Mapping) -> tuple[list[Source], list[
 
 
 def _read(
-    name: str, sources: Sequence[Source], tables: Sequence[Table], controls: Sequence[str], mapping: Mapping
+    name: str,
+    sources: Sequence[Source],
+    tables: Sequence[Table],
+    controls: Sequence[str],
+    mapping: Mapping,
+    *,
+    any_unit: bool,
 ) -> tuple[Log, Choice]:
     choice = on_one_clock(choose(tables, controls, mapping))
+    choice = in_any_unit(choice) if any_unit else choice
     parts, findings = clean(choice, controls, mapping)
     return Log(name, tuple(sources), tuple(controls), parts, findings, str(choice)), choice
 
@@ -139,6 +155,22 @@ def _bag(path: Path, mapping: Mapping) -> tuple[list[Source], list[Table]]:
 def _hashed(path: Path) -> Source:
     with path.open("rb") as file:
         return Source(str(path), hashlib.file_digest(file, "sha256").hexdigest())
+
+
+def _without_swapped(
+    read: Sequence[tuple[Log, Choice]], columns: set[tuple[str, str]]
+) -> tuple[list[tuple[Log, Choice]], list[Diagnostic]]:
+    """Leave out logs whose x and y are swapped in other logs, even if a straight drive does not reveal it."""
+    kept, problems = [], []
+    for log, choice in read:
+        x, y = (channel.column for channel in choice.poses.channels[:2])
+        if (x, y) in columns:
+            problem = f"{x!r} and {y!r} are swapped in other logs"
+            expected = f"write poses: {{x: {y!r}, y: {x!r}}} into a mapping file"
+            problems.append(choice.poses.table.diagnostic(problem, expected, code=Code.MISMATCH))
+        else:
+            kept.append((log, choice))
+    return kept, problems
 
 
 def _without_degrees(

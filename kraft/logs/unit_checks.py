@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.choice import Channel
 from kraft.logs.log import Array, Findings
 from kraft.logs.motion import Chords, agreement, chords
@@ -19,6 +19,8 @@ POSE_INTERVAL_MAX: Final = 2.0
 """Time between poses above which stamps are not in seconds, s."""
 STEERING_MAX: Final = 1.6
 """Steering command above which it is no angle in radians, a little more than a right angle."""
+SWAPPED_OFFSET_MIN: Final = 1.2
+"""Difference of the direction of motion from the negative yaw, rad, above which x and y are swapped: a right angle."""
 _CHORDS_MIN: Final = 5
 
 
@@ -33,6 +35,14 @@ class DegreesError(InputError):
         self.columns = frozenset(columns)
 
 
+class SwappedError(InputError):
+    """The columns of x and y are swapped; so are the same columns of other logs."""
+
+    def __init__(self, diagnostics: Iterable[Diagnostic], columns: tuple[str, str]) -> None:
+        super().__init__(diagnostics)
+        self.columns = columns
+
+
 def assumed_radians(channel: Channel) -> bool:
     """Whether radians are only assumed for a column."""
     return channel.unit == "rad" and not (channel.place is not None and channel.stated)
@@ -43,6 +53,7 @@ def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, fin
 
     Raises:
         DegreesError: if yaw or steering are in degrees and neither name nor mapping file states it.
+        SwappedError: if x and y are swapped.
         InputError: if another unit is wrong.
     """
     problems = _clock(poses)
@@ -80,7 +91,7 @@ def _clock(poses: Samples) -> list[Diagnostic]:
 
 
 def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnostic]:
-    if channel.place is not None or not 500 <= values.min() <= values.max() <= 2500:
+    if channel.any_unit or channel.place is not None or not 500 <= values.min() <= values.max() <= 2500:
         return []
     problem = (
         f"{channel.column!r} goes from {values.min():g} to {values.max():g}: these look like pulse widths of a servo"
@@ -137,6 +148,12 @@ def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
 def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> None:
     if len(path.directions) < _CHORDS_MIN or agreement(path, yaw)[0] > 0.7:
         return
-    mirrored = agreement(path, -yaw)[0] > 0.9
+    follows, offset = agreement(path, -yaw)
+    mirrored = follows > 0.9
+    if mirrored and abs(offset) > SWAPPED_OFFSET_MIN:
+        x, y = (channel.column for channel in poses.stream.channels[:2])
+        problem = f"{x!r} and {y!r} are swapped: the vehicle moves as its yaw says if the first is y"
+        expected = f"write poses: {{x: {y!r}, y: {x!r}}} into a mapping file"
+        raise SwappedError([poses.diagnostic(problem, expected, code=Code.MISMATCH)], (x, y))
     why = "it follows when its sign is changed (scale: -1 in a mapping file)" if mirrored else "are x, y and yaw right?"
     findings.add("heading", 1, f"{poses.stream.table.name}: yaw does not follow the direction of motion; {why}")

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log
 
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -27,6 +27,8 @@ from ompl_ext.vehicle import Vehicle
 
 SIMILAR_ERROR_RATIO: Final = 1.01
 """Ratio of position errors up to which they count as equal, as when the initial values come from the same logs."""
+WORSE_ERROR_RATIO: Final = 1.2
+"""Ratio of position errors from which a vehicle file that exists is better; less can be chance."""
 EXCESSIVE_ERROR_RATIO: Final = 1.5
 """Ratio of position errors from which the identified values are rejected.  Values from five logs of the bundled car,
 beside initial values from forty, are up to 1.2 times worse by chance.  A test of the scatter between windows would also
@@ -148,6 +150,33 @@ def _ratio(pair: PredictionPair) -> float:
 def _errors(pair: PredictionPair) -> str:
     after, before = pair.errors.overall_position, pair.initial_errors.overall_position
     return f"position {100 * after:.2f} cm identified, {100 * before:.2f} cm initial"
+
+
+def replacement_objections(
+    before: VehicleConfig, file: str, held_out: tuple[Log, ...], evaluation: PredictionEvaluation, settings: Settings
+) -> tuple[str, ...]:
+    """The objection that the vehicle file that would be replaced predicts the held-out logs better, if so.
+
+    Args:
+        before: the vehicle in the file, with the record of its identification.
+        file: name of the file.
+        held_out: logs with commands as that vehicle takes them.
+        evaluation: predictions of the same logs.
+        settings: as for the evaluation.
+
+    Raises:
+        InputError: if that vehicle cannot predict the logs.
+    """
+    if evaluation.held_out is None:
+        return ()
+    extras = before.identification.extras if before.identification else {}
+    values = {name: extra.value for name, extra in extras.items()}
+    earlier = window_errors(predict_windows(before, held_out, values, replace(settings, values={}, frozen=())))
+    now = evaluation.held_out.errors.overall_position
+    if now <= WORSE_ERROR_RATIO * earlier.overall_position:
+        return ()
+    sizes = f"position {100 * now:.2f} cm identified, {100 * earlier.overall_position:.2f} cm with the file"
+    return (f"held-out logs are predicted better with {file} as it is ({sizes})",)
 
 
 def objections(identification: Identification, evaluation: PredictionEvaluation) -> tuple[str, ...]:

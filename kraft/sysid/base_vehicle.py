@@ -126,6 +126,30 @@ def for_commands(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
     return replace(base, definition=changed, vehicle=configured(changed))
 
 
+def with_recorded_commands(
+    base: BaseVehicle, identification: Identification, scales: Mapping[str, float]
+) -> tuple[BaseVehicle, Identification]:
+    """The car and its identification with commands as they were recorded: those of the fit are `scales` times them."""
+    config = base.definition
+    assert isinstance(config, VehicleConfig)  # a vehicle file with terms
+    values = {full: base.vehicle.parameters[full] / scales[name] for name, full in COMMANDS_OF.items()}
+    limits = {name: (low / scales[name], high / scales[name]) for name, (low, high) in base.controls.items()}
+    changed = config.with_values(values).with_controls(limits)
+    parameters = {
+        name: replace(p, value=values[name], initial=values[name], ci95=(values[name], values[name]))
+        if name in values
+        else p
+        for name, p in identification.parameters.items()
+    }
+    scale = np.array([scales[name] for name in base.vehicle.controls])
+    logs = tuple(
+        replace(log, parts=tuple(replace(part, controls=part.controls / scale) for part in log.parts))
+        for log in identification.logs
+    )
+    car = replace(base, definition=changed, vehicle=configured(changed))
+    return car, replace(identification, parameters=parameters, logs=logs)
+
+
 def with_speed(base: BaseVehicle, identification: Identification, logs: Sequence[Log]) -> BaseVehicle:
     """The car with a top speed: that which full throttle leads to, or the highest in the logs if it is higher."""
     model, values = base.vehicle, identification.values

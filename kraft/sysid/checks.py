@@ -78,7 +78,7 @@ def warnings_of(solution: Solution, *, windows: bool = False) -> tuple[str, ...]
     With `windows`, those of a fit of open-loop windows: its residuals are the model's errors and no noise, and how well
     its terms are known shows in its predictions.
     """
-    checks: list[Callable[[Solution], Iterator[str]]] = [_convergence, _steering, _bounds]
+    checks: list[Callable[[Solution], Iterator[str]]] = [_convergence, _steering, _throttle, _bounds, _negative_delay]
     if not windows:
         checks += [_unidentified, _unbounded, _correlation, _residuals, _disagreement]
     return tuple(warning for check in checks for warning in check(solution))
@@ -123,6 +123,27 @@ def _bounds(solution: Solution) -> Iterator[str]:
         yield (
             f"{name} is at its {which} bound {bound:g} {spec.unit}".rstrip()
             + ": widen the bound if it is wrong; otherwise the model lacks an effect that the parameter compensates for"
+        )
+
+
+def _throttle(solution: Solution) -> Iterator[str]:
+    controls = list(solution.problem.parameters.vehicle.controls)
+    if "throttle" in controls:
+        k = controls.index("throttle")
+        values = np.concatenate([s.part.commands[:, k] for s in solution.problem.chains.segments])
+        if np.ptp(values) == 0.0:
+            yield f"the throttle is always {values[0]:g}: drive {_THROTTLE_LEVELS}"
+
+
+def _negative_delay(solution: Solution) -> Iterator[str]:
+    p = solution.problem.parameters
+    k = p.auxiliary_index("delay")
+    delay = float(solution.optimum.point.rho[k]) if k >= 0 and p.free[k] else 0.0
+    if delay < 0.0 and "delay" not in at_bound(solution):
+        yield (
+            f"the vehicle responds {-1000.0 * delay:.0f} ms before its commands were recorded: their clock is ahead of "
+            "that of the poses, or each record is of an older command; state the offset in a mapping file "
+            f"(commands.time: {{column: ..., zero: {-delay:.2g}}}, in the unit of the column)"
         )
 
 

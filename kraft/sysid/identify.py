@@ -21,9 +21,10 @@ from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chai
 from kraft.sysid.multistep import process_noise
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at_bounds, ignore_iteration, optimise
-from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
+from kraft.sysid.parameters import DELAY_MIN, Parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
 from kraft.sysid.result import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit
+from kraft.sysid.screening import turns_before_steered
 from kraft.sysid.selection import (
     candidates_of,
     check_free_parameters,
@@ -81,7 +82,9 @@ def identify(
     model = vehicle_of(vehicle)
     check_settings(vehicle, settings)
     check_free_parameters(vehicle, settings)
-    estimator = _Estimator(vehicle, model, settings, usable_logs(model, logs), on_iteration)
+    usable = usable_logs(model, logs)
+    settings = _with_clock_offset(settings, usable)
+    estimator = _Estimator(vehicle, model, settings, usable, on_iteration)
     auxiliary = candidates_of(model, settings)
     fit = estimator.fit(estimator.start(auxiliary), settings.iterations)
     if estimator.rescale(fit):
@@ -138,6 +141,7 @@ def identify_terms(
     check_settings(vehicle, settings)
     usable = usable_logs(vehicle_of(vehicle), logs)
     _check_controls(vehicle_of(vehicle), usable)
+    settings = _with_clock_offset(settings, usable)
     search = StructureSearch(vehicle, usable, settings, on_iteration)
     path = search.path()
     best = search.converged(chosen(path))
@@ -153,6 +157,13 @@ def identify_terms(
     identification = _identified(best, search, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
     return ModelChoice(vehicle, replace(identification, trials=rows))
+
+
+def _with_clock_offset(settings: Settings, logs: Sequence[Log]) -> Settings:
+    """Settings that allow a negative delay where the logs show it; elsewhere it would stand for what a model lacks."""
+    if settings.clock_offset is not None:
+        return settings
+    return replace(settings, clock_offset=-DELAY_MIN if turns_before_steered(logs) else 0.0)
 
 
 def _check_controls(model: Vehicle, logs: Sequence[Log]) -> None:

@@ -118,7 +118,9 @@ def parameters_of(vehicle: VehicleConfig | Vehicle, settings: Settings, auxiliar
     Raises:
         InputError: if a value in the settings is outside the bounds.
     """
-    specs = tuple(_with_value(spec, settings.values) for spec in parameter_specs(vehicle, auxiliary))
+    every = [_with_value(spec, settings.values) for spec in parameter_specs(vehicle, auxiliary)]
+    ahead = settings.clock_offset or 0.0
+    specs = tuple(replace(s, min=max(s.min, min(-ahead, s.value))) if s.name == "delay" else s for s in every)
     frozen = frozenset(spec.name for spec in specs if spec.fixed or spec.name in settings.frozen)
     return Parameters(vehicle_of(vehicle), specs, frozen)
 
@@ -191,6 +193,10 @@ FRICTION_SHARE_MAX = 0.5
 """Largest friction, as a share of the full throttle."""
 
 
+DELAY_MIN = -0.1
+"""Least delay, s: commands are recorded later than they act if clocks differ, or if each record is of the last one."""
+
+
 DEAD_BAND_SHARE_MAX = {"throttle": 0.5, "steering": 0.25}
 """Controls that may have a dead band, and the largest dead band as a share of the largest command."""
 
@@ -223,7 +229,7 @@ class AuxiliaryParameter:
 
 def auxiliary_parameters(vehicle: Vehicle) -> dict[str, AuxiliaryParameter]:
     """Auxiliary parameters that apply to a vehicle, by name; none shares a name with a parameter of the model."""
-    found = [AuxiliaryParameter("delay", "s", 0.0, 0.5, 0.3, "time until a command takes effect")]
+    found = [AuxiliaryParameter("delay", "s", DELAY_MIN, 0.5, 0.3, "time until a command takes effect")]
     found += [
         AuxiliaryParameter(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"additional time until {name} takes effect")
         for name in vehicle.controls

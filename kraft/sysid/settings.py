@@ -47,5 +47,8 @@ class Settings:
     """time between two states, s"""
     horizon: float = 3.0
     """time over which a model with terms to choose is to predict well, s"""
+    clock_offset: float | None = None
+    """most that commands may be recorded later than they act, s, which is how far a delay may be negative; None:
+    0.1 s if the vehicle turns before it is steered, else 0"""
     iterations: int = 50
     """largest number of iterations of one fit"""

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from kraft.config.validation import check
@@ -16,10 +17,12 @@ from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.base_vehicle import BaseVehicle
+from kraft.sysid.command_units import CommandUnit
 from kraft.sysid.data import LogSplit
 from kraft.sysid.result import Identification, ParameterEstimate, PredictionErrors
 from kraft.text import counted
 from kraft.vehicles.config import (
+    CommandScale,
     Covariance,
     Extra,
     IdentificationRecord,
@@ -223,6 +226,7 @@ def identification_record(
     identification: Identification,
     split: LogSplit,
     evaluation: PredictionEvaluation,
+    units: Mapping[str, CommandUnit] = MappingProxyType({}),
 ) -> IdentificationRecord:
     """Record of an identification for a vehicle file.
 
@@ -231,14 +235,17 @@ def identification_record(
         identification: the result.
         split: the fitted and the held-out logs.
         evaluation: prediction errors of the logs.
+        units: meaning of the numbers of commands in the logs.
     """
     unseen = evaluation.held_out
+    converted = {name: CommandScale(neutral=u.neutral, scale=u.scale) for name, u in units.items() if not u.as_is}
     matrix = tuple(tuple(map(float, row)) for row in identification.covariance)
     return IdentificationRecord(
         started_from=started_from,
         interval=identification.interval,
         covariance=Covariance(names=identification.names, matrix=matrix),
         extras={name: _extra(identification, name) for name in identification.auxiliary},
+        commands=converted or None,
         noise=PoseNoise(
             position=identification.noise.position,
             yaw=identification.noise.yaw,

@@ -227,6 +227,8 @@ class IdentificationRecord(StrictModel):
     """covariance {names, matrix} of what was estimated"""
     extras: Mapping[str, Extra] = Field(default_factory=dict)
     """parameters of the logs beside the model's, which planning does not use"""
+    commands: Mapping[str, CommandScale] | None = None
+    """meaning of the numbers of commands in the logs that were converted: (number - neutral) * scale was used"""
     noise: PoseNoise
     """noise of the poses {position, yaw, measured}"""
     fitted: Prediction
@@ -259,6 +261,15 @@ class Covariance(StrictModel):
                 "has another size than names", f"expected {size} rows of {size} numbers", ("matrix",), Code.MISMATCH
             )
         return self
+
+
+class CommandScale(StrictModel):
+    """Meaning of the numbers of a command in logs."""
+
+    neutral: Number
+    """number without effect"""
+    scale: Number
+    """factor of the difference from it"""
 
 
 class Extra(StrictModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
@@ -13,18 +13,27 @@ from kraft.errors import Code, Diagnostic, InputError, NegativeResult
 from kraft.files import check_all, check_writable
 from kraft.logs.log import LogSet
 from kraft.plot.style import picture_format
-from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions, objections
-from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
+from kraft.sysid.acceptance import (
+    PredictionEvaluation,
+    evaluate_predictions,
+    objections,
+    replacement_objections,
+)
+from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded_commands
+from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.fast_graph import ensure_compiled
 from kraft.sysid.identify import has_terms, identify
 from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import affects_motion
 from kraft.sysid.result import Identification
+from kraft.sysid.screening import check_consistency
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
+from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
+from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
@@ -85,6 +94,8 @@ class SysidResult:
         evaluation: prediction errors with the identified and with the initial values.
         objections: reasons why the parameters must not be used; empty if they may be used.
         seconds: duration of the identification, without reading and predicting.
+        units: found meaning of the numbers of each command; empty for a model whose commands have units.
+        left_out: stretches of logs that no model explains.
     """
 
     request: SysidRequest
@@ -95,6 +106,8 @@ class SysidResult:
     evaluation: PredictionEvaluation
     objections: tuple[str, ...]
     seconds: float
+    units: Mapping[str, CommandUnit]
+    left_out: tuple[Stretch, ...]
 
 
 def run_sysid(
@@ -117,18 +130,32 @@ def run_sysid(
     """
     base = load_base_vehicle(models_of_cars()[0] if request.model == AUTO else request.model)
     settings = _checked_settings(request, base)
-    logs = read_sysid_logs(request.logs, request.mapping, tuple(base.vehicle.controls), info, warn, detail)
+    auto = request.model == AUTO
+    controls = tuple(base.vehicle.controls)
+    logs = read_sysid_logs(request.logs, request.mapping, controls, info, warn, detail, any_command_unit=auto)
     split = split_logs(logs.logs, request.holdout)
     info(split.note)
-    ensure_compiled(base.vehicle, base.reference, info)
-    began = time.perf_counter()
+    units = command_units(split.fitted) if auto else {}
+    recorded = split.held_out
+    split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
     try:
-        if request.model == AUTO:
+        check_consistency(split.fitted)
+        left_out = unexplained_stretches((*split.fitted, *split.held_out))
+        for stretch in left_out:
+            info(f"left out, because no model explains it: {stretch}")
+        split = replace(split, fitted=without(split.fitted, left_out), held_out=without(split.held_out, left_out))
+        ensure_compiled(base.vehicle, base.reference, info)
+        began = time.perf_counter()
+        if auto:
             for name in models_of_cars():
                 other = load_base_vehicle(name)
                 ensure_compiled(other.vehicle, other.reference, info)
             model = identify_car(split.fitted, settings, ProgressReporter(info))
             base, identification = model.base, model.identification
+            if has_terms(base.definition) and all(u.neutral == 0.0 < u.scale for u in units.values()):
+                factors = {name: unit.scale for name, unit in units.items()}
+                base, identification = with_recorded_commands(base, identification, factors)
+                split, units = _restored(split, units), {name: CommandUnit() for name in units}
         else:
             identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
         seconds = time.perf_counter() - began
@@ -139,14 +166,37 @@ def run_sysid(
         raise NegativeResult("the parameters cannot be identified from these logs") from None
     identification = replace(
         identification,
-        warnings=(*identification.warnings, *evaluation.warnings, *_unknown_to_planning(request, identification)),
-        notes=(*identification.notes, *(() if has_terms(base.definition) else _excluded_note(base, settings))),
+        warnings=(
+            *identification.warnings,
+            *sign_warnings(units),
+            *evaluation.warnings,
+            *_unknown_to_planning(request, identification),
+        ),
+        notes=(
+            *identification.notes,
+            *unit_notes(units),
+            *(() if has_terms(base.definition) else _excluded_note(base, settings)),
+        ),
     )
     found = objections(identification, evaluation)
-    result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds)
+    if request.out is not None and request.out.exists() and not found:
+        before = load_vehicle_config(str(request.out))
+        record = before.identification
+        scales = record.commands or {} if record else {}
+        known = {name: CommandUnit(c.neutral, c.scale) for name, c in scales.items()}
+        as_before = with_units(recorded, {name: known.get(name, CommandUnit()) for name in controls})
+        as_before = without(as_before, left_out)
+        found = replacement_objections(before, str(request.out), as_before, evaluation, settings)
+    result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds, units, left_out)
     _draw(result)
     _write(result)
     return result
+
+
+def _restored(split: LogSplit, units: Mapping[str, CommandUnit]) -> LogSplit:
+    """The split with commands as they were recorded, for units without a neutral value."""
+    back = {name: CommandUnit(0.0, 1.0 / unit.scale) for name, unit in units.items()}
+    return replace(split, fitted=with_units(split.fitted, back), held_out=with_units(split.held_out, back))
 
 
 def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
@@ -310,5 +360,7 @@ def _draw_logs(request: SysidRequest, base: BaseVehicle, split: LogSplit, error:
 def _write(result: SysidResult) -> None:
     request = result.request
     if request.out is not None and not result.objections:
-        record = identification_record(request.model, result.identification, result.split, result.evaluation)
+        record = identification_record(
+            request.model, result.identification, result.split, result.evaluation, result.units
+        )
         write_vehicle(request.out, result.base, result.identification.parameters, record)

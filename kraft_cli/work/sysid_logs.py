@@ -20,6 +20,7 @@ MessageSink = Callable[[str], None]
 HARMLESS: Final = {
     "wrap": "yaw wraps; made continuous, nothing is left out",
     "dropout": "some poses are missing; nothing is left out",
+    "repeated": "commands are recorded more often than they are sent; nothing is left out",
 }
 """Kinds of findings that leave nothing out, with the message for several logs that have one."""
 
@@ -31,6 +32,8 @@ def read_sysid_logs(
     info: MessageSink,
     warn: MessageSink,
     detail: MessageSink,
+    *,
+    any_command_unit: bool = False,
 ) -> LogSet:
     """Read every log; report which column was taken for what and what was found in each log.
 
@@ -41,6 +44,7 @@ def read_sysid_logs(
         info: receives the column assignments and the findings.
         warn: receives problems of logs that are left out.
         detail: receives the place of each finding that `info` receives as a sum.
+        any_command_unit: whether commands may be in any unit.
 
     Raises:
         InputError: if there are no logs, or mapping file or controls fit none of them.
@@ -48,7 +52,7 @@ def read_sysid_logs(
     """
     mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
     try:
-        found = read_logs(paths, controls, mapping)
+        found = read_logs(paths, controls, mapping, any_command_unit=any_command_unit)
     except MismatchError:
         raise
     except InputError as error:

@@ -59,6 +59,11 @@ def sysid_json(result: SysidResult) -> dict[str, Any]:
         "identifiable": not result.objections,
         "objections": list(result.objections),
         "iterations": int(identification.iterations),
+        "commands": {
+            name: {"neutral": unit.neutral, "scale": unit.scale, "as_is": unit.as_is}
+            for name, unit in result.units.items()
+        },
+        "unexplained": [{"log": s.log, "begin_s": s.begin, "end_s": s.end, "what": s.what} for s in result.left_out],
         "wall_s": result.seconds,
         "warnings": list(identification.warnings),
         "notes": list(identification.notes),

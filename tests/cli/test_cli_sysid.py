@@ -333,7 +333,7 @@ def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not
         (["logs", "--pose-noise", "0.01"], "--pose-noise: "),
         (["logs", "--param", "L"], "--param: "),
         (["nowhere", "--param", "L=7"], "L: is 7; expected a value from 0.15 to 0.6 m"),
-        (["nowhere", "--param", "delay=0.9"], "delay: is 0.9; expected a value from 0 to 0.5 s"),
+        (["nowhere", "--param", "delay=0.9"], "delay: is 0.9; expected a value from -0.1 to 0.5 s"),
         (["nowhere", "--param", "friction=0.9"], "friction: is 0.9; expected a value from 0 to 0.5\n"),
         (["nowhere", "--param", "delay=0.1", "--extras", "none"],
          "--param: delay is"),

@@ -10,8 +10,7 @@ from support.logs import Drive, drive, located, wide_columns, wrapped, write_pai
 
 from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
-from kraft.logs.motion import extent
-from kraft.logs.outliers import tracks
+from kraft.logs.motion import extent, tracks
 from kraft.logs.reader import read_logs
 
 MADE = drive()
@@ -406,3 +405,40 @@ def test_a_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
     path.write_text(path.read_text()[:-60])
     (log,) = read_logs(path).logs
     assert finding(log, "broken").text == "1 line of a.csv with too few or too many fields, first line 236; left out"
+
+
+def test_zeros_before_the_first_message_are_left_out(tmp_path: Path) -> None:
+    early = ROW < 30
+    log = read(tmp_path, **{name: np.where(early, 0.0, WIDE[name]) for name in ("throttle", "steering")})
+    assert finding(log, "zeros").count == 30  # the car moved meanwhile
+    assert finding(log, "uncommanded").count == 30
+    shifted = {"x": WIDE["x"] + 3.0, "y": WIDE["y"] - 2.0, "yaw": WIDE["yaw"]}
+    log = read(tmp_path, **{name: np.where(early, 0.0, values) for name, values in shifted.items()})
+    assert finding(log, "zeros").count == 30
+    assert len(log.parts[0].poses) == N - 30
+
+
+def test_a_car_that_waits_at_the_origin_is_commanded_zero(tmp_path: Path) -> None:
+    waits = {name: np.concatenate([np.zeros(30), WIDE[name][:-30] - WIDE[name][0]]) for name in ("x", "y", "yaw")}
+    commands = {name: np.where(ROW < 30, 0.0, WIDE[name]) for name in ("throttle", "steering")}
+    log = read(tmp_path, **waits, **commands)
+    assert {f.kind for f in log.findings} <= {"wrap"}
+    assert len(log.parts[0].poses) == N
+
+
+@pytest.mark.parametrize(("every", "found"), [(4, 1), (1, 0)])
+def test_commands_that_are_recorded_more_often_than_they_are_sent_are_said(
+    tmp_path: Path, every: int, found: int
+) -> None:
+    rows = np.arange(0.02, 5.9, 0.02)
+    wide = wide_columns(rows, MADE)
+    for name in ("throttle", "steering"):
+        wide[name] = (0.3 + 0.02 * np.sin(rows))[(np.arange(len(rows)) // every) * every]
+    (log,) = read_logs(write_table(tmp_path / "a.csv", list(wide), list(wide.values()))).logs
+    assert len([f for f in log.findings if f.kind == "repeated"]) == found
+
+
+def test_swapped_x_and_y_are_refused_with_what_to_write(tmp_path: Path) -> None:
+    problems, message = refused(tmp_path, x=WIDE["y"], y=WIDE["x"])
+    assert problems == ["a.csv mismatch"]
+    assert "write poses: {x: 'y', y: 'x'} into a mapping file" in message

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.logs import Bag, drive, located, nanoseconds, wide_columns, write_table, write_wide
+from support.logs import Bag, drive, located, nanoseconds, wide_columns, wrapped, write_table, write_wide
 from support.paths import ROOT
 
 from kraft.errors import InputError
@@ -220,6 +220,7 @@ def test_what_does_not_fit_the_log_is_said_in_the_mapping_file(tmp_path: Path, t
         ("dead_man: {column: a, time: {column: b, table: b.csv}}\n", "1:48 dead_man.time.table"),
         ("poses: {yaw: a, quaternion: [a, b, c, d]}\n", "1:29 poses.quaternion"),
         ("limits: {pose_gap: -1}\n", "1:20 limits.pose_gap"),
+        ("dead_man: {column: a, masks: []}\n", "1:30 dead_man.masks"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_a_mapping_file_is_said_at_its_place(tmp_path: Path, text: str, expected: str) -> None:
@@ -232,14 +233,18 @@ def test_what_is_wrong_in_a_mapping_file_is_said_at_its_place(tmp_path: Path, te
 
 
 def test_an_unknown_control_is_said_alike_of_one_log_and_of_all(tmp_path: Path) -> None:
-    said = mapping_of(tmp_path, "commands: {controls: {throtle: a, steering: steering, brake: b}}\n")
+    said = mapping_of(
+        tmp_path,
+        "commands: {controls: {throtle: a, steering: steering, brake: b}}\ndead_man: {column: d, masks: [gas]}\n",
+    )
     table = Table("a.csv", "", WIDE, np.zeros(len(TIMES), np.int64))
     with pytest.raises(InputError) as error:
         guess_commands([table], CONTROLS, said)
     assert [problem.path for problem in error.value.diagnostics] == [
-        f"commands.controls.{n}" for n in ("throtle", "brake")
+        *(f"commands.controls.{n}" for n in ("throtle", "brake")),
+        "dead_man.masks[0]",
     ]
-    assert mapping_mismatch("logs", [heading(table)], CONTROLS, said)[:2] == error.value.diagnostics
+    assert mapping_mismatch("logs", [heading(table)], CONTROLS, said)[:3] == error.value.diagnostics
 
 
 def test_validate_knows_a_mapping_file(tmp_path: Path) -> None:
@@ -274,3 +279,52 @@ def test_a_mapping_that_is_not_there_is_said(tmp_path: Path) -> None:
     write_wide(tmp_path / "a.csv")
     with pytest.raises(InputError, match=r"m\.yaml"):
         load_mapping(tmp_path / "m.yaml")
+
+
+def test_a_switch_may_act_on_the_throttle_alone(tmp_path: Path) -> None:
+    times = np.arange(0.0, 5.8, 0.05)
+    columns = wide_columns(times, drive())
+    released = (times > 2.01) & (times < 3.01)
+    columns["dead_man"] = 1.0 - released
+    path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
+    mapping = mapping_of(tmp_path, "dead_man: {column: dead_man, masks: [throttle]}\n")
+    (log,) = read_logs(path, mapping=mapping).logs
+    (part,) = log.parts
+    assert len(part.poses) == len(times)
+    held = np.searchsorted(part.command_times, times, side="right") - 1
+    np.testing.assert_array_equal(part.commands[held, 0], np.where(released, 0.0, columns["throttle"]))
+    np.testing.assert_array_equal(part.commands[held, 1], columns["steering"])
+    (found,) = [f for f in log.findings if f.kind == "dead man"]
+    assert found.count == released.sum()
+    assert len(read_logs(path).logs[0].parts) == 2  # without the mapping file the log does not count meanwhile
+
+
+def test_pulse_widths_are_masked_only_with_their_neutral_number(tmp_path: Path) -> None:
+    columns = {**WIDE, "throttle": 1500.0 + 400.0 * WIDE["throttle"], "dead_man": (TIMES < 3.0).astype(float)}
+    switch = "dead_man: {column: dead_man, masks: [throttle]}\n"
+    path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
+    with pytest.raises(InputError) as error:
+        read_logs(path, mapping=mapping_of(tmp_path, switch), any_command_unit=True)
+    (problem,) = error.value.diagnostics
+    assert (problem.line, problem.path) == (1, "dead_man.masks")
+    assert "zero" in problem.expected
+    stated = switch + "commands: {controls: {throttle: {column: throttle, zero: 1500}}}\n"
+    (part,) = read_logs(path, mapping=mapping_of(tmp_path, stated), any_command_unit=True).logs[0].parts
+    assert part.commands[-1, 0] == 0.0
+
+
+def test_a_switch_between_two_commands_acts_at_its_own_time(tmp_path: Path) -> None:
+    made = drive()
+    write_table(
+        tmp_path / "commands.csv", ["t", "throttle", "steering"], [made.command_times[::20], *made.commands[::20].T]
+    )
+    poses = [made.pose_times, *made.poses[:, :2].T, wrapped(made.poses[:, 2]), (made.pose_times < 3.47).astype(float)]
+    write_table(tmp_path / "poses.csv", ["t", "x", "y", "yaw", "dead_man"], poses)
+    mapping = mapping_of(tmp_path, "dead_man: {column: dead_man, masks: [throttle]}\nlimits: {command_gap: 5}\n")
+    (part,) = read_logs([tmp_path / "commands.csv", tmp_path / "poses.csv"], mapping=mapping).logs[0].parts
+    released = made.pose_times[made.pose_times >= 3.47][0] - made.command_times[0]
+    k = int(np.argmin(np.abs(part.command_times - released)))
+    assert part.command_times[k] == pytest.approx(released, abs=1e-9)
+    assert part.commands[k - 1, 0] > 0.0
+    assert (part.commands[k:, 0] == 0.0).all()
+    assert part.commands[k, 1] == part.commands[k - 1, 1]

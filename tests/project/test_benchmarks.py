@@ -16,6 +16,7 @@ from benchmarks import (
     arenas,
     callbacks,
     changes,
+    disturbances,
     estimated,
     goals,
     maps,
@@ -233,6 +234,17 @@ def test_identification_is_timed_and_tried_on_random_problems(monkeypatch: pytes
     assert found["20 logs of 20 s, 50 ms steps, 30 Hz"] > 0
     assert found["converged, of 2 problems from wild parameters"] == 1.0
     assert found["5 % outliers of 0.5 m: change of L"] < 0.02
+
+
+def test_disturbances_are_found_and_what_they_do_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(disturbances, "LOGS", 3)
+    report = disturbances.run(SMOKE)
+    assert report.rows[0].median >= 0.5
+    assert report.rows[1].median < 1.0
+    with_all, cut = (
+        rows[0] for rows in ([r for r in report.rows if r.quantity.endswith(end)] for end in ("nine", "out"))
+    )
+    assert cut.median < with_all.median
 
 
 def test_a_change_is_followed_when_a_value_is_first_near() -> None:

@@ -396,6 +396,15 @@ def test_what_was_commanded_before_a_drive_was_cut_acts_on_with_a_delay() -> Non
     assert found.values["tau"] == pytest.approx(TRUTH["tau"], abs=0.01)
 
 
+def test_commands_with_late_stamps_have_a_negative_delay_and_that_is_said() -> None:
+    late = [changed(log, command_times=log.parts[0].command_times + 0.04) for log in logs()]
+    found = identify(lag(), late)
+    assert found.values["delay"] == pytest.approx(-0.04, abs=0.01)
+    assert found.values["tau"] == pytest.approx(TRUTH["tau"], abs=0.02)
+    assert [warning for warning in found.warnings if "40 ms before" in warning or "39 ms before" in warning]
+    assert not [warning for warning in fitted().warnings if "before its commands" in warning]
+
+
 def test_a_slow_camera_counts_beside_a_fast_one() -> None:
     fast, slow = (synthetic_logs(lag(), TRUTH, [k], seconds=10.0, rate=rate) for k, rate in ((0, 30.0), (1, 3.7)))
     both = prediction_errors(lag(), [*fast, *fast, *slow], TRUTH)

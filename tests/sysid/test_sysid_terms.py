@@ -10,6 +10,7 @@ import pytest
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Settings, prediction_errors
+from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.identify import identify_terms
 from kraft.sysid.prediction import constant_windows, window_errors
@@ -105,6 +106,24 @@ def test_a_drive_that_differs_between_logs_is_found_and_used_in_predictions() ->
     none = {"a_drive": 0.0, "phi_diff": 0.0}
     same = prediction_errors(choice.vehicle, logs[6:], found.values, Settings(variation=none))
     assert varying.position[3.0] < 0.7 * same.position[3.0]
+
+
+def test_a_car_takes_commands_as_they_were_recorded() -> None:
+    """The fit has converted them; the vehicle that comes out predicts the recorded ones alike."""
+    factors = {"throttle": 0.5, "steering": 0.01}
+    logs = [drive(car(), seed, seconds=9.0) for seed in range(3)]
+    base = for_commands(load_base_vehicle("car"), logs)
+    assert isinstance(base.definition, VehicleConfig)
+    found = identify_terms(base.definition, logs).identification
+    recorded, again = with_recorded_commands(base, found, factors)
+    numbers = [
+        replace(log, parts=tuple(replace(part, commands=part.commands / [0.5, 0.01]) for part in log.parts))
+        for log in logs
+    ]
+    before = prediction_errors(base.definition, logs, found.values)
+    after = prediction_errors(recorded.definition, numbers, again.values)
+    assert after.position[1.0] == pytest.approx(before.position[1.0], rel=1e-6)
+    assert recorded.vehicle.controls["steering"][1] == pytest.approx(100.0 * base.vehicle.controls["steering"][1])
 
 
 def test_flipped_steering_is_a_negative_gain() -> None:

@@ -1,0 +1,184 @@
+"""Parts of logs that no model of a car explains: a hand on the car, a lifted wheel, a wall, a glitch of the tracker.
+
+Three robust regressions over all logs predict the change of the speed from throttle and speed, the yaw rate from
+steering and speed, and the sideways speed from yaw rate and speed, with commands of the last 0.4 s, so that lags and
+delays count as explained.  A stretch is unexplained where what they leave, averaged over some tenths of a second, is
+many times its usual size and large for a car.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from kraft.sysid.screening import STEP, Motion, motions
+from ompl_ext.arrays import Bools, Floats, Matrix
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Log, Part
+
+
+TAPS: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
+"""Ages of the commands that take part, s."""
+SPAN: Final = 0.5
+"""Time over which the change of the speed is explained, s."""
+AVERAGED: Final = 5
+"""Number of samples over which what is left is averaged."""
+DEVIATIONS: Final = 8.0
+"""Usual sizes of what is left, above which a sample is unexplained, ..."""
+SPEED_SHARE, RATE_SHARE, SIDE_SHARE = 0.35, 0.5, 0.25
+"""... if it is also larger than this share of the high speeds, yaw rates and, sideways, speeds."""
+ROUNDS: Final = 12
+"""Iterations of the robust regressions."""
+MARGIN: Final = 0.25
+"""Time that is left out before and after an unexplained stretch, s."""
+JOINED: Final = 0.6
+"""Time between two unexplained stretches below which they are one, s."""
+SAMPLES_MIN: Final = 4
+"""Least number of samples of a stretch: the first and last pose of a log have none on one side."""
+SHARE_MAX: Final = 0.3
+"""Share of the logs above which unexplained stretches are the rule, and show that the regressions do not apply."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """An unexplained stretch of a log."""
+
+    log: str
+    begin: float
+    """s, as in the log"""
+    end: float
+    what: str
+    """what the motion was that the commands do not explain"""
+
+    def __str__(self) -> str:
+        return f"{self.log}: {self.begin:.1f} to {self.end:.1f} s: {self.what}"
+
+
+def unexplained_stretches(logs: Sequence[Log]) -> tuple[Stretch, ...]:
+    """Stretches that no model explains; none if the logs are of no car or too short."""
+    if any(not {"throttle", "steering"} <= set(log.controls) for log in logs):
+        return ()
+    found = [m for m in motions(logs) if len(m.times) > round(2 * SPAN / STEP)]
+    if not found:
+        return ()
+    left = _left(found)
+    stretches: list[Stretch] = []
+    for m, (speed, rate, side) in zip(found, left, strict=True):
+        stretches += _stretches(logs[m.log].name, m, speed, rate, side)
+    whole = sum(m.times[-1] - m.times[0] for m in found)
+    if sum(s.end - s.begin for s in stretches) > SHARE_MAX * whole:
+        return ()
+    return tuple(stretches)
+
+
+def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
+    """What the regressions leave of speed, yaw rate and sideways speed, over the least that counts; (n,) each."""
+    ahead = round(SPAN / STEP)
+    speed = _residuals([_speed_terms(m, ahead) for m in found], [m.speed[ahead:] - m.speed[:-ahead] for m in found])
+    rate = _residuals([_rate_terms(m) for m in found], [m.rate for m in found])
+    side = _residuals([_side_terms(m) for m in found], [m.side for m in found])
+    high = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.9))
+    turning = float(np.quantile(np.abs(np.concatenate([m.rate for m in found])), 0.9))
+    scaled = []
+    for residuals, least in ((speed, SPEED_SHARE * high), (rate, RATE_SHARE * turning), (side, SIDE_SHARE * high)):
+        averaged = [_averaged(r) for r in residuals]
+        usual = 1.4826 * float(np.median(np.abs(np.concatenate(averaged))))
+        scaled.append([a / max(DEVIATIONS * usual, least, 1e-9) for a in averaged])
+    pad = np.zeros(ahead)
+    return [
+        (np.maximum(np.abs(np.append(v, pad)), np.abs(np.append(pad, v))) * np.sign(np.append(pad, v)), r, s)
+        for v, r, s in zip(*scaled, strict=True)
+    ]
+
+
+def _speed_terms(m: Motion, ahead: int) -> Matrix:
+    """Terms (n - ahead, k) of the change of the speed over the next samples."""
+    v, terms = m.speed[:-ahead], []
+    for age in TAPS[::2]:
+        u = m.commands(age)[:, 0]
+        for signal in (u, u * np.abs(u), np.maximum(u, 0.0)):
+            total = np.concatenate([[0.0], np.cumsum(signal)])[:-1]
+            terms.append((total[ahead:] - total[:-ahead]) / ahead)
+    return np.column_stack([*terms, v, v * np.abs(v), np.tanh(10.0 * v), v * m.rate[:-ahead] ** 2, np.ones(len(v))])
+
+
+def _rate_terms(m: Motion) -> Matrix:
+    """Terms (n, k) of the yaw rate."""
+    v, terms = m.speed, []
+    for age in TAPS:
+        s = m.commands(age)[:, 1]
+        terms += [v * s, v * s * np.abs(s)]
+    s = m.commands(0.2)[:, 1]
+    return np.column_stack([*terms, v, v * np.abs(v) * s, v**3 * s])
+
+
+def _side_terms(m: Motion) -> Matrix:
+    """Terms (n, k) of the sideways speed."""
+    return np.column_stack([m.rate, m.speed, m.speed * np.abs(m.speed) * m.rate, m.rate * np.abs(m.rate)])
+
+
+def _residuals(terms: Sequence[Matrix], values: Sequence[Floats]) -> list[Floats]:
+    """What a robust regression (Cauchy loss) leaves of the values, part by part."""
+    x, y = np.concatenate(terms), np.concatenate(values)
+    x = x / (np.sqrt(np.mean(x**2, axis=0)) + 1e-12)
+    weight = np.ones(len(y))
+    left = y
+    for _ in range(ROUNDS):
+        root = np.sqrt(weight)
+        left = y - x @ np.linalg.lstsq(x * root[:, None], y * root, rcond=1e-8)[0]
+        scale = 1.4826 * float(np.median(np.abs(left))) + 1e-9
+        weight = 1.0 / (1.0 + (left / (2.0 * scale)) ** 2)
+    return list(np.split(left, np.cumsum([len(v) for v in values])[:-1]))
+
+
+def _averaged(values: Floats) -> Floats:
+    return np.convolve(np.pad(values, AVERAGED // 2, mode="edge"), np.ones(AVERAGED) / AVERAGED, "valid")
+
+
+def _stretches(log: str, m: Motion, speed: Floats, rate: Floats, side: Floats) -> list[Stretch]:
+    kinds = np.array([np.abs(speed), np.abs(rate), np.abs(side)])
+    bad = np.flatnonzero(kinds.max(axis=0) > 1.0)
+    if not len(bad):
+        return []
+    groups = np.split(bad, np.flatnonzero(np.diff(bad) * STEP > JOINED) + 1)
+    found = []
+    for group in groups:
+        if len(group) < SAMPLES_MIN:
+            continue
+        worst = int(np.argmax(kinds[:, group].max(axis=1)))
+        sign = speed[group][int(np.argmax(kinds[0, group]))]
+        what = ("slower than commanded" if sign < 0.0 else "faster than commanded",
+                "turns otherwise than steered", "moves sideways")[worst]  # fmt: skip
+        found.append(Stretch(log, float(m.times[group[0]]) - MARGIN, float(m.times[group[-1]]) + MARGIN, what))
+    return found
+
+
+def without(logs: Sequence[Log], stretches: Sequence[Stretch]) -> tuple[Log, ...]:
+    """The logs without the stretches: their parts end before them, and others begin after them."""
+    cut = []
+    for log in logs:
+        own = [s for s in stretches if s.log == log.name]
+        parts = tuple(piece for part in log.parts for piece in _pieces(part, own))
+        if not own:
+            cut.append(log)
+        elif parts:
+            cut.append(replace(log, parts=parts))
+    return tuple(cut)
+
+
+def _pieces(part: Part, stretches: Sequence[Stretch]) -> list[Part]:
+    times = part.pose_times
+    kept: Bools = np.ones(len(times), bool)
+    for s in stretches:
+        kept &= (times < s.begin) | (times > s.end)
+    index = np.flatnonzero(kept)
+    runs = np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if len(index) else []
+    return [
+        replace(part, pose_times=times[run].copy(), poses=part.poses[run].copy())
+        for run in runs
+        if len(run) > 2 and times[run[-1]] - times[run[0]] > 2.0 * MARGIN
+    ]
