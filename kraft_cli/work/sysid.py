@@ -25,6 +25,7 @@ from kraft.sysid.selection import check_free_parameters, check_settings, exclude
 from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
+from kraft_cli.work.next_drives import NextDrives, NextRequest, check_next, next_drives
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
@@ -56,6 +57,9 @@ class SysidRequest:
         pose_noise: standard deviations of position (m) and yaw (rad), as in ``0.01,0.02``.
         param: initial values, each as ``name=value``.
         horizon: time over which a model with terms to choose is to predict well, s.
+        next: number of drives to recommend; None for none.
+        area: free area for them, as in ``6,4``; None for that of the logs.
+        commands: new folder for their commands.
     """
 
     logs: tuple[Path, ...]
@@ -70,6 +74,9 @@ class SysidRequest:
     pose_noise: str | None = None
     param: tuple[str, ...] = ()
     horizon: float = 3.0
+    next: int | None = None
+    area: str | None = None
+    commands: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,7 @@ class SysidResult:
         evaluation: prediction errors with the identified and with the initial values.
         objections: reasons why the parameters must not be used; empty if they may be used.
         seconds: duration of the identification, without reading and predicting.
+        next_drives: recommended drives, if they were requested.
     """
 
     request: SysidRequest
@@ -95,6 +103,7 @@ class SysidResult:
     evaluation: PredictionEvaluation
     objections: tuple[str, ...]
     seconds: float
+    next_drives: NextDrives | None = None
 
 
 def run_sysid(
@@ -146,7 +155,11 @@ def run_sysid(
     result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds)
     _draw(result)
     _write(result)
-    return result
+    if request.next is None:
+        return result
+    wanted = NextRequest(request.next, request.area, request.commands)
+    planned = next_drives(wanted, base, identification, settings, logs.logs, info)
+    return replace(result, next_drives=planned)
 
 
 def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
@@ -156,8 +169,25 @@ def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
         lambda: settings.append(_settings(request, base)),
         lambda: None if request.out is None else check_vehicle_target(request.out),
         lambda: None if request.plot is None else _check_picture(request.plot),
+        lambda: _check_next(request),
     )
     return settings[0]
+
+
+def _check_next(request: SysidRequest) -> None:
+    """Check the options of recommended drives."""
+    if request.next is not None:
+        check_next(NextRequest(request.next, request.area, request.commands))
+        return
+    problems = [
+        Diagnostic(
+            name, "is given, but no drives are requested", "expected --next too", code=Code.CONFLICT, argument=True
+        )
+        for name, given in (("area", request.area), ("commands", request.commands))
+        if given is not None
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def _settings(request: SysidRequest, base: BaseVehicle) -> Settings:
