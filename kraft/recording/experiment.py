@@ -1,9 +1,9 @@
 """Experiment design: the next drives, those from which the parameters follow best.
 
 A drive is a sequence of elements: constant commands, ramps and sines.  Of all sequences that fit into the area, the one
-is sought after which open-loop predictions are expected to be best: the position error over 1 to 3 s of random drives
-that the uncertainty of the parameters causes, to first order (an I-optimal design).  The best of random sequences is
-improved by exchanging its elements one after another; then follows the next drive, with what this one will have shown.
+is sought after which open-loop predictions of random drives over 1 to 3 s are expected to be best, to first order
+(`kraft.sysid.information`).  The best of random sequences is improved by exchanging its elements one after another;
+then follows the next drive, with what this one will have shown.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ ROUNDS: Final = 2
 """Rounds of exchanges in each drive."""
 BATCH: Final = 50
 """Drives that are simulated together."""
+MANY: Final = 100.0
+"""Times that all random drives are repeated where the noise of their poses shall not matter."""
 RANDOM_DRIVES: Final = 20
 """Random drives whose prediction is to become good."""
 SAMPLE: Final = 0.1
@@ -132,6 +134,7 @@ class _Search:
         drawn = np.random.Generator(np.random.PCG64(0))
         random = [manoeuvre(NAMES[k % len(NAMES)], self._model.drive_control, drawn) for k in range(RANDOM_DRIVES)]
         self._weight = knowledge.prediction_weight(random)
+        self._reference = knowledge.simulate(random).information.sum(axis=0) * MANY
 
     def next(self, fits: Fits) -> PlannedDrive | None:
         """The best drive that fits; what it shows is known from then on."""
@@ -149,7 +152,8 @@ class _Search:
         known = self._known
         self._known = known.after(best.information)
         old, new = (dict(zip(known.names, k.std.tolist(), strict=True)) for k in (known, self._known))
-        errors = [math.sqrt(float(np.sum(self._weight * _covariance(k)))) for k in (known, self._known)]
+        none = np.zeros((1, *self._reference.shape))
+        errors = [float(k.uncertainty_errors(self._weight, none)[0]) for k in (known, self._known)]
         words = _in_words(best.elements, self._model)
         return PlannedDrive(best.elements, words, self._commands(best.elements), best.path, old, new, *errors)
 
@@ -169,8 +173,11 @@ class _Search:
         for k in range(0, len(drives), BATCH):
             batch = drives[k : k + BATCH]
             found = self._known.simulate([self._commands(d) for d in batch])
-            after = self._known.covariances(found.information)
-            errors = np.sqrt(np.einsum("ij,nij->n", self._weight, after))
+            known, weight = self._known, self._weight
+            errors = np.hypot(
+                known.uncertainty_errors(weight, found.information),
+                known.model_errors(weight, self._reference, found.information),
+            )
             rated += map(_Rated, errors.tolist(), batch, found.information, found.paths)
         for each in sorted(rated, key=lambda r: r.error):
             if each.error >= limit:
@@ -197,10 +204,6 @@ class _Rated:
     elements: tuple[Element, ...]
     information: Matrix
     path: Matrix
-
-
-def _covariance(knowledge: Knowledge) -> Matrix:
-    return knowledge.covariance * np.outer(knowledge.scale, knowledge.scale)
 
 
 def _fits_in_time(elements: Sequence[Element]) -> bool:

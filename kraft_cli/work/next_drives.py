@@ -109,7 +109,7 @@ def next_drives(
     area = extent([part.poses for part in parts]) if sides is None else Area(*sides)
     definition = _within_logs(base.definition, logs)
     interval = float(np.median([np.median(np.diff(part.pose_times)) for part in parts]))
-    known = known_after(definition, identification, settings, 1.0 / interval)
+    known = known_after(definition, identification, settings, [_commands(part) for part in parts], 1.0 / interval)
     vehicle = known.parameters.vehicle
     ensure_compiled(vehicle, report, steps=True)
     drives = []
@@ -126,6 +126,14 @@ def next_drives(
         files.append(request.commands / f"drive_{k}" / "commands.csv")
         write_commands(files[-1], tuple(vehicle.controls), drive.commands)
     return NextDrives(tuple(drives), area, tuple(files))
+
+
+def _commands(part: Part) -> Manoeuvre:
+    """Commands of a part of a log."""
+    from kraft.recording.manoeuvres import Manoeuvre
+
+    since = part.command_times - part.pose_times[0]
+    return Manoeuvre("driven", since, part.commands, float(part.pose_times[-1] - part.pose_times[0]))
 
 
 def _within_logs(definition: VehicleConfig | Vehicle, logs: Sequence[Log]) -> VehicleConfig | Vehicle:
