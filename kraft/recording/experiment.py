@@ -9,9 +9,9 @@ then follows the next drive, with what this one will have shown.
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -20,7 +20,7 @@ from kraft.driving.car_model import model_of
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError, NegativeResult
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, manoeuvre
-from kraft.sysid.information import Knowledge
+from kraft.sysid.information import STEP, Knowledge
 from ompl_ext.arrays import Floats, Matrix
 
 ELEMENTS_MAX: Final = 6
@@ -37,15 +37,17 @@ RANDOM_DRIVES: Final = 20
 """Random drives whose prediction is to become good."""
 SAMPLE: Final = 0.1
 """Time between two commands of a ramp or a sine, s."""
-FITS_EVERY: Final = 2
-"""Steps between two poses whose place is checked."""
+PATH_STEP: Final = 0.1
+"""Time between two poses whose place is checked, s."""
+SHORTEST: Final = 4.0
+"""Least duration of a random drive, however small the area, s."""
 SHOWN: Final = 0.9
 """Standard deviation after a drive over that before, below which the drive shows a parameter."""
 UNSEEN: Final = 0.9999
 """Standard deviation after a drive over that before, above which poses do not depend on a parameter."""
 
-Fits = Callable[[Matrix], bool]
-"""Whether a predicted path (n, 3) from the origin fits into the area."""
+Room = Callable[[int, Matrix], float]
+"""Time for which the predicted path (n, 3) of a drive has room, s, poses `PATH_STEP` apart; drives count from 1."""
 
 
 @dataclass(frozen=True)
@@ -95,15 +97,13 @@ class PlannedDrive:
         return tuple(sorted((name for name in ratio if ratio[name] < SHOWN), key=lambda name: ratio[name]))
 
 
-def planned_drives(
-    knowledge: Knowledge, count: int, fits: Callable[[int, Matrix], bool], seed: int = 0
-) -> Iterator[PlannedDrive]:
+def planned_drives(knowledge: Knowledge, count: int, room: Room, seed: int = 0) -> Iterator[PlannedDrive]:
     """Yield the next drives, each with what those before will have shown; fewer than `count` if no other fits.
 
     Args:
         knowledge: what is known of the parameters now.
         count: number of drives.
-        fits: whether the predicted path (n, 3) of drive k, from 1, fits into the area.
+        room: in the area; random drives, which count as drive 0, end where they leave it.
         seed: of the search.
 
     Raises:
@@ -113,9 +113,9 @@ def planned_drives(
     if not knowledge.names:
         name, expected = knowledge.parameters.vehicle.name, "expected a model with parameters to identify"
         raise InputError.of(name, "has no free parameter", expected, Code.MISSING)
-    search = _Search(knowledge, seed)
+    search = _Search(knowledge, room, seed)
     for k in range(1, count + 1):
-        drive = search.next(partial(fits, k))
+        drive = search.next(k)
         if drive is None:
             return
         if k == 1 and all(drive.after[name] > UNSEEN * drive.before[name] for name in drive.before):
@@ -124,8 +124,8 @@ def planned_drives(
 
 
 class _Search:
-    def __init__(self, knowledge: Knowledge, seed: int) -> None:
-        self._known = knowledge
+    def __init__(self, knowledge: Knowledge, room: Room, seed: int) -> None:
+        self._known, self._room = knowledge, room
         p = knowledge.parameters
         values = dict(zip(p.vehicle.parameters, p.model_values(p.nominal).tolist(), strict=False))
         self._model: VehicleModel = model_of(p.vehicle.with_parameters(values))
@@ -133,19 +133,21 @@ class _Search:
         self._library = library(self._model)
         drawn = np.random.Generator(np.random.PCG64(0))
         random = [manoeuvre(NAMES[k % len(NAMES)], self._model.drive_control, drawn) for k in range(RANDOM_DRIVES)]
+        paths = knowledge.simulate(random).paths
+        random = [_until(m, max(room(0, _coarse(p)), SHORTEST)) for m, p in zip(random, paths, strict=True)]
         self._weight = knowledge.prediction_weight(random)
         self._reference = knowledge.simulate(random).information.sum(axis=0) * MANY
 
-    def next(self, fits: Fits) -> PlannedDrive | None:
-        """The best drive that fits; what it shows is known from then on."""
-        best = self._best([self._random() for _ in range(FIRST)], math.inf, fits)
+    def next(self, number: int) -> PlannedDrive | None:
+        """The best drive that has room; what it shows is known from then on."""
+        best = self._best([self._random() for _ in range(FIRST)], math.inf, number)
         if best is None:
             return None
         for _ in range(ROUNDS):
             before = best.error
             for k in range(len(best.elements)):
                 others = [(*best.elements[:k], e, *best.elements[k + 1 :]) for e in self._library]
-                better = self._best([d for d in others if _fits_in_time(d)], best.error, fits)
+                better = self._best([d for d in others if _fits_in_time(d)], best.error, number)
                 best = better or best
             if best.error >= 0.999 * before:
                 break
@@ -167,7 +169,7 @@ class _Search:
             found.append(element)
         return tuple(found)
 
-    def _best(self, drives: Sequence[tuple[Element, ...]], limit: float, fits: Fits) -> _Rated | None:
+    def _best(self, drives: Sequence[tuple[Element, ...]], limit: float, number: int) -> _Rated | None:
         """The best of some drives among those that fit and are better than a limit."""
         rated: list[_Rated] = []
         for k in range(0, len(drives), BATCH):
@@ -182,7 +184,8 @@ class _Search:
         for each in sorted(rated, key=lambda r: r.error):
             if each.error >= limit:
                 return None
-            if fits(each.path[::FITS_EVERY]):
+            path = _coarse(each.path)
+            if self._room(number, path) >= PATH_STEP * (len(path) - 1) - 1e-9:
                 return each
         return None
 
@@ -204,6 +207,17 @@ class _Rated:
     elements: tuple[Element, ...]
     information: Matrix
     path: Matrix
+
+
+def _coarse(path: Matrix) -> Matrix:
+    """Poses `PATH_STEP` apart of a path whose poses are `information.STEP` apart."""
+    return path[:: round(PATH_STEP / STEP)]
+
+
+def _until(drive: Manoeuvre, end: float) -> Manoeuvre:
+    """A drive that ends before its time."""
+    before = drive.times < end
+    return replace(drive, times=drive.times[before], controls=drive.controls[before], end=min(end, drive.end))
 
 
 def _fits_in_time(elements: Sequence[Element]) -> bool:
@@ -267,6 +281,11 @@ class Area:
         """Whether a path (n, 3) fits into it at some heading, with the margin."""
         long, short = max(self.length, self.width), min(self.length, self.width)
         return any(max(sides) <= long and min(sides) <= short for sides in _sides(path))
+
+    def room(self, _: int, path: Matrix) -> float:
+        """Time for which a path (n, 3) of poses `PATH_STEP` apart fits into it, s."""
+        fits = bisect(range(2, len(path) + 1), 0, key=lambda n: not self.holds(path[:n]))
+        return PATH_STEP * fits
 
 
 def needed_area(path: Matrix) -> Area:

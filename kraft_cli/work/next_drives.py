@@ -113,7 +113,7 @@ def next_drives(
     vehicle = known.parameters.vehicle
     ensure_compiled(vehicle, report, steps=True)
     drives = []
-    for drive in planned_drives(known, request.count, lambda _, path: area.holds(path)):
+    for drive in planned_drives(known, request.count, area.room):
         drives.append(drive)
         report(f"planned drive {len(drives)} of {request.count}")
     if not drives:
@@ -209,7 +209,6 @@ def drives_for(
         NegativeResult: if no drive shows any parameter.
     """
     from kraft.recording.experiment import planned_drives
-    from kraft.recording.free_space import STEP
     from kraft.sysid.information import known_before
 
     record = definition.identification
@@ -217,11 +216,11 @@ def drives_for(
     known = known_before(definition, noise, scenario.sensing.rate_hz)
     ensure_compiled(known.parameters.vehicle, report, steps=True)
 
-    def fits(number: int, path: Matrix) -> bool:
-        return recorder.place(number, path).time >= STEP * (len(path) - 1) - 1e-9
+    def room(number: int, path: Matrix) -> float:
+        return recorder.place(number, path).time
 
     found: list[tuple[Manoeuvre, Place | None]] = []
-    for k, drive in enumerate(planned_drives(known, count, fits, seed), 1):
+    for k, drive in enumerate(planned_drives(known, count, room, seed), 1):
         report(f"planned drive {k} of {count}: {'; '.join(drive.words)}")
         found.append((drive.commands, recorder.place(k, drive.path[::2])))
     if not found:
