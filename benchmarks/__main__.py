@@ -32,6 +32,7 @@ TOPICS = (
     "changes",
     "arenas",
     "sysid",
+    "experiment",
     "sensing",
 )
 NEEDS_OUT = ("peers",)

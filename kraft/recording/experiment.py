@@ -37,6 +37,8 @@ RANDOM_DRIVES: Final = 20
 """Random drives whose prediction is to become good."""
 SAMPLE: Final = 0.1
 """Time between two commands of a ramp or a sine, s."""
+CHECKS: Final = 8
+"""Best exchanges of an element that are tried to fit."""
 PATH_STEP: Final = 0.1
 """Time between two poses whose place is checked, s."""
 SHORTEST: Final = 4.0
@@ -181,7 +183,8 @@ class _Search:
                 known.model_errors(weight, self._reference, found.information),
             )
             rated += map(_Rated, errors.tolist(), batch, found.information, found.paths)
-        for each in sorted(rated, key=lambda r: r.error):
+        rated.sort(key=lambda r: r.error)
+        for each in rated if limit == math.inf else rated[:CHECKS]:
             if each.error >= limit:
                 return None
             path = _coarse(each.path)
