@@ -17,6 +17,7 @@ from benchmarks import (
     callbacks,
     changes,
     estimated,
+    experiment,
     goals,
     maps,
     peers,
@@ -38,6 +39,7 @@ from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
+from kraft.recording import experiment as design
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
@@ -233,6 +235,17 @@ def test_identification_is_timed_and_tried_on_random_problems(monkeypatch: pytes
     assert found["20 logs of 20 s, 50 ms steps, 30 Hz"] > 0
     assert found["converged, of 2 problems from wild parameters"] == 1.0
     assert found["5 % outliers of 0.5 m: change of L"] < 0.02
+
+
+def test_recommended_drives_are_compared_with_random_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(experiment, "VEHICLES", {"mushr": "mushr-lag"})
+    monkeypatch.setattr(experiment, "PLANNED", 1)
+    monkeypatch.setattr(experiment, "RANDOM", 2)
+    monkeypatch.setattr(design, "FIRST", 10)
+    monkeypatch.setattr(design, "ROUNDS", 0)
+    found = quantities(experiment.run(SMOKE))
+    assert found["mushr: held-out error after 3 s, 1 recommended"] > 0.0
+    assert found["mushr: worst standard deviation over that of 2 random"] > 0.0
 
 
 def test_a_change_is_followed_when_a_value_is_first_near() -> None:
