@@ -33,6 +33,7 @@ TOPICS = (
     "arenas",
     "sysid",
     "disturbances",
+    "experiment",
     "sensing",
 )
 NEEDS_OUT = ("peers",)

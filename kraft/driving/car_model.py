@@ -103,9 +103,10 @@ class CarModel(VehicleModel):
         return np.zeros(len(self.vehicle.state))
 
     def drive_control(self, drive: float, turn: float) -> Floats:
-        """Control (nu,) with shares of the largest throttle and of the largest steering to either side."""
+        """Control (nu,) with shares of the largest throttle, either way, and of the largest steering to either side."""
         steering = float(min(self.high[self.steering], -self.low[self.steering]))
-        return self.command(drive * float(self.high[self.throttle]), turn * steering)
+        full = self.high if drive > 0.0 else -self.low
+        return self.command(drive * float(full[self.throttle]), turn * steering)
 
     def control_to(self, state: Floats, control: Floats, after: Floats, duration: float) -> Floats:
         """Control (nu,) with the throttle that leads to the speed of `after`: the brakes' while the car is faster."""

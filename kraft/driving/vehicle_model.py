@@ -127,17 +127,17 @@ class VehicleModel:
         return rate
 
     def drive_control(self, drive: float, turn: float) -> Floats:
-        """Control (nu,) that drives forward with a share `drive` in [0, 1] and turns left with `turn` in [-1, 1].
+        """Control (nu,) that drives with a share `drive` in [-1, 1], positive forward, and turns left with `turn`.
 
         Without `drive`, a vehicle that does not slow down by itself brakes.
         """
-        forward, sideways, slowing = self._directions
-        ahead = drive * forward if drive > 0.0 else slowing
-        return self.clamped(ahead + turn * sideways)
+        forward, backward, sideways, slowing = self._directions
+        along = drive * forward if drive > 0.0 else -drive * backward if drive < 0.0 else slowing
+        return self.clamped(along + turn * sideways)
 
     @cached_property
-    def _directions(self) -> tuple[Floats, Floats, Floats]:
-        """Controls (nu,) that drive forward at full power, that turn left besides, and that let the vehicle slow down.
+    def _directions(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Controls (nu,) that drive forward and backward at full power, turn left besides, and let it slow down.
 
         They are found by the model's derivatives: a control counts if its effect is at least `EFFECT` of the largest.
         """
@@ -146,6 +146,7 @@ class VehicleModel:
         gain = by_control[0][self.v] * span
         counts = np.abs(gain) >= EFFECT * np.abs(gain).max()
         forward = np.where(counts, np.where(gain > 0.0, self.high, self.low), 0.0)
+        backward = np.where(counts, np.where(gain > 0.0, self.low, self.high), 0.0)
         moving = self.advance(np.zeros(nx), self.clamped(0.5 * forward), 1.0)
         _, _, by_control = self.linearised(moving[None, :], self.clamped(0.5 * forward)[None, :], np.array([MAX_STEP]))
         turned = by_control[0][self.theta] * span
@@ -153,7 +154,7 @@ class VehicleModel:
         sideways = np.where(counts, 0.5 * np.sign(turned) * span, 0.0)
         coasted = self.advance(moving, self.rest, COASTING)
         slows = float(coasted[self.v]) < 0.5 * float(moving[self.v])
-        return forward, sideways, self.rest if slows else self.clamped(-forward)
+        return forward, backward, sideways, self.rest if slows else self.clamped(-forward)
 
     def control_to(self, state: Floats, control: Floats, after: Floats, duration: float) -> Floats:
         """Control (nu,) near `control` that leads from a state to the velocities of `after`, as nearly as one can."""

@@ -1,4 +1,4 @@
-"""Open-loop manoeuvres that make the parameters of a vehicle identifiable.
+"""Open-loop manoeuvres that make the parameters of a vehicle identifiable, and files of their commands.
 
 Straight runs identify the drive and show a steering offset, arcs to both sides separate the wheelbase from the steering
 offset, steps identify the lags, and the mix covers other combinations of commands.
@@ -6,13 +6,18 @@ offset, steps identify the lags, and the mix covers other combinations of comman
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.files import write_csv
+from kraft.logs.csv_table import read_csv
+from kraft.text import suggestion
 from ompl_ext.arrays import Floats, Matrix
 
 DURATION: Final = 20.0
@@ -21,6 +26,9 @@ REST: Final = 0.5
 """Time at rest before it begins, s: the initial speed of a log that begins at rest is known."""
 COASTING: Final = 2.5
 """Time without drive at its end, s, so that every log shows how the vehicle slows down."""
+
+COMMAND_RATE: Final = 20.0
+"""Rate of the commands, 1/s: not the camera's, so that the two are asynchronous, as on a real car."""
 
 Piece = tuple[float, float, float]
 """Duration (s), and drive and turn to the left as shares of the largest ones: for a car throttle and steering."""
@@ -117,3 +125,60 @@ KINDS: Final[Mapping[str, Draw]] = MappingProxyType({
     "mix": _mix,
 })  # fmt: skip
 NAMES: Final = tuple(KINDS)
+
+
+def write_commands(path: Path, names: Sequence[str], drive: Manoeuvre) -> None:
+    """Write the commands of a manoeuvre as a CSV file: its time and the controls, `COMMAND_RATE` times a second.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    times = np.arange(round(drive.end * COMMAND_RATE) + 1) / COMMAND_RATE
+    write_csv(path, ("t", *names), [(float(t), *drive.control_at(float(t)).tolist()) for t in times])
+
+
+def read_commands(path: Path, limits: Mapping[str, tuple[float, float]]) -> Manoeuvre:
+    """Read a manoeuvre from a CSV file with the columns t (s) and the controls; its last row is its end.
+
+    Args:
+        path: the file; the manoeuvre has the name of its folder, or of the file.
+        limits: lowest and highest command by the name of a control.
+
+    Raises:
+        InputError: if it cannot be read, lacks a column, or has times or commands that no drive can have.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        expected = "expected a file of commands, as kraft sysid --commands writes it"
+        raise InputError.of(str(path), "does not exist", expected, Code.NOT_FOUND) from None
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror}"
+        raise InputError.of(str(path), problem, "expected a readable file", Code.UNREADABLE) from error
+    table = read_csv(path, content)
+    missing = [
+        Diagnostic(str(path), f"has no column {name}", suggestion(name, table.columns), code=Code.MISSING)
+        for name in ("t", *limits)
+        if name not in table.columns
+    ]
+    if missing:
+        raise InputError(missing)
+    times, controls = table.columns["t"], np.column_stack([table.columns[name] for name in limits])
+    checks = [
+        (~np.isfinite(times), "t is not a number", "expected a time in s"),
+        (np.diff(times, prepend=-np.inf) <= 0.0, "t does not ascend", "expected a later time than in the line before"),
+    ]
+    for name, column in zip(limits, controls.T, strict=True):
+        low, high = limits[name]
+        beyond = ~((column >= low - 1e-9) & (column <= high + 1e-9))
+        checks.append((beyond, f"{name} is out of its range or no number", f"expected {low:g} to {high:g}"))
+    problems = [
+        table.diagnostic(problem, expected, int(np.argmax(wrong))) for wrong, problem, expected in checks if wrong.any()
+    ]
+    if not problems and len(times) < 2:
+        problems = [table.diagnostic("has a single row", "expected a row at the beginning and one at the end")]
+    if problems:
+        raise InputError(problems)
+    name = path.parent.name if path.name == "commands.csv" and path.parent.name else path.stem
+    since = np.ascontiguousarray(times - times[0])
+    return Manoeuvre(name, since, np.ascontiguousarray(controls), float(since[-1]))

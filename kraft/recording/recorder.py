@@ -25,7 +25,7 @@ from kraft.errors import Code, InputError
 from kraft.files import check_writable, new_folder, write_csv, write_json
 from kraft.planning.workspace import workspace_of
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
-from kraft.recording.manoeuvres import NAMES, Manoeuvre, manoeuvre
+from kraft.recording.manoeuvres import COMMAND_RATE, NAMES, Manoeuvre, manoeuvre
 from kraft.scenario import Box, Scenario, Start
 from kraft.simulation.true_world import world_of
 from kraft.trial.plant import Plant
@@ -111,8 +111,6 @@ def moved(path: Matrix, start: Start) -> Matrix:
     return np.column_stack([start.x + c * x - s * y, start.y + s * x + c * y, start.heading + theta])
 
 
-COMMAND_RATE: Final = 20.0
-"""Rate of the commands, 1/s: not the camera's, so that the two are asynchronous, as on a real car."""
 STOP: Final = 0.1
 """Clearance of the true car at which a run ends, m."""
 SHORTEST: Final = 2.0
@@ -165,15 +163,29 @@ class Recorder:
         self._free_space = FreeSpace(scenario, vehicle)
         self._world = world_of(scenario, vehicle, seed)
 
-    def record(self, number: int) -> Recording:
+    def place(self, number: int, path: Matrix) -> Place:
+        """Start of run `number` if it is to drive a path of poses (m, 3) from the origin, `STEP` apart."""
+        return self._free_space.place(path, self._generator(number))
+
+    def _generator(self, number: int) -> np.random.Generator:
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
+
+    def record(self, number: int, commanded: Manoeuvre | None = None, place: Place | None = None) -> Recording:
         """Drive run `number`, from 1.
+
+        Args:
+            number: of the run.
+            commanded: what to drive; a random manoeuvre if None.
+            place: where to begin; if None, where the vehicle's model predicts free space.
 
         Raises:
             InputError: if the scenario has no free space for the manoeuvre.
         """
-        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
-        commanded = manoeuvre(NAMES[(number - 1) % len(NAMES)], self._model.drive_control, generator)
-        place = self._free_space.place(predicted(self._model, commanded), generator)
+        generator = self._generator(number)
+        if commanded is None:
+            commanded = manoeuvre(NAMES[(number - 1) % len(NAMES)], self._model.drive_control, generator)
+        if place is None:
+            place = self._free_space.place(predicted(self._model, commanded), generator)
         if place.time < SHORTEST:
             name = self._scenario.name
             problem = f"has no free space for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"

@@ -75,6 +75,21 @@ class FastGraph:
             prior_gradient=inverse * self.problem.prior_residuals(self._point.rho),
         )
 
+    def information_with(self, effects: Floats) -> Floats:
+        """Information (logs, np + m, np + m) on rho and on m errors of the controls.
+
+        `effects` (N, nu, m) are those of the errors on the controls of each step.
+        """
+        size, m = len(self._point.rho), effects.shape[2]
+        none = np.zeros((len(self._graph.pose), 3, m))
+        graph = self._graph._replace(
+            command=np.concatenate([self._graph.command, effects], axis=2),
+            pose_rho=np.concatenate([self._graph.pose_rho, none], axis=2),
+        )
+        out = allocate(self.problem.chains, self.problem.dynamics.nx, size + m)
+        eliminate(graph, 0.0, out)
+        return out.information
+
     def moved(self, change: Floats) -> Point:
         """The point that minimises the linearised problem among those whose rho changes by `change`.
 

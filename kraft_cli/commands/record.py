@@ -18,7 +18,15 @@ Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs
 VehicleName = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to drive, instead of the scenario's.")
 ]
-Runs = Annotated[int, typer.Option(metavar="N", help="Number of runs, 20 s each.")]
+Runs = Annotated[int | None, typer.Option(metavar="N", help="Number of runs, 20 s each: by default 10, with --for 3.")]
+For = Annotated[
+    str | None,
+    typer.Option("--for", metavar="NAME|FILE", help="Drive what shows the parameters of this model, from its priors."),
+]
+Commands = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="FILE|FOLDER", help="Drive these commands: files, or a folder of kraft sysid --commands."),
+]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same logs.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
@@ -28,8 +36,10 @@ def record(
     scenario: Scenario = "training",
     vehicle: VehicleName = None,
     out: Out = Path("logs"),
-    runs: Runs = 10,
+    runs: Runs = None,
     seed: Seed = 0,
+    for_: For = None,
+    commands: Commands = None,
     json: Json = False,
 ) -> ExitStatus:
     """Drive manoeuvres without feedback in simulation and log commands and measured poses, for kraft sysid."""
@@ -37,18 +47,21 @@ def record(
     from kraft_cli.work.record import RecordRequest, record_logs
 
     terminal: Terminal = context.obj
+    request = RecordRequest(scenario, out, runs, seed, vehicle, for_, tuple(commands or ()))
     done: list[RecordedRun] = []
 
     def ended(run: RecordedRun) -> None:
         done.append(run)
         note = f"; {run.note}" if run.note else ""
         poses = counted(run.poses, "pose")
-        terminal.info(f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
+        terminal.info(f"{len(done)}/{run.of}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
     try:
-        record_logs(RecordRequest(scenario, out, runs, seed, vehicle), terminal.info, ended)
+        record_logs(request, terminal.info, ended)
     except KeyboardInterrupt:
-        kept = f"; {len(done)} of {counted(runs, 'run')} kept in {out}" if done else " before the first run ended"
+        kept = (
+            f"; {len(done)} of {counted(request.count, 'run')} kept in {out}" if done else " before the first run ended"
+        )
         terminal.problem(f"stopped{kept}")
         return ExitStatus.INTERRUPTED
     if json:

@@ -48,6 +48,13 @@ Graph = Annotated[
     str, typer.Option(metavar="fast|paper", help="Form of the graph: eliminated, or every factor explicit.")
 ]
 Horizon = Annotated[float, typer.Option(metavar="S", help="Time over which the chosen model is to predict well.")]
+Next = Annotated[int | None, typer.Option("--next", metavar="N", help="Recommend the next N drives, which show most.")]
+Area = Annotated[
+    str | None, typer.Option(metavar="L,W", help="Free area for the next drives, m; by default that of the logs.")
+]
+Commands = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="New folder for the commands of the next drives.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -65,6 +72,9 @@ def sysid(
     pose_noise: PoseNoise = None,
     graph: Graph = "fast",
     horizon: Horizon = 3.0,
+    next_: Next = None,
+    area: Area = None,
+    commands: Commands = None,
     json: Json = False,
 ) -> ExitStatus:
     """Identify a vehicle's parameters from logs; the exit code is 1 if the logs do not identify them."""
@@ -85,6 +95,9 @@ def sysid(
         horizon=horizon,
         pose_noise=pose_noise,
         param=tuple(param or ()),
+        next=next_,
+        area=area,
+        commands=commands,
     )
     result = run_sysid(request, terminal.info, terminal.problem, terminal.detail)
     _report_details(terminal, result)
@@ -129,3 +142,9 @@ def _print(terminal: Terminal, result: SysidResult) -> None:
         terminal.data(f"vehicle file {result.request.out}: kraft plan turns --vehicle {result.request.out}")
     if result.request.plot is not None:
         terminal.data(f"picture {result.request.plot}")
+    if result.next_drives is not None:
+        from kraft_cli.work.next_drives import next_lines
+
+        terminal.data("")
+        for line in next_lines(result.next_drives):
+            terminal.data(line)

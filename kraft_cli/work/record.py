@@ -2,30 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
-from kraft.errors import Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import vehicle_of_task
+from kraft.recording.manoeuvres import Manoeuvre, read_commands
 from kraft.scenario import load_scenario
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle
+from kraft_cli.work.next_drives import COUNT_MAX, drives_for, load_prior
+
+if TYPE_CHECKING:
+    from kraft.recording.recorder import Place
 
 RUNS: Final = 10
+"""Number of random runs by default."""
+PLANNED_RUNS: Final = 3
+"""Number of recommended drives by default."""
 
 
 @dataclass(frozen=True)
 class RecordRequest:
-    """Options of `kraft record` as written; `out` is a new folder."""
+    """Options of `kraft record` as written; `out` is a new folder, `model` that whose parameters the drives show."""
 
     scenario: str = "training"
     out: Path = Path("logs")
-    runs: int = RUNS
+    runs: int | None = None
     seed: int = 0
     vehicle: str | None = None
+    model: str | None = None
+    commands: tuple[Path, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of runs, unless files of commands state what is driven."""
+        default = RUNS if self.model is None else PLANNED_RUNS
+        return default if self.runs is None else self.runs
 
 
 @dataclass(frozen=True)
@@ -38,6 +54,8 @@ class RecordedRun:
     commands: int
     poses: int
     note: str
+    of: int
+    """number of runs"""
 
 
 def record_logs(
@@ -50,8 +68,15 @@ def record_logs(
             has no free space for a run.
     """
     problems = []
-    if request.runs < 1:
+    if request.count < 1:
         problems.append(Diagnostic("runs", f"is {request.runs}", "expected a number of at least 1", argument=True))
+    if request.model is not None and request.count > COUNT_MAX:
+        expected = f"expected a number of at most {COUNT_MAX} with --for"
+        problems.append(Diagnostic("runs", f"is {request.runs}", expected, argument=True))
+    for name, given in (("for", request.model), ("runs", request.runs)):
+        if request.commands and given is not None:
+            expected = "expected one of the two: files of commands state what is driven"
+            problems.append(Diagnostic(name, "is given with --commands", expected, code=Code.CONFLICT, argument=True))
     if request.seed < 0:
         problems.append(Diagnostic("seed", f"is {request.seed}", "expected a number of at least 0", argument=True))
     if problems:
@@ -61,17 +86,46 @@ def record_logs(
     from kraft.recording.recorder import Recorder, check_log_folder, write_recording  # these load the simulator
 
     check_log_folder(request.out)
+    prior = None if request.model is None else load_prior(request.model, vehicle)
+    files = _command_files(request.commands)
+    drives: list[tuple[Manoeuvre, Place | None]] = [(read_commands(path, vehicle.controls), None) for path in files]
     ensure_compiled(vehicle, report, steps=not is_car(vehicle))
     recorder = Recorder(scenario, vehicle, request.seed)
-    arguments = {"scenario": request.scenario, "runs": request.runs, "seed": request.seed}
+    if prior is not None:
+        drives = drives_for(prior, scenario, recorder, request.count, request.seed, report)
+    runs = len(drives) or request.count
+    arguments: dict[str, Any] = {"scenario": request.scenario, "runs": runs, "seed": request.seed}
     if request.vehicle is not None:
         arguments["vehicle"] = request.vehicle
+    if request.model is not None:
+        arguments["for"] = request.model
+    if files:
+        arguments["commands"] = [str(path) for path in files]
     done = []
-    for number in range(1, request.runs + 1):
-        recording = recorder.record(number)
+    for number in range(1, runs + 1):
+        recording = recorder.record(number, *(drives[number - 1] if drives else ()))
         folder = write_recording(request.out, scenario, arguments, recording)
         logged = len(recording.commands), len(recording.poses)
-        done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note))
+        done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note, runs))
         if on_run is not None:
             on_run(done[-1])
     return tuple(done)
+
+
+def _command_files(paths: Sequence[Path]) -> list[Path]:
+    """Files of commands: those given, and all `commands.csv` in the folders given.
+
+    Raises:
+        InputError: with every folder that has none.
+    """
+    files: list[Path] = []
+    problems = []
+    for path in paths:
+        found = sorted(path.rglob("commands.csv")) if path.is_dir() else [path]
+        if not found:
+            expected = "expected the folder of kraft sysid --commands"
+            problems.append(Diagnostic(str(path), "has no commands.csv in it", expected, code=Code.NOT_FOUND))
+        files += found
+    if problems:
+        raise InputError(problems)
+    return files

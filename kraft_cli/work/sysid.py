@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from kraft.errors import Code, Diagnostic, InputError, NegativeResult
 from kraft.files import check_all, check_writable
-from kraft.logs.log import LogSet
+from kraft.logs.log import Log, LogSet
 from kraft.plot.style import picture_format
 from kraft.sysid.acceptance import (
     PredictionEvaluation,
@@ -34,6 +34,7 @@ from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
 from kraft.vehicles.config import load_vehicle_config
+from kraft_cli.work.next_drives import NextDrives, NextRequest, check_next, next_drives
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
@@ -65,6 +66,9 @@ class SysidRequest:
         pose_noise: standard deviations of position (m) and yaw (rad), as in ``0.01,0.02``.
         param: initial values, each as ``name=value``.
         horizon: time over which a model with terms to choose is to predict well, s.
+        next: number of drives to recommend; None for none.
+        area: free area for them, as in ``6,4``; None for that of the logs.
+        commands: new folder for their commands.
     """
 
     logs: tuple[Path, ...]
@@ -79,6 +83,9 @@ class SysidRequest:
     pose_noise: str | None = None
     param: tuple[str, ...] = ()
     horizon: float = 3.0
+    next: int | None = None
+    area: str | None = None
+    commands: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +103,7 @@ class SysidResult:
         seconds: duration of the identification, without reading and predicting.
         units: found meaning of the numbers of each command; empty for a model whose commands have units.
         left_out: stretches of logs that no model explains.
+        next_drives: recommended drives, if they were requested.
     """
 
     request: SysidRequest
@@ -108,6 +116,7 @@ class SysidResult:
     seconds: float
     units: Mapping[str, CommandUnit]
     left_out: tuple[Stretch, ...]
+    next_drives: NextDrives | None = None
 
 
 def run_sysid(
@@ -180,17 +189,30 @@ def run_sysid(
     )
     found = objections(identification, evaluation)
     if request.out is not None and request.out.exists() and not found:
-        before = load_vehicle_config(str(request.out))
-        record = before.identification
-        scales = record.commands or {} if record else {}
-        known = {name: CommandUnit(c.neutral, c.scale) for name, c in scales.items()}
-        as_before = with_units(recorded, {name: known.get(name, CommandUnit()) for name in controls})
-        as_before = without(as_before, left_out)
-        found = replacement_objections(before, str(request.out), as_before, evaluation, settings)
+        found = _earlier_objections(request.out, without(recorded, left_out), controls, evaluation, settings)
     result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds, units, left_out)
     _draw(result)
     _write(result)
-    return result
+    if request.next is None:
+        return result
+    wanted = NextRequest(request.next, request.area, request.commands)
+    planned = next_drives(wanted, base, identification, settings, logs.logs, info)
+    return replace(result, next_drives=planned)
+
+
+def _earlier_objections(
+    out: Path,
+    held_out: tuple[Log, ...],
+    controls: Sequence[str],
+    evaluation: PredictionEvaluation,
+    settings: Settings,
+) -> tuple[str, ...]:
+    """Objections to replacing a vehicle file, whose commands may be in other units; the logs are as recorded."""
+    before = load_vehicle_config(str(out))
+    scales = (before.identification.commands or {}) if before.identification else {}
+    known = {name: CommandUnit(c.neutral, c.scale) for name, c in scales.items()}
+    logs = with_units(held_out, {name: known.get(name, CommandUnit()) for name in controls})
+    return replacement_objections(before, str(out), logs, evaluation, settings)
 
 
 def _restored(split: LogSplit, units: Mapping[str, CommandUnit]) -> LogSplit:
@@ -206,8 +228,25 @@ def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
         lambda: settings.append(_settings(request, base)),
         lambda: None if request.out is None else check_vehicle_target(request.out),
         lambda: None if request.plot is None else _check_picture(request.plot),
+        lambda: _check_next(request),
     )
     return settings[0]
+
+
+def _check_next(request: SysidRequest) -> None:
+    """Check the options of recommended drives."""
+    if request.next is not None:
+        check_next(NextRequest(request.next, request.area, request.commands))
+        return
+    problems = [
+        Diagnostic(
+            name, "is given, but no drives are requested", "expected --next too", code=Code.CONFLICT, argument=True
+        )
+        for name, given in (("area", request.area), ("commands", request.commands))
+        if given is not None
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def _settings(request: SysidRequest, base: BaseVehicle) -> Settings:

@@ -9,6 +9,7 @@ from typing import Any, Final
 from kraft.sysid.prediction import HORIZONS
 from kraft.sysid.result import ModelTrial, ParameterEstimate, PredictionErrors
 from kraft.text import counted
+from kraft_cli.work.next_drives import next_json
 from kraft_cli.work.sysid import SysidResult
 
 SCHEMA: Final = "kraft.sysid/1"
@@ -68,6 +69,7 @@ def sysid_json(result: SysidResult) -> dict[str, Any]:
         "warnings": list(identification.warnings),
         "notes": list(identification.notes),
         "vehicle_file": None if written is None else str(written),
+        "next": None if result.next_drives is None else next_json(result.next_drives),
     }
 
 

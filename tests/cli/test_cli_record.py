@@ -11,6 +11,7 @@ import pytest
 from support.evaluation import places
 from support.paths import ROOT
 
+from kraft.recording import experiment
 from kraft.recording.recorder import Recorder
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
@@ -115,6 +116,12 @@ def test_a_run_that_ends_early_says_so(capsys: pytest.CaptureFixture[str]) -> No
         (["--seed", "-1"], "--seed"),
         (["--out", "."], "."),
         (["--out", "/proc/x"], "/proc/x"),
+        (["--for", "mushr-lag", "--runs", "21"], "--runs"),
+        (["--for", "mushr-lag", "--commands", "x"], "--for"),
+        (["--commands", "x", "--runs", "2"], "--runs"),
+        (["--commands", "none.csv"], "none.csv"),
+        (["--for", "jackal"], "jackal"),
+        (["--for", "kraft.vehicles.mushr:MUSHR_LAG"], "kraft.vehicles.mushr:MUSHR_LAG"),
     ],
 )
 def test_bad_arguments_are_explained_without_driving(
@@ -139,3 +146,26 @@ def test_every_option_key_and_default_of_kraft_record_is_described(capsys: pytes
     manifest = json.loads(Path("logs/run_01/manifest.json").read_text())
     keys = {*content, *content["runs"][0], *manifest}
     assert keys <= set(re.findall(r"`(\w+)`", text))
+
+
+def test_recommended_drives_are_driven_and_their_commands_can_be_driven_again(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment, "FIRST", 10)
+    monkeypatch.setattr(experiment, "ROUNDS", 0)
+    assert main(["record", "--for", "mushr-lag", "--runs", "1", "--out", "planned"]) == 0
+    assert "planned drive 1 of 1: " in capsys.readouterr().err
+    manifest = json.loads(Path("planned/run_01/manifest.json").read_text())
+    assert (manifest["manoeuvre"], manifest["note"], manifest["arguments"]["for"]) == ("planned", "", "mushr-lag")
+    sent = Path("planned/run_01/commands.csv").read_text()
+    assert main(["record", "--commands", "planned", "--out", "again", "-q"]) == 0
+    assert Path("again/run_01/commands.csv").read_text() == sent
+    assert json.loads(Path("again/run_01/manifest.json").read_text())["manoeuvre"] == "run_01"
+
+
+def test_a_model_without_priors_is_refused_at_its_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "configs" / "vehicles" / "mushr-lag.yaml").read_text(encoding="utf-8")
+    (folder / "bare.yaml").write_text(text.replace(", std: 0.2", "").split("identification:")[0], encoding="utf-8")
+    assert main(["record", "--for", "bare.yaml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(r"bare.yaml:\d+:\d+: parameters.v_delta: has no std; ", line)

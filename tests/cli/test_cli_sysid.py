@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.evaluation import places
 from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
 from support.recorded import FOUR, IDENTIFY
 
+from kraft.recording import experiment
 from kraft.sysid import fast_graph as compilation
 from kraft.sysid.parameters import affects_motion
 from kraft.vehicles.config import load_vehicle_config
@@ -379,3 +381,48 @@ def test_on_a_real_car_prediction_is_as_good_as_its_poses(capsys: pytest.Capture
     assert errors["position_m"]["3"] < 0.03
     assert errors["yaw_rad"]["3"] < 0.03
     assert content["params"]["delay"]["value"] == pytest.approx(0.1, abs=0.04)
+
+
+def test_next_drives_are_printed_and_their_commands_written(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment, "FIRST", 10)
+    monkeypatch.setattr(experiment, "ROUNDS", 0)
+    options = ("--model", "mushr-lag", "--extras", "none", "--next", "2", "--area", "9,8")
+    assert main(["sysid", *FOUR, *options, "--commands", "next", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    drives = content["next"]["drives"]
+    assert content["next"]["area_m"] == [9.0, 8.0]
+    assert [drive["commands"] for drive in drives] == [f"next/drive_{k}/commands.csv" for k in (1, 2)]
+    for drive in drives:
+        rows = (folder / drive["commands"]).read_text().splitlines()
+        assert rows[0] == "t,throttle,steering"
+        assert float(rows[-1].split(",")[0]) == pytest.approx(drive["duration_s"])
+        assert drive["error_after_m"] < drive["error_before_m"]
+        assert set(drive["std"]) == {"L", "phi_diff", "v_delta", "tau"}
+    assert drives[0]["std"]["L"]["before"] == pytest.approx(content["params"]["L"]["std"])
+    assert main(["sysid", *FOUR, *options]) == 0
+    out = capsys.readouterr().out
+    assert "NEXT 2 DRIVES, in an area of 9 m x 8 m" in out
+    assert all(step in out for step in drives[0]["steps"])
+
+
+@pytest.mark.parametrize(
+    ("options", "place"),
+    [
+        (("--next", "0"), "--next"),
+        (("--next", "21"), "--next"),
+        (("--next", "1", "--area", "6"), "--area"),
+        (("--next", "1", "--area", "6,-1"), "--area"),
+        (("--next", "1", "--commands", "logs"), "logs"),
+        (("--area", "6,4"), "--area"),
+        (("--commands", "new"), "--commands"),
+        (("--next", "1", "--area", "0.01,0.01"), "--area"),
+    ],
+)
+def test_bad_options_of_next_drives_are_explained(
+    options: tuple[str, ...], place: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment, "FIRST", 5)
+    assert main(["sysid", *FOUR, "--model", "mushr-lag", "--extras", "none", "-q", *options]) == 2
+    assert places(capsys.readouterr().err) == [place]

@@ -18,6 +18,7 @@ from benchmarks import (
     changes,
     disturbances,
     estimated,
+    experiment,
     goals,
     maps,
     peers,
@@ -39,6 +40,7 @@ from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
+from kraft.recording import experiment as design
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
@@ -245,6 +247,17 @@ def test_disturbances_are_found_and_what_they_do_is_measured(monkeypatch: pytest
         rows[0] for rows in ([r for r in report.rows if r.quantity.endswith(end)] for end in ("nine", "out"))
     )
     assert cut.median < with_all.median
+
+
+def test_recommended_drives_are_compared_with_random_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(experiment, "VEHICLES", {"mushr": "mushr-lag"})
+    monkeypatch.setattr(experiment, "PLANNED", 1)
+    monkeypatch.setattr(experiment, "RANDOM", 2)
+    monkeypatch.setattr(design, "FIRST", 10)
+    monkeypatch.setattr(design, "ROUNDS", 0)
+    found = quantities(experiment.run(SMOKE))
+    assert found["mushr: held-out error after 3 s, 1 recommended"] > 0.0
+    assert found["mushr: worst standard deviation over that of 2 random"] > 0.0
 
 
 def test_a_change_is_followed_when_a_value_is_first_near() -> None:

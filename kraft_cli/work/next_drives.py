@@ -1,0 +1,278 @@
+"""Recommended drives of `kraft sysid --next` and `kraft record --for`: planned, in words, as JSON and as files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.files import check_writable
+from kraft.logs.log import Log, Part
+from kraft.planning.compilation import ensure_compiled
+from kraft.sysid.base_vehicle import COMMANDS_OF, BaseVehicle, for_commands, load_base_vehicle
+from kraft.sysid.identify import has_terms
+from kraft.sysid.result import Identification
+from kraft.sysid.settings import Noise, Settings
+from kraft.text import counted
+from kraft.vehicles.config import VehicleConfig
+from kraft.vehicles.load import configured
+from ompl_ext.arrays import Matrix
+from ompl_ext.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from kraft.recording.experiment import Area, PlannedDrive
+    from kraft.recording.manoeuvres import Manoeuvre
+    from kraft.recording.recorder import Place, Recorder
+    from kraft.scenario import Scenario
+
+COUNT_MAX: Final = 20
+NOISE: Final = Noise(0.005, 0.02)
+"""Noise of the poses where neither logs nor the vehicle file state it."""
+NO_ROOM: Final = "expected more room, or a model that turns in a smaller circle"
+
+
+@dataclass(frozen=True)
+class NextRequest:
+    """Options of the recommended drives, as written: their number, the free area, and a folder for their commands."""
+
+    count: int
+    area: str | None = None
+    commands: Path | None = None
+
+
+@dataclass(frozen=True)
+class NextDrives:
+    """Recommended drives, the area for them, and the files of their commands, if there are such."""
+
+    drives: tuple[PlannedDrive, ...]
+    area: Area
+    files: tuple[Path, ...]
+
+
+def check_next(request: NextRequest) -> None:
+    """Check the options before anything is identified.
+
+    Raises:
+        InputError: with every problem.
+    """
+    problems = []
+    if not 1 <= request.count <= COUNT_MAX:
+        expected = f"expected a number from 1 to {COUNT_MAX}"
+        problems.append(Diagnostic("next", f"is {request.count}", expected, argument=True))
+    if request.area is not None and _sides(request.area) is None:
+        expected = "expected length and width in m, as in 6,4"
+        problems.append(Diagnostic("area", f"is {request.area!r}", expected, code=Code.SYNTAX, argument=True))
+    if request.commands is not None:
+        if os.path.lexists(request.commands):
+            expected = "expected a new folder for the commands"
+            problems.append(Diagnostic(str(request.commands), "is there already", expected, code=Code.EXISTS))
+        else:
+            check_writable(request.commands)
+    if problems:
+        raise InputError(problems)
+
+
+def _sides(text: str) -> tuple[float, float] | None:
+    try:
+        length, width = map(float, text.split(","))
+    except ValueError:
+        return None
+    return (length, width) if 0.0 < length < 1e6 and 0.0 < width < 1e6 else None
+
+
+def next_drives(
+    request: NextRequest,
+    base: BaseVehicle,
+    identification: Identification,
+    settings: Settings,
+    logs: Sequence[Log],
+    report: Callable[[str], None],
+) -> NextDrives:
+    """Plan the drives that follow an identification, and write their commands.
+
+    Raises:
+        InputError: if no drive fits into the area, or the commands cannot be written.
+        NegativeResult: if no drive shows any parameter.
+    """
+    from kraft.recording.experiment import Area, extent, planned_drives
+    from kraft.recording.manoeuvres import write_commands
+    from kraft.sysid.information import known_after
+
+    parts = [part for log in logs for part in log.parts]
+    sides = None if request.area is None else _sides(request.area)
+    area = extent([part.poses for part in parts]) if sides is None else Area(*sides)
+    definition = _within_logs(base.definition, logs)
+    interval = float(np.median([np.median(np.diff(part.pose_times)) for part in parts]))
+    known = known_after(definition, identification, settings, [_commands(part) for part in parts], 1.0 / interval)
+    vehicle = known.parameters.vehicle
+    ensure_compiled(vehicle, report, steps=True)
+    drives = []
+    for drive in planned_drives(known, request.count, area.room):
+        drives.append(drive)
+        report(f"planned drive {len(drives)} of {request.count}")
+    if not drives:
+        origin = "of the logs " if sides is None else ""
+        problem = f"{origin}is {area.length:.2g} m x {area.width:.2g} m, in which no drive fits"
+        raise InputError.of_argument("area", problem, NO_ROOM, Code.GEOMETRY)
+    files = []
+    for k, drive in enumerate(drives if request.commands is not None else (), 1):
+        assert request.commands is not None
+        files.append(request.commands / f"drive_{k}" / "commands.csv")
+        write_commands(files[-1], tuple(vehicle.controls), drive.commands)
+    return NextDrives(tuple(drives), area, tuple(files))
+
+
+def _commands(part: Part) -> Manoeuvre:
+    """Commands of a part of a log."""
+    from kraft.recording.manoeuvres import Manoeuvre
+
+    since = part.command_times - part.pose_times[0]
+    return Manoeuvre("driven", since, part.commands, float(part.pose_times[-1] - part.pose_times[0]))
+
+
+def _within_logs(definition: VehicleConfig | Vehicle, logs: Sequence[Log]) -> VehicleConfig | Vehicle:
+    """The vehicle with the limits of the logs for controls whose commands are beyond its own: in another unit."""
+    limits = {}
+    controls = definition.controls if isinstance(definition, Vehicle) else configured(definition).controls
+    for name, (low, high) in controls.items():
+        commands = np.concatenate([part.commands[:, log.controls.index(name)] for log in logs for part in log.parts])
+        if commands.min() < low or commands.max() > high:
+            limits[name] = (min(float(commands.min()), 0.0), max(float(commands.max()), 0.0))
+    return _with_controls(definition, limits)
+
+
+def _with_controls(
+    definition: VehicleConfig | Vehicle, limits: Mapping[str, tuple[float, float]]
+) -> VehicleConfig | Vehicle:
+    if isinstance(definition, VehicleConfig):
+        return definition.with_controls(limits)
+    return replace(definition, controls={**definition.controls, **limits})
+
+
+def load_prior(reference: str, vehicle: Vehicle) -> VehicleConfig:
+    """The model to identify, with the commands of the vehicle that drives.
+
+    Raises:
+        InputError: if it has other controls, no parameter to identify, or a parameter without prior.
+    """
+    base = load_base_vehicle(reference)
+    if set(base.vehicle.controls) != set(vehicle.controls):
+        problem = f"has the controls {', '.join(base.vehicle.controls)}"
+        expected = f"expected {', '.join(vehicle.controls)}, those of {vehicle.name}, which drives"
+        raise InputError.of(reference, problem, expected, Code.MISMATCH)
+    definition = base.definition
+    expected = "expected a vehicle file that states min, max and std of each parameter to identify"
+    if not isinstance(definition, VehicleConfig):
+        raise InputError.of(reference, "is code, which states no priors", expected, Code.MISSING)
+    free = {name: p for name, p in definition.parameters.items() if not p.fixed}
+    if not free:
+        raise InputError.of(reference, "has no parameter to identify", expected, Code.MISSING)
+    unstated = [
+        definition.source.diagnostic(
+            ("parameters", name), f"has no {' and no '.join(lacking)}", "expected bounds and prior", code=Code.MISSING
+        )
+        for name, p in free.items()
+        if (lacking := [key for key in ("min", "max", "std") if getattr(p, key) is None])
+    ]
+    if unstated:
+        raise InputError(unstated)
+    if has_terms(definition) and set(COMMANDS_OF.values()) <= set(definition.parameters):
+        limits = np.array([vehicle.controls[name] for name in vehicle.controls]).T
+        part = Part(np.array([0.0, 1.0]), limits, np.array([0.0, 1.0]), np.zeros((2, 3)))
+        ranged = for_commands(base, [Log("", (), tuple(vehicle.controls), (part,))]).definition
+        assert isinstance(ranged, VehicleConfig)
+        return ranged
+    own = base.vehicle.controls
+    return definition.with_controls(
+        {name: (max(low, own[name][0]), min(high, own[name][1])) for name, (low, high) in vehicle.controls.items()}
+    )
+
+
+def drives_for(
+    definition: VehicleConfig,
+    scenario: Scenario,
+    recorder: Recorder,
+    count: int,
+    seed: int,
+    report: Callable[[str], None],
+) -> list[tuple[Manoeuvre, Place | None]]:
+    """Drives in a scenario that show the parameters of a model, from its priors, and where each begins.
+
+    Raises:
+        InputError: if the scenario has no room for any.
+        NegativeResult: if no drive shows any parameter.
+    """
+    from kraft.recording.experiment import planned_drives
+    from kraft.sysid.information import known_before
+
+    record = definition.identification
+    noise = NOISE if record is None else Noise(record.noise.position, record.noise.yaw)
+    known = known_before(definition, noise, scenario.sensing.rate_hz)
+    ensure_compiled(known.parameters.vehicle, report, steps=True)
+
+    def room(number: int, path: Matrix) -> float:
+        return recorder.place(number, path).time
+
+    found: list[tuple[Manoeuvre, Place | None]] = []
+    for k, drive in enumerate(planned_drives(known, count, room, seed), 1):
+        report(f"planned drive {k} of {count}: {'; '.join(drive.words)}")
+        found.append((drive.commands, recorder.place(k, drive.path[::2])))
+    if not found:
+        problem = f"has no room for any drive that shows the parameters of {definition.name}"
+        raise InputError.of(scenario.name, problem, NO_ROOM, Code.GEOMETRY)
+    return found
+
+
+def next_json(found: NextDrives) -> dict[str, Any]:
+    """Content of the key `next` of ``kraft.sysid/1``."""
+    return {
+        "area_m": [found.area.length, found.area.width],
+        "drives": [_json(drive, found.files[k] if found.files else None) for k, drive in enumerate(found.drives)],
+    }
+
+
+def _json(drive: PlannedDrive, file: Path | None) -> dict[str, Any]:
+    from kraft.recording.experiment import needed_area
+
+    needed = needed_area(drive.path)
+    return {
+        "steps": list(drive.words),
+        "duration_s": drive.commands.end,
+        "needs_m": [needed.length, needed.width],
+        "shows": list(drive.shown),
+        "std": {name: {"before": drive.before[name], "after": drive.after[name]} for name in drive.before},
+        "error_before_m": drive.error_before,
+        "error_after_m": drive.error_after,
+        "commands": None if file is None else str(file),
+    }
+
+
+def next_lines(found: NextDrives) -> list[str]:
+    """Recommended drives for a person."""
+    from kraft.recording.experiment import needed_area
+    from kraft.recording.manoeuvres import REST
+
+    size = f"{found.area.length:.2g} m x {found.area.width:.2g} m"
+    lines = [f"NEXT {counted(len(found.drives), 'drive').upper()}, in an area of {size}"]
+    for k, drive in enumerate(found.drives, 1):
+        needed = needed_area(drive.path)
+        lines.append(
+            f"{k}. from standstill, at rest for {REST:g} s; {drive.commands.end:g} s, "
+            f"{needed.length:.1f} m x {needed.width:.1f} m"
+        )
+        lines += [f"   {step}" for step in drive.words]
+        stds = ", ".join(f"{name} {drive.before[name]:.2g} to {drive.after[name]:.2g}" for name in drive.shown)
+        lines.append(f"   shows {stds or 'all parameters a little'} (standard deviation)")
+        lines.append(
+            f"   prediction error by the uncertainty of the parameters: {100 * drive.error_before:.2g} cm "
+            f"to {100 * drive.error_after:.2g} cm"
+        )
+    unseen = [n for n in found.drives[0].before if found.drives[-1].after[n] > 0.9 * found.drives[0].before[n]]
+    if unseen:
+        lines.append(f"no drive shows {', '.join(unseen)}")
+    return [*lines, *(f"commands {file}" for file in found.files)]
