@@ -9,7 +9,7 @@ its checks.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,7 +18,8 @@ import numpy as np
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.kernels.posetogo import PosePath
 from ompl_ext.kernels.specialise import kernels
-from ompl_ext.motion import Motion, motion_of
+from ompl_ext.motion import motion_of
+from ompl_ext.moves import Arc, Moves, arcs_of, cross_track
 from ompl_ext.vehicle import Vehicle
 
 PIECE = 0.4  # duration of the pieces into which a longer motion is cut (s)
@@ -35,6 +36,10 @@ TOLERABLE = 0.2  # error at the end of a piece beyond which a path is given up, 
 DAMPING, CHANGE = 1e-6, 1e-4  # of Gauss-Newton; share of the range by which derivatives are taken
 
 
+IsFree = Callable[[Floats, Matrix, Floats, float], bool]
+"""Whether edges with controls (n, nu) and durations (n,) from a state are free; they begin at a time (s)."""
+
+
 class _Piece(NamedTuple):
     """Controls (m, nu) held for `durations` (m,) towards a pose, where the vehicle `stops` with the control `brake`."""
 
@@ -42,6 +47,15 @@ class _Piece(NamedTuple):
     durations: Floats
     pose: Floats
     stops: bool
+    brake: Floats | None
+    arc: Arc | None = None  # that it keeps to, if there is one
+
+
+class _Section(NamedTuple):
+    """Motions `first` to `last` of a path between two stops, and the control that brakes at the end."""
+
+    first: int
+    last: int
     brake: Floats | None
 
 
@@ -53,27 +67,62 @@ class PathFollower:
         self._twists = self._motion.extreme_twists(vehicle.footprint.reach)[1]
         self._pose = [vehicle.index(name) for name in ("x", "y", "theta")]
         self._rest, self._reach = list(vehicle.rest_indices), vehicle.footprint.reach
+        self._width = vehicle.footprint.width
+        self._moves = Moves(vehicle, self._motion, self._twists, parameters)
         self._limits = [k for k, name in enumerate(vehicle.state) if name in vehicle.limits]
         self._low, self._high = vehicle.state_limits[self._limits].T
         bounds = vehicle.control_bounds
         self._bounds = np.vstack([bounds, (SHORTEST, LONGEST_HELD)])
         self._range = np.append(bounds[:, 1] - bounds[:, 0], TIME_RANGE)
 
-    def edges_along(self, path: PosePath, start: Floats) -> tuple[Matrix, Floats]:
-        """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as these follow it."""
-        state, controls, durations = start, [], []
-        for piece in _pieces(path, self._twists, self._motion, self._reach):
-            inputs = self._fitted(state, self._with_brake(state, piece))
-            for row in inputs:
-                count = math.ceil(row[-1] / LONGEST)
-                controls += [row[:-1]] * count
-                durations += [row[-1] / count] * count
-            added = slice(len(controls) - sum(math.ceil(row[-1] / LONGEST) for row in inputs), None)
-            states = self._ends(state, np.column_stack([controls[added], durations[added]])[None])
-            if np.abs(self._errors(states, piece)).max() > TOLERABLE * self._reach:
+    def edges_along(self, path: PosePath, start: Floats, is_free: IsFree) -> tuple[Matrix, Floats]:
+        """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as they are free.
+
+        Between two stops the path is followed at speed or, where that is not possible, in moves from standstill to
+        standstill.
+        """
+        state, controls, durations = start, np.zeros((0, len(self._bounds) - 1)), np.zeros(0)
+        for section in self._sections(path):
+            for follow in (self._at_speed, self._in_moves):
+                inputs = follow(path, section, state)
+                held, lasting = _edges(inputs)
+                if len(inputs) > 0 and is_free(state, held, lasting, float(durations.sum())):
+                    break
+            else:
                 break
+            controls, durations = np.vstack([controls, held]), np.append(durations, lasting)
+            state = self._ends(state, np.column_stack([held, lasting])[None])[0, -1]
+        return controls, durations
+
+    def _at_speed(self, path: PosePath, section: _Section, state: Floats) -> Matrix:
+        """Controls and durations (m, nu + 1) along a section without a stop before its end, none if it fails."""
+        found = []
+        for piece in self._pieces(path, section):
+            inputs = self._fitted(state, self._with_brake(state, piece))
+            states = self._ends(state, inputs[None])
+            if np.abs(self._errors(states, piece)).max() > TOLERABLE * self._reach:
+                return inputs[:0]
+            found.append(inputs)
             state = states[0, -1]
-        return np.array(controls), np.array(durations)
+        return np.vstack(found)
+
+    def _in_moves(self, path: PosePath, section: _Section, state: Floats) -> Matrix:
+        """Controls and durations (m, nu + 1) along a section with stops where the curvature changes, or none."""
+        found = []
+        for arc in arcs_of(path, section.first, section.last, self._width, self._reach, len(self._twists)):
+            control, seconds = self._moves.settling(state, arc)
+            if seconds > 0.0:
+                found.append(np.append(control, seconds)[None])
+                state = self._ends(state, found[-1][None])[0, -1]
+            inputs = self._moves.inputs_for(arc)
+            piece = _Piece(inputs[:, :-1], inputs[:, -1], arc.end, True, None, arc)
+            inputs = self._fitted(state, piece)
+            states = self._ends(state, inputs[None])
+            if np.abs(self._errors(states, piece)).max() > TOLERABLE * self._reach:
+                return inputs[:0]
+            found.append(inputs)
+            state = states[0, -1]
+        return np.vstack(found)
 
     def _ends(self, state: Floats, inputs: Floats) -> Floats:
         """States (k, m, nx) after each of the m controls of k motions, `inputs` (k, m, nu + 1), from a state."""
@@ -108,7 +157,11 @@ class PathFollower:
         speed = REST_TIME * last[:, self._rest] if piece.stops else np.zeros((len(last), 0))
         inside = np.clip(states[:, :, self._limits], self._low, self._high)
         beyond = REST_TIME * (states[:, :, self._limits] - inside).reshape(len(last), -1)
-        return np.hstack([error, speed, beyond])
+        aside = np.zeros((len(last), 0))
+        if piece.arc is not None:
+            between = states[:, :-1, self._pose]
+            aside = cross_track(between, piece.arc.begin, piece.arc.screw, self._reach).reshape(len(last), -1)
+        return np.hstack([error, speed, beyond, aside])
 
     def _fitted(self, state: Floats, piece: _Piece) -> Matrix:
         """Controls and durations (m, nu + 1) with which a piece ends as near to its pose as was found."""
@@ -130,6 +183,31 @@ class PathFollower:
             current = np.clip(current + span * _step(slope, errors[0], current <= low, current >= high), low, high)
         return best.reshape(m, width)
 
+    def _sections(self, path: PosePath) -> Iterator[_Section]:
+        """Sections of a path between the stops where its motion is reversed."""
+        velocity = self._motion.twists[self._twists] * (1.0, 1.0, self._reach)
+        speed = np.linalg.norm(velocity, axis=1)
+        across = velocity @ velocity.T < REVERSED * np.outer(speed, speed)
+        turns = [k for k in range(1, len(path.twist)) if across[path.twist[k - 1], path.twist[k]]]
+        for first, last in pairwise([0, *turns, len(path.twist)]):
+            opposite = int(np.argmin(velocity @ velocity[path.twist[last - 1]]))
+            brakes = velocity[opposite] @ velocity[path.twist[last - 1]] < 0.0
+            yield _Section(first, last, self._motion.controls[self._twists[opposite]] if brakes else None)
+
+    def _pieces(self, path: PosePath, section: _Section) -> Iterator[_Piece]:
+        """Pieces of a section, each of about PIECE s."""
+        first, last, brake = section
+        for begin, end in pairwise(_cuts(path.times[first:last]) + first):
+            numbers, times = path.twist[begin:end], path.times[begin:end]
+            held = _averaged(numbers, self._motion.controls[self._twists[numbers]], times)
+            yield _Piece(*held, path.poses[end], bool(end == last), brake)
+
+
+def _edges(inputs: Matrix) -> tuple[Matrix, Floats]:
+    """Controls (n, nu) and durations (n,) of edges of at most LONGEST s, from those (m, nu + 1) of longer ones."""
+    counts = np.ceil(inputs[:, -1] / LONGEST).astype(int)
+    return np.repeat(inputs[:, :-1], counts, axis=0), np.repeat(inputs[:, -1] / counts, counts)
+
 
 def _step(slope: Matrix, error: Floats, at_low: Bools, at_high: Bools) -> Floats:
     """Least change of the inputs, as shares of their ranges, that removes an error; none leaves a bound."""
@@ -143,22 +221,6 @@ def _step(slope: Matrix, error: Floats, at_low: Bools, at_high: Bools) -> Floats
             break
         free &= ~leaves
     return np.clip(step * free, -LARGEST_STEP, LARGEST_STEP)
-
-
-def _pieces(path: PosePath, twists: Ints, motion: Motion, reach: float) -> Iterator[_Piece]:
-    """Pieces of a path: they end where the motion is reversed, and in between after about PIECE s."""
-    velocity = motion.twists[twists] * (1.0, 1.0, reach)
-    speed = np.linalg.norm(velocity, axis=1)
-    across = velocity @ velocity.T < REVERSED * np.outer(speed, speed)
-    turns = [k for k in range(1, len(path.twist)) if across[path.twist[k - 1], path.twist[k]]]
-    for first, last in pairwise([0, *turns, len(path.twist)]):
-        opposite = int(np.argmin(velocity @ velocity[path.twist[last - 1]]))
-        brakes = velocity[opposite] @ velocity[path.twist[last - 1]] < 0.0
-        brake = motion.controls[twists[opposite]] if brakes else None
-        for begin, end in pairwise(_cuts(path.times[first:last]) + first):
-            numbers, times = path.twist[begin:end], path.times[begin:end]
-            held = _averaged(numbers, motion.controls[twists[numbers]], times)
-            yield _Piece(*held, path.poses[end], bool(end == last), brake)
 
 
 def _cuts(times: Floats) -> Ints:

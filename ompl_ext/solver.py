@@ -328,11 +328,22 @@ class DirtSolver(EdgeChecker):
         for path in found.paths_from(x, y, theta, PATHS):
             if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
                 break
-            controls, durations = follower.edges_along(path, root)
+            controls, durations = follower.edges_along(path, root, self._are_free)
             edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
             self._trees[0].add(self._kernels, self._problem, edges)
         self._tree.count[at.RETAINED] = retained
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
+
+    def _are_free(self, state: Floats, controls: Matrix, durations: Floats, begin: float) -> bool:
+        """Whether edges with controls (n, nu) and durations (n,), from a state at `begin` s, are free and safe."""
+        cycle = self.safety.cycle
+        for control, duration in zip(controls, durations, strict=True):
+            samples, slack = self.edge(state, control, duration, begin)
+            crosses = self.safety.enabled and begin < cycle <= begin + duration
+            if slack < 0.0 or (crosses and self._first_safe_manoeuvre(begin, cycle) is None):
+                return False
+            state, begin = samples[-1], begin + duration
+        return True
 
     def _take_best(self) -> None:
         """Put the tree with the best plan first, and make its cost the bound of all trees."""
