@@ -33,7 +33,11 @@ REST_TIME = 0.1  # with which a speed at the end of a piece counts as an error (
 ITERATIONS, LARGEST_STEP = 12, 0.7  # of Gauss-Newton; of a control, as a share of its range
 SHORTEST, LONGEST_HELD, TIME_RANGE = 0.01, 2.0, 0.2  # of a duration, and what corresponds to a control's range (s)
 TOLERABLE = 0.2  # error at the end of a piece beyond which a path is given up, as a share of the footprint's reach
-DAMPING, CHANGE = 1e-6, 1e-4  # of Gauss-Newton; share of the range by which derivatives are taken
+DAMPING, MOST_DAMPING = 1e-6, 1.0  # of Gauss-Newton (m^2)
+CHANGE = 1e-4  # share of the range by which derivatives are taken
+STRAY = 0.01  # deviation of an arc from the path, as a share of the footprint's width
+SPARED = 0.2  # the same, as a share of the clearance
+ASIDE = 0.3  # weight of errors to the side of an arc
 
 
 IsFree = Callable[[Floats, Matrix, Floats, float], bool]
@@ -62,7 +66,11 @@ class _Section(NamedTuple):
 class PathFollower:
     """Follows paths of poses with a vehicle's model."""
 
-    def __init__(self, vehicle: Vehicle, parameters: Floats) -> None:
+    def __init__(
+        self, vehicle: Vehicle, parameters: Floats, is_free: IsFree, clearances: Callable[[Matrix], Floats]
+    ) -> None:
+        """Prepare for a vehicle with `parameters`; `clearances` are those (n,) of poses (n, 3), m."""
+        self._is_free, self._clearances = is_free, clearances
         self._kernels, self._motion, self._parameters = kernels(vehicle), motion_of(vehicle), parameters
         self._twists = self._motion.extreme_twists(vehicle.footprint.reach)[1]
         self._pose = [vehicle.index(name) for name in ("x", "y", "theta")]
@@ -75,7 +83,7 @@ class PathFollower:
         self._bounds = np.vstack([bounds, (SHORTEST, LONGEST_HELD)])
         self._range = np.append(bounds[:, 1] - bounds[:, 0], TIME_RANGE)
 
-    def edges_along(self, path: PosePath, start: Floats, is_free: IsFree) -> tuple[Matrix, Floats]:
+    def edges_along(self, path: PosePath, start: Floats) -> tuple[Matrix, Floats]:
         """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as they are free.
 
         Between two stops the path is followed at speed or, where that is not possible, in moves from standstill to
@@ -86,7 +94,7 @@ class PathFollower:
             for follow in (self._at_speed, self._in_moves):
                 inputs = follow(path, section, state)
                 held, lasting = _edges(inputs)
-                if len(inputs) > 0 and is_free(state, held, lasting, float(durations.sum())):
+                if len(inputs) > 0 and self._is_free(state, held, lasting, float(durations.sum())):
                     break
             else:
                 break
@@ -109,7 +117,9 @@ class PathFollower:
     def _in_moves(self, path: PosePath, section: _Section, state: Floats) -> Matrix:
         """Controls and durations (m, nu + 1) along a section with stops where the curvature changes, or none."""
         found = []
-        for arc in arcs_of(path, section.first, section.last, self._width, self._reach, len(self._twists)):
+        first, last = section.first, section.last
+        stray = np.maximum(STRAY * self._width, SPARED * self._clearances(path.poses[first : last + 1]))
+        for arc in arcs_of(path, first, last, stray, self._reach, len(self._twists)):
             control, seconds = self._moves.settling(state, arc)
             if seconds > 0.0:
                 found.append(np.append(control, seconds)[None])
@@ -160,7 +170,7 @@ class PathFollower:
         aside = np.zeros((len(last), 0))
         if piece.arc is not None:
             between = states[:, :-1, self._pose]
-            aside = cross_track(between, piece.arc.begin, piece.arc.screw, self._reach).reshape(len(last), -1)
+            aside = ASIDE * cross_track(between, piece.arc.begin, piece.arc.screw, self._reach).reshape(len(last), -1)
         return np.hstack([error, speed, beyond, aside])
 
     def _fitted(self, state: Floats, piece: _Piece) -> Matrix:
@@ -168,19 +178,28 @@ class PathFollower:
         inputs = np.column_stack([piece.controls, piece.durations])
         m, width = inputs.shape
         low, high, span = (np.tile(row, m) for row in (*self._bounds.T, self._range))
-        current = np.clip(inputs.ravel(), low, high)
-        best, least = current, math.inf
+        current, damping = np.clip(inputs.ravel(), low, high), DAMPING
+        best, errors = current, self._errors(self._ends(state, current.reshape(1, m, width)), piece)[0]
+        least = float(np.abs(errors).max())
         for _ in range(ITERATIONS):
+            if least < ACCURATE or damping > MOST_DAMPING:
+                break
             change = np.where(current + CHANGE * span > high, -CHANGE, CHANGE)
             varied = np.vstack([current, current + np.diag(change * span)])
-            errors = self._errors(self._ends(state, varied.reshape(-1, m, width)), piece)
-            worst = float(np.abs(errors[0]).max())
-            if worst < least:
-                best, least = current, worst
-            if worst < ACCURATE:
+            around = self._errors(self._ends(state, varied.reshape(-1, m, width)), piece)
+            slope = ((around[1:] - around[0]) / change[:, None]).T
+            while damping <= MOST_DAMPING:
+                step = _step(slope, errors, current <= low, current >= high, damping)
+                tried = np.clip(current + span * step, low, high)
+                found = self._errors(self._ends(state, tried.reshape(1, m, width)), piece)[0]
+                if found @ found < errors @ errors:
+                    break
+                damping *= 10.0
+            else:
                 break
-            slope = ((errors[1:] - errors[0]) / change[:, None]).T
-            current = np.clip(current + span * _step(slope, errors[0], current <= low, current >= high), low, high)
+            current, errors, damping = tried, found, max(0.1 * damping, DAMPING)
+            if float(np.abs(errors).max()) < least:
+                best, least = current, float(np.abs(errors).max())
         return best.reshape(m, width)
 
     def _sections(self, path: PosePath) -> Iterator[_Section]:
@@ -209,13 +228,13 @@ def _edges(inputs: Matrix) -> tuple[Matrix, Floats]:
     return np.repeat(inputs[:, :-1], counts, axis=0), np.repeat(inputs[:, -1] / counts, counts)
 
 
-def _step(slope: Matrix, error: Floats, at_low: Bools, at_high: Bools) -> Floats:
+def _step(slope: Matrix, error: Floats, at_low: Bools, at_high: Bools, damping: float) -> Floats:
     """Least change of the inputs, as shares of their ranges, that removes an error; none leaves a bound."""
     step, free = np.zeros(slope.shape[1]), np.ones(slope.shape[1], dtype=bool)
     for _ in range(3):
         part = slope[:, free]
         step[:] = 0.0
-        step[free] = -part.T @ np.linalg.solve(part @ part.T + DAMPING * np.eye(len(error)), error)
+        step[free] = -part.T @ np.linalg.solve(part @ part.T + damping * np.eye(len(error)), error)
         leaves = (at_low & (step < 0.0)) | (at_high & (step > 0.0))
         if not leaves.any():
             break

@@ -20,13 +20,13 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.motion import Motion, corners
 from ompl_ext.vehicle import Vehicle
 
-STRAY = 0.01  # deviation of the path from an arc, as a share of the footprint's width
 LARGEST_TURN = 2.0  # of an arc (rad)
 TRIED = 0.2  # duration of the motions that show what a control does (s)
 ALIKE = 0.01  # cosines that differ by less are the same
 NOTICED = (0.01, 10)  # step (s) and number of steps after which a brake is noticed
 SPEEDING, BRAKING = (0.025, 80), (0.02, 100)  # step (s) and number of steps of the simulated moves
 SETTLING = (0.05, 20)  # the same of standing until the wheels are turned
+STOPPED = 0.01  # share of the speed at which a braking vehicle may stop to brake
 SETTLED = 0.01  # share of the range of a component that it changes in a step from which on it is settled
 MOVED = 0.02  # share of the footprint's reach by which a control moves the vehicle, or else only turns its wheels
 
@@ -54,15 +54,19 @@ class Profile(NamedTuple):
     speed: float  # at the end of the longest acceleration (m/s)
 
 
-def arcs_of(path: PosePath, first: int, last: int, width: float, reach: float, twists: int) -> Iterator[Arc]:
-    """Arcs that the motions `first` to `last` of a path consist of, each as long as it fits."""
+def arcs_of(path: PosePath, first: int, last: int, stray: Floats, reach: float, twists: int) -> Iterator[Arc]:
+    """Arcs of which the motions `first` to `last` of a path consist, each as long as it fits.
+
+    They may deviate by `stray` (n,), m, from the pose before each motion, and the one after the last.
+    """
     poses, begin = np.column_stack([path.poses[:, :2], np.unwrap(path.poses[:, 2])]), first
     while begin < last:
         end, chosen = begin + 1, _screw(poses[begin], poses[begin + 1])
         while end < last and abs(poses[end + 1, 2] - poses[begin, 2]) < LARGEST_TURN:
             screw = _screw(poses[begin], poses[end + 1])
             between = poses[begin + 1 : end + 1]
-            if np.abs(cross_track(between, poses[begin], screw, reach)).max() > STRAY * width:
+            away = np.linalg.norm(cross_track(between, poses[begin], screw, reach), axis=1)
+            if np.any(away > stray[begin + 1 - first : end + 1 - first]):
                 break
             end, chosen = end + 1, screw
         shares = np.bincount(path.twist[begin:end], path.times[begin:end], twists)
@@ -181,7 +185,8 @@ class Moves:
         brake = self._brake(states[len(states) // 2], accelerate)
         braking_step, most = BRAKING
         stopping = self._rolled(states, np.tile(brake, (len(states), 1)), braking_step, most)
-        slowest = np.argmin(np.linalg.norm(stopping[:, :, self._rest], axis=2), axis=1)
+        speeds = np.linalg.norm(stopping[:, :, self._rest], axis=2)
+        slowest = np.argmax(speeds <= speeds.min(axis=1, keepdims=True) + STOPPED * speeds[:, :1], axis=1)
         until = np.arange(most + 1) <= slowest[:, None]
         stopping = np.where(until[:, :, None], stopping, np.take_along_axis(stopping, slowest[:, None, None], axis=1))
         ahead = self._lengths(states[None])[0]

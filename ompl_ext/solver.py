@@ -323,12 +323,13 @@ class DirtSolver(EdgeChecker):
         began, root = time.perf_counter(), self._tree.state[0].copy()
         cell = settings_for(self.settings, vehicle, goal).cell
         found = pose_cost_to_go_of(vehicle, self.workspace, goal, cell)
-        follower, retained = PathFollower(vehicle, self._problem.parameters), int(self._tree.count[at.RETAINED])
+        follower = PathFollower(vehicle, self._problem.parameters, self._are_free, self.clearances)
+        retained = int(self._tree.count[at.RETAINED])
         x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
         for path in found.paths_from(x, y, theta, PATHS):
             if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
                 break
-            controls, durations = follower.edges_along(path, root, self._are_free)
+            controls, durations = follower.edges_along(path, root)
             edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
             self._trees[0].add(self._kernels, self._problem, edges)
         self._tree.count[at.RETAINED] = retained
