@@ -33,6 +33,7 @@ REST_TIME = 0.1  # with which a speed at the end of a piece counts as an error (
 ITERATIONS, LARGEST_STEP = 12, 0.7  # of Gauss-Newton; of a control, as a share of its range
 SHORTEST, LONGEST_HELD, TIME_RANGE = 0.01, 2.0, 0.2  # of a duration, and what corresponds to a control's range (s)
 TOLERABLE = 0.2  # error at the end of a piece beyond which a path is given up, as a share of the footprint's reach
+NEAR = 0.01  # error at the end of a section with which it is taken at speed, as a share of the footprint's reach
 DAMPING, MOST_DAMPING = 1e-6, 1.0  # of Gauss-Newton (m^2)
 CHANGE = 1e-4  # share of the range by which derivatives are taken
 STRAY = 0.01  # deviation of an arc from the path, as a share of the footprint's width
@@ -91,16 +92,28 @@ class PathFollower:
         """
         state, controls, durations = start, np.zeros((0, len(self._bounds) - 1)), np.zeros(0)
         for section in self._sections(path):
-            for follow in (self._at_speed, self._in_moves):
-                inputs = follow(path, section, state)
-                held, lasting = _edges(inputs)
-                if len(inputs) > 0 and self._is_free(state, held, lasting, float(durations.sum())):
-                    break
-            else:
+            found = self._section(path, section, state, float(durations.sum()))
+            if found is None:
                 break
-            controls, durations = np.vstack([controls, held]), np.append(durations, lasting)
-            state = self._ends(state, np.column_stack([held, lasting])[None])[0, -1]
+            controls, durations = np.vstack([controls, found[0]]), np.append(durations, found[1])
+            state = self._ends(state, np.column_stack(found)[None])[0, -1]
         return controls, durations
+
+    def _section(self, path: PosePath, section: _Section, state: Floats, begin: float) -> tuple[Matrix, Floats] | None:
+        """Controls and durations of free edges along a section from a state at `begin` s, None if none were found.
+
+        Those at speed are preferred, unless only moves end near the path's pose.
+        """
+        end, rough = _Piece(np.zeros((0, 0)), np.zeros(0), path.poses[section.last], True, None), None
+        for follow in (self._at_speed, self._in_moves):
+            inputs = follow(path, section, state)
+            edges = _edges(inputs)
+            if len(inputs) == 0 or not self._is_free(state, *edges, begin):
+                continue
+            if np.abs(self._errors(self._ends(state, inputs[None])[:, -1:], end)).max() <= NEAR * self._reach:
+                return edges
+            rough = rough or edges
+        return rough
 
     def _at_speed(self, path: PosePath, section: _Section, state: Floats) -> Matrix:
         """Controls and durations (m, nu + 1) along a section without a stop before its end, none if it fails."""
