@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.kernels.arcs import cross_track
 from ompl_ext.kernels.posetogo import PosePath
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.motion import motion_of
-from ompl_ext.moves import Arc, Moves, arcs_of, cross_track
+from ompl_ext.moves import Arc, Moves, arcs_of
 from ompl_ext.vehicle import Vehicle
 
 PIECE = 0.4  # duration of the pieces into which a longer motion is cut (s)
@@ -35,6 +36,7 @@ SHORTEST, LONGEST_HELD, TIME_RANGE = 0.01, 2.0, 0.2  # of a duration, and what c
 TOLERABLE = 0.2  # error at the end of a piece beyond which a path is given up, as a share of the footprint's reach
 NEAR = 0.01  # error at the end of a section with which it is taken at speed, as a share of the footprint's reach
 DAMPING, MOST_DAMPING = 1e-6, 1.0  # of Gauss-Newton (m^2)
+PROGRESS = 0.9  # share of the squared errors that is left after a step beyond which the steps end
 CHANGE = 1e-4  # share of the range by which derivatives are taken
 STRAY = 0.01  # deviation of an arc from the path, as a share of the footprint's width
 SPARED = 0.2  # the same, as a share of the clearance
@@ -68,21 +70,25 @@ class PathFollower:
     """Follows paths of poses with a vehicle's model."""
 
     def __init__(
-        self, vehicle: Vehicle, parameters: Floats, is_free: IsFree, clearances: Callable[[Matrix], Floats]
+        self, vehicle: Vehicle, parameters: Floats, is_free: IsFree, clearance: Callable[[float, float, float], float]
     ) -> None:
-        """Prepare for a vehicle with `parameters`; `clearances` are those (n,) of poses (n, 3), m."""
-        self._is_free, self._clearances = is_free, clearances
-        self._kernels, self._motion, self._parameters = kernels(vehicle), motion_of(vehicle), parameters
+        """Prepare for a vehicle with `parameters`; `clearance` is at most that of a pose, m."""
+        self._is_free, self._clearance = is_free, clearance
+        self._kernels, self._motion, self._parameters = kernels(vehicle), motion_of(vehicle), parameters.copy()
         self._twists = self._motion.extreme_twists(vehicle.footprint.reach)[1]
         self._pose = [vehicle.index(name) for name in ("x", "y", "theta")]
         self._rest, self._reach = list(vehicle.rest_indices), vehicle.footprint.reach
         self._width = vehicle.footprint.width
-        self._moves = Moves(vehicle, self._motion, self._twists, parameters)
+        self._moves = Moves(vehicle, self._motion, self._twists, self._parameters)
         self._limits = [k for k, name in enumerate(vehicle.state) if name in vehicle.limits]
         self._low, self._high = vehicle.state_limits[self._limits].T
         bounds = vehicle.control_bounds
         self._bounds = np.vstack([bounds, (SHORTEST, LONGEST_HELD)])
         self._range = np.append(bounds[:, 1] - bounds[:, 0], TIME_RANGE)
+
+    def has_parameters(self, parameters: Floats) -> bool:
+        """Whether it was made with these parameters of the vehicle."""
+        return bool(np.array_equal(parameters, self._parameters))
 
     def edges_along(self, path: PosePath, start: Floats) -> tuple[Matrix, Floats]:
         """Controls (n, nu) and durations (n,) of edges from a state (nx,) along a path, as far as they are free.
@@ -131,7 +137,8 @@ class PathFollower:
         """Controls and durations (m, nu + 1) along a section with stops where the curvature changes, or none."""
         found = []
         first, last = section.first, section.last
-        stray = np.maximum(STRAY * self._width, SPARED * self._clearances(path.poses[first : last + 1]))
+        clearance = np.array([self._clearance(*pose) for pose in path.poses[first : last + 1].tolist()])
+        stray = np.maximum(STRAY * self._width, SPARED * clearance)
         for arc in arcs_of(path, first, last, stray, self._reach, len(self._twists)):
             control, seconds = self._moves.settling(state, arc)
             if seconds > 0.0:
@@ -182,7 +189,7 @@ class PathFollower:
         beyond = REST_TIME * (states[:, :, self._limits] - inside).reshape(len(last), -1)
         aside = np.zeros((len(last), 0))
         if piece.arc is not None:
-            between = states[:, :-1, self._pose]
+            between = np.ascontiguousarray(states[:, :-1, self._pose])
             aside = ASIDE * cross_track(between, piece.arc.begin, piece.arc.screw, self._reach).reshape(len(last), -1)
         return np.hstack([error, speed, beyond, aside])
 
@@ -210,9 +217,12 @@ class PathFollower:
                 damping *= 10.0
             else:
                 break
+            slow = found @ found > PROGRESS * (errors @ errors)
             current, errors, damping = tried, found, max(0.1 * damping, DAMPING)
             if float(np.abs(errors).max()) < least:
                 best, least = current, float(np.abs(errors).max())
+            if slow:
+                break
         return best.reshape(m, width)
 
     def _sections(self, path: PosePath) -> Iterator[_Section]:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.kernels.arcs import cross_track
 from ompl_ext.kernels.posetogo import PosePath
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.motion import Motion, corners
@@ -65,39 +66,13 @@ def arcs_of(path: PosePath, first: int, last: int, stray: Floats, reach: float, 
         while end < last and abs(poses[end + 1, 2] - poses[begin, 2]) < LARGEST_TURN:
             screw = _screw(poses[begin], poses[end + 1])
             between = poses[begin + 1 : end + 1]
-            away = np.linalg.norm(cross_track(between, poses[begin], screw, reach), axis=1)
+            away = np.linalg.norm(cross_track(between[None], poses[begin], screw, reach)[0], axis=1)
             if np.any(away > stray[begin + 1 - first : end + 1 - first]):
                 break
             end, chosen = end + 1, screw
         shares = np.bincount(path.twist[begin:end], path.times[begin:end], twists)
         yield Arc(poses[begin], poses[end], chosen, shares / shares.sum())
         begin = end
-
-
-def cross_track(poses: Matrix, begin: Floats, screw: Floats, reach: float) -> Floats:
-    """Deviations (..., 3) of poses (..., 3) from an arc, across its direction (m); a heading counts as in `screw`."""
-    scale = np.array([1.0, 1.0, reach])
-    length = float(np.linalg.norm(screw * scale))
-    away = (poses - begin) * scale
-    share = np.clip(away @ ((_along(begin, screw, np.ones(())) - begin) * scale) / length**2, -0.2, 1.2)
-    for _ in range(2):
-        at = _along(begin, screw, share)
-        c, s = np.cos(at[..., 2]), np.sin(at[..., 2])
-        ahead = np.stack([c * screw[0] - s * screw[1], s * screw[0] + c * screw[1], np.full(c.shape, screw[2])], -1)
-        error, ahead = (poses - at) * scale, ahead * scale / length
-        along = np.sum(error * ahead, axis=-1)
-        share = share + along / length
-    across: Floats = error - along[..., None] * ahead
-    return across
-
-
-def _along(begin: Floats, screw: Floats, share: Floats) -> Floats:
-    """Poses (..., 3) at shares (...) of an arc."""
-    half = 0.5 * share * screw[2]
-    chord = share * np.sinc(half / math.pi)
-    c, s = np.cos(begin[2] + half), np.sin(begin[2] + half)
-    x, y = begin[0] + chord * (c * screw[0] - s * screw[1]), begin[1] + chord * (s * screw[0] + c * screw[1])
-    return np.stack([x, y, begin[2] + 2.0 * half], axis=-1)
 
 
 def _screw(begin: Floats, end: Floats) -> Floats:

@@ -128,6 +128,7 @@ class DirtSolver(EdgeChecker):
         self._rounds = 0
         self._progress = Progress()
         self._polish: Polish | None = None  # made when it is needed: it may have to be compiled
+        self._follower: PathFollower | None = None  # made with the first path
         self._polished = _Polished()
         self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
 
@@ -323,7 +324,7 @@ class DirtSolver(EdgeChecker):
         began, root = time.perf_counter(), self._tree.state[0].copy()
         cell = settings_for(self.settings, vehicle, goal).cell
         found = pose_cost_to_go_of(vehicle, self.workspace, goal, cell)
-        follower = PathFollower(vehicle, self._problem.parameters, self._are_free, self.clearances)
+        follower = self._path_follower(vehicle)
         retained = int(self._tree.count[at.RETAINED])
         x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
         for path in found.paths_from(x, y, theta, PATHS):
@@ -334,6 +335,12 @@ class DirtSolver(EdgeChecker):
             self._trees[0].add(self._kernels, self._problem, edges)
         self._tree.count[at.RETAINED] = retained
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
+
+    def _path_follower(self, vehicle: Vehicle) -> PathFollower:
+        """Follower of paths for the current parameters; it is kept, since it simulates motions of the vehicle."""
+        if self._follower is None or not self._follower.has_parameters(self._problem.parameters):
+            self._follower = PathFollower(vehicle, self._problem.parameters, self._are_free, self.pose_slack)
+        return self._follower
 
     def _are_free(self, state: Floats, controls: Matrix, durations: Floats, begin: float) -> bool:
         """Whether edges with controls (n, nu) and durations (n,), from a state at `begin` s, are free and safe."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix, IntMatrix32, Ints, Ints32, Matrix, Matrix32
 from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.kernels.arcs import cross_track
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     GRID_INVERSE,
@@ -304,7 +305,8 @@ def _searched(
 
 
 def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
-    """Compile the kernels of this module and of `penetration`, or load them from the cache."""
+    """Compile the kernels of this module, of `arcs` and of `penetration`, or load them from the cache."""
+    cross_track(np.zeros((1, 1, 3)), np.zeros(3), np.ones(3), 1.0)
     scalar = np.zeros(SCALARS)
     scalar[[X_HIGH, Y_HIGH, GRID_INVERSE, REACH]] = 0.1, 0.1, 1.0, 0.1
     tile, squares = np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16)
