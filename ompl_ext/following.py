@@ -110,16 +110,18 @@ class PathFollower:
 
         Those at speed are preferred, unless only moves end near the path's pose.
         """
-        end, rough = _Piece(np.zeros((0, 0)), np.zeros(0), path.poses[section.last], True, None), None
+        end, found, least = _Piece(np.zeros((0, 0)), np.zeros(0), path.poses[section.last], True, None), None, math.inf
         for follow in (self._at_speed, self._in_moves):
             inputs = follow(path, section, state)
             edges = _edges(inputs)
             if len(inputs) == 0 or not self._is_free(state, *edges, begin):
                 continue
-            if np.abs(self._errors(self._ends(state, inputs[None])[:, -1:], end)).max() <= NEAR * self._reach:
-                return edges
-            rough = rough or edges
-        return rough
+            error = float(np.abs(self._errors(self._ends(state, inputs[None])[:, -1:], end)).max())
+            if error < least:
+                found, least = edges, error
+            if error <= NEAR * self._reach:
+                break
+        return found
 
     def _at_speed(self, path: PosePath, section: _Section, state: Floats) -> Matrix:
         """Controls and durations (m, nu + 1) along a section without a stop before its end, none if it fails."""
@@ -205,9 +207,8 @@ class PathFollower:
             if least < ACCURATE or damping > MOST_DAMPING:
                 break
             change = np.where(current + CHANGE * span > high, -CHANGE, CHANGE)
-            varied = np.vstack([current, current + np.diag(change * span)])
-            around = self._errors(self._ends(state, varied.reshape(-1, m, width)), piece)
-            slope = ((around[1:] - around[0]) / change[:, None]).T
+            varied = (current + np.diag(change * span)).reshape(-1, m, width)
+            slope = ((self._errors(self._ends(state, varied), piece) - errors) / change[:, None]).T
             while damping <= MOST_DAMPING:
                 step = _step(slope, errors, current <= low, current >= high, damping)
                 tried = np.clip(current + span * step, low, high)
