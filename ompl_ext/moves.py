@@ -168,7 +168,9 @@ class Moves:
         travel = np.maximum.accumulate(ahead + self._lengths(stopping)[:, -1])
         speed = float(ahead[-1] - ahead[-2]) / step if len(ahead) > 1 else 0.0
         times = step * np.arange(len(states))
-        return Profile(accelerate, brake, times, np.array(braking_step * slowest, dtype=float), travel, max(speed, 1e-3))
+        return Profile(
+            accelerate, brake, times, np.array(braking_step * slowest, dtype=float), travel, max(speed, 1e-3)
+        )
 
     def _lengths(self, states: Floats) -> Floats:
         """Lengths (k, n) of motions (k, n, nx) up to each state (m)."""

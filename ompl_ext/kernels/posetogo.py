@@ -312,7 +312,7 @@ def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
     tile, squares = np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16)
     bounds, twists = ((0.0, 0.1), (0.0, 0.1)), np.array([[1.0, 0.0, 1.0]])
     for radius in (0.0, 10.0):  # the goal is free, or not
-        maps = Maps(np.array([[0.0, 0.0, radius]]), field, tile, squares, scalar)
+        maps = Maps(np.array([[0.0, 0.0, radius, 0.0]]), field, tile, squares, scalar)
         found = pose_cost_to_go(
             maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic, 0.1, maps.discs
         )
