@@ -51,7 +51,7 @@ POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation,
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
 POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
 POLISH_SECONDS = 1e-4  # first estimate of the time that an optimisation takes, per interval (s)
-PATHS = 4  # that are tried before the search begins
+PATHS, PATHS_AGAIN = 4, 2  # that are tried before the search begins, without and with edges of an earlier plan
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
@@ -180,25 +180,34 @@ class DirtSolver(EdgeChecker):
             add_root(each.tree, self._work)
         return slack
 
-    def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
+    def retain(self, plan: Plan, elapsed: float = 0.0, *, optimised: bool = False) -> int:
         """Add the rest of an earlier plan after `elapsed` s, propagated from the new root; returns the edges added.
 
         The edge in progress is kept in part.  An edge that collides or is not safe is omitted, with all after it.
+        A plan that was `optimised` is optimised again only after the search has improved it.
         """
-        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
+        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed), optimised=optimised)
 
     def retain_edges(
-        self, parents: Sequence[int] | Ints, controls: Matrix, durations: Floats, targets: Matrix | None = None
+        self,
+        parents: Sequence[int] | Ints,
+        controls: Matrix,
+        durations: Floats,
+        targets: Matrix | None = None,
+        *,
+        optimised: bool = False,
     ) -> int:
         """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added.
 
-        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any.
+        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any; `optimised` as for `retain`.
         """
         before = int(self._tree.count[at.RETAINED])
         began = time.perf_counter()
         for each in self._trees:
             each.retained = edges_to_retain(parents, controls, durations, targets)
             each.add(self._kernels, self._problem, each.retained)
+        if optimised and self._tree.count[at.BEST] >= 0:
+            self._polished = replace(self._polished, attempts=1, searched=float(self._tree.best[0]))
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before
 
@@ -327,7 +336,8 @@ class DirtSolver(EdgeChecker):
         follower = self._path_follower(vehicle)
         retained = int(self._tree.count[at.RETAINED])
         x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
-        for path in found.paths_from(x, y, theta, PATHS):
+        most = PATHS if retained == 0 else PATHS_AGAIN
+        for path in found.paths_from(x, y, theta, most):
             if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
                 break
             controls, durations = follower.edges_along(path, root)
@@ -391,7 +401,7 @@ class DirtSolver(EdgeChecker):
         return left is None or left > self._polished.seconds
 
     def _add_polished(self, offset: float) -> None:
-        """Improve the best plan and, if the goal has a heading, at first one along the cost-to-go of poses.
+        """Improve the best plan or, if the goal has a heading and there is none, one along the cost-to-go of poses.
 
         Without a heading the result is kept apart from the tree until the end of `grow`: the search goes on as without
         it, and finds other ways round the obstacles, which may be better when they are optimised in their turn.
@@ -400,7 +410,7 @@ class DirtSolver(EdgeChecker):
         """
         assert self.goal is not None
         began, attempts = time.perf_counter(), self._polished.attempts
-        if attempts == 0 and self._has_heading:
+        if attempts == 0 and self._has_heading and self._tree.count[at.BEST] < 0:
             vehicle, goal = self._first
             assert goal is not None
             guess = guess_to_goal(vehicle, self.workspace, goal, self.settings, self._tree.state[0].copy())
