@@ -35,7 +35,7 @@ def parking(lengths: float, vehicle: Vehicle = REVERSING, left: bool = False, sc
     y = 1.4 * scale - y if left else y
     apart = (lengths + 1) * body.length / 2
     cars = [(x + side * apart, y, body.length, body.width) for side in (-1, 1)]
-    at_rest = {name: (-0.05, 0.05) for name in vehicle.rest}
+    at_rest = dict.fromkeys(vehicle.rest, (-0.05, 0.05))
     goal = Goal((x - body.offset, y), 0.05 * scale, 0.0, math.radians(5), at_rest)
     return solver_of(vehicle, cars, goal, 3.2 * scale, 1.4 * scale)
 
