@@ -156,7 +156,7 @@ class Moves:
         step, count = SPEEDING
         states = self._rolled(standing[None], accelerate[None], step, count)[0]
         beyond = np.any((states < self._limits[:, 0]) | (states > self._limits[:, 1]), axis=1)
-        states = states[: int(np.argmax(beyond))] if beyond.any() else states
+        states = states[: max(int(np.argmax(beyond)), 1)] if beyond.any() else states
         brake = self._brake(states[len(states) // 2], accelerate)
         braking_step, most = BRAKING
         stopping = self._rolled(states, np.tile(brake, (len(states), 1)), braking_step, most)
@@ -167,10 +167,9 @@ class Moves:
         ahead = self._lengths(states[None])[0]
         travel = np.maximum.accumulate(ahead + self._lengths(stopping)[:, -1])
         speed = float(ahead[-1] - ahead[-2]) / step if len(ahead) > 1 else 0.0
-        times = step * np.arange(len(states))
-        return Profile(
-            accelerate, brake, times, np.array(braking_step * slowest, dtype=float), travel, max(speed, 1e-3)
-        )
+        times: Floats = np.arange(len(states), dtype=np.float64) * step
+        braking: Floats = slowest.astype(np.float64) * braking_step
+        return Profile(accelerate, brake, times, braking, travel, max(speed, 1e-3))
 
     def _lengths(self, states: Floats) -> Floats:
         """Lengths (k, n) of motions (k, n, nx) up to each state (m)."""
