@@ -15,6 +15,7 @@ from benchmarks.effort import Effort
 from benchmarks.exact import Body, Rectangle
 from benchmarks.models import Model, model_of, rk4
 from benchmarks.report import Report, Row, Target, row
+from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.obstacles import Workspace, box
@@ -46,6 +47,8 @@ UNICYCLE = Vehicle(  # dynobench's first-order unicycle
     top_speed=0.5,
     rest=(),
 )
+OTHERS = (("f1tenth", 1.3), ("f1tenth", 1.6), ("jackal", 1.3), ("jackal", 1.6), ("unicycle2", 1.6), ("unicycle2", 2.0))
+LENGTH = 0.4  # of the vehicle for which the street is 1.4 m wide (m)
 REVERSING = replace(MUSHR, controls={"throttle": (-1.0, 1.0), "steering": MUSHR.controls["steering"]})
 
 
@@ -89,14 +92,22 @@ def turning_round(size: float) -> Problem:
     )
 
 
-def parking(lengths: float, *, left: bool = False) -> Problem:
-    """Park between two cars, on the right or left of the street; the gap is that many car lengths long."""
-    size = REVERSING.footprint.length, REVERSING.footprint.width
-    gap, x, y = lengths * size[0], 1.6, 1.2 if left else 0.2
+def parking(lengths: float, *, left: bool = False, vehicle: Vehicle = REVERSING) -> Problem:
+    """Park between two cars, on the right or left of the street; the gap is that many vehicle lengths long.
+
+    All other lengths are proportional to the vehicle's.
+    """
+    size, scale = (vehicle.footprint.length, vehicle.footprint.width), vehicle.footprint.length / LENGTH
+    gap, x, y = lengths * size[0], 1.6 * scale, size[1] / 2 + 0.06 * scale
+    y = 1.4 * scale - y if left else y
     cars = tuple(Rectangle((x + side * (gap + size[0]) / 2, y), size, 0.0) for side in (-1, 1))
-    goal, bounds = Goal((x, y), 0.05, 0.0, math.radians(5), AT_REST), ((0.0, 3.2), (0.0, 1.4))
-    start, name = np.array([0.6, 0.7, 0.0, 0.0]), f"parking{' left' if left else ''}, {lengths:g} lengths"
-    return Problem(name, REVERSING, model_of(REVERSING), bounds, fence(bounds) + cars, start, goal, Safety())
+    at_rest = dict.fromkeys(vehicle.rest, AT_REST["v"])
+    goal = Goal((x - vehicle.footprint.offset, y), 0.05 * scale, 0.0, math.radians(5), at_rest)
+    bounds, start = ((0.0, 3.2 * scale), (0.0, 1.4 * scale)), np.zeros(len(vehicle.state))
+    start[[vehicle.index("x"), vehicle.index("y")]] = 0.6 * scale, 0.7 * scale
+    name = f"parking{' left' if left else ''}, {lengths:g} lengths"
+    name += "" if vehicle is REVERSING else f", {vehicle.name}"
+    return Problem(name, vehicle, model_of(vehicle), bounds, fence(bounds) + cars, start, goal, Safety())
 
 
 def fence(bounds: tuple[tuple[float, float], tuple[float, float]], thick: float = 0.4) -> tuple[Rectangle, ...]:
@@ -136,6 +147,7 @@ def run(effort: Effort) -> Report:
     seeds = max(1, effort.seeds // 5) if effort.seeds < 100 else 50
     problems = [turning_round(size) for size in (1.5, 2.0, 3.0)]
     problems += [parking(lengths) for lengths in (1.3, 1.6, 2.0)] + [parking(1.3, left=True)]
+    problems += [parking(lengths, vehicle=load_vehicle(name)) for name, lengths in OTHERS]
     if effort.nodes < 100_000:  # one of each kind
         problems = [problems[1], problems[3]]
     rows = [each for problem in problems for each in measured(problem, seeds, FOUND_WITHIN)]

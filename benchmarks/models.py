@@ -28,6 +28,10 @@ def model_of(vehicle: Vehicle) -> Model:
         return car(p["L"], p["v_delta"], MUSHR_LAG, 1.0, p["phi_diff"])
     if vehicle.name == "unicycle2":
         return unicycle(p["a_max"], p["alpha_max"], p["v_max"], p["omega_max"])
+    if vehicle.name == "f1tenth":
+        return f1tenth(p["L"], p["phi_diff"], p["v_delta"], p["tau"], p["a_grip"])
+    if vehicle.name == "jackal":
+        return two_sides(p["track"], p["tau"], p["tau_turn"], p["gain"])
     raise KeyError(f"there is no second model of {vehicle.name}")
 
 
@@ -40,6 +44,35 @@ def car(wheelbase: float, gain: float, lag: float, steering_scale: float, steeri
         turning = 2 * v * np.sin(beta) / wheelbase
         rows = [v * np.cos(theta + beta), v * np.sin(theta + beta), turning, (gain * u[:, 0] - v) / lag]
         return np.column_stack(rows)
+
+    return derivative
+
+
+def f1tenth(wheelbase: float, offset: float, gain: float, lag: float, grip: float) -> Model:
+    """Bicycle about its centre whose wheels turn at a limited rate, and which understeers near its grip."""
+    servo_lag, servo_rate = 0.06, 3.2  # s, rad/s
+
+    def derivative(x: Matrix, u: Matrix) -> Matrix:
+        theta, v, delta = x[:, 2], x[:, 3], x[:, 4]
+        beta = np.arctan(np.tan(delta + offset) / 2)
+        curvature = 2 * np.sin(beta) / wheelbase
+        turning = v * curvature * (1 + (v**2 * curvature / grip) ** 4) ** -0.25
+        rate = (u[:, 1] - delta) / servo_lag
+        rate = rate / np.hypot(1.0, rate / servo_rate)
+        rows = [v * np.cos(theta + beta), v * np.sin(theta + beta), turning, (gain * u[:, 0] - v) / lag, rate]
+        return np.column_stack(rows)
+
+    return derivative
+
+
+def two_sides(track: float, lag: float, lag_turning: float, gain: float) -> Model:
+    """Robot whose speed and turning rate follow the speeds of its two sides."""
+
+    def derivative(x: Matrix, u: Matrix) -> Matrix:
+        theta, v, omega = x[:, 2], x[:, 3], x[:, 4]
+        dv = (gain * u.mean(axis=1) - v) / lag
+        domega = (gain * (u[:, 1] - u[:, 0]) / track - omega) / lag_turning
+        return np.column_stack([v * np.cos(theta), v * np.sin(theta), omega, dv, domega])
 
     return derivative
 

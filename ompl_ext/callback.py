@@ -120,7 +120,7 @@ class CallbackSearch:
             parameters=np.zeros(1),
             controls=self._control.bounds,
             limits=np.zeros((1, 2)),
-            discs=np.zeros((1, 3)),
+            discs=np.zeros((1, 4)),
             field=nothing,
             togo=nothing,
             tile=no_tile,

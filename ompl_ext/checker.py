@@ -106,7 +106,7 @@ class EdgeChecker:
         field, _, _, discs, scalar = self._maps
         distance = np.full(len(poses), math.inf)
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        for ahead, aside, radius in discs:
+        for ahead, aside, radius in discs[discs[:, 3] == 0.0, :3]:
             row = (poses[:, 1] + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
             column = (poses[:, 0] + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
             inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)

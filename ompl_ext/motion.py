@@ -101,7 +101,7 @@ def _response_time(vehicle: Vehicle) -> float:
         return 0.0
     advance, state, k = kernels(vehicle).advance, np.zeros(len(vehicle.state)), vehicle.rest_indices[0]
     largest, after = 0.0, np.zeros(len(vehicle.state))
-    for control in _corners(vehicle.control_bounds, np.random.default_rng(0)):
+    for control in corners(vehicle.control_bounds, np.random.default_rng(0)):
         advance(state, np.ascontiguousarray(control), vehicle.parameter_array, STEP, after)
         largest = max(largest, abs(float(after[k])) / STEP)
     return vehicle.top_speed / largest if largest > 0.0 else 0.0
@@ -110,7 +110,7 @@ def _response_time(vehicle: Vehicle) -> float:
 def _simulate(vehicle: Vehicle) -> Motion:
     random, bounds = np.random.default_rng(0), vehicle.control_bounds
     idle = np.clip(0.0, bounds[:, 0], bounds[:, 1])
-    held = [[control, idle] for control in _corners(bounds, random)]  # idle: on at a speed that is limited
+    held = [[control, idle] for control in corners(bounds, random)]  # idle: on at a speed that is limited
     varied = [[_random_control(bounds, random) for _ in range(SEGMENTS)] for _ in range(ROLLOUTS)]
     pieces = [_rollout(vehicle, controls, HELD_STEPS) for controls in held]
     pieces += [_rollout(vehicle, controls, SEGMENT_STEPS) for controls in varied]
@@ -126,7 +126,8 @@ def _simulate(vehicle: Vehicle) -> Motion:
     return Motion(seen.min(axis=0), seen.max(axis=0), np.abs(rates).max(axis=0), twists, after, controls)
 
 
-def _corners(bounds: Matrix, random: np.random.Generator) -> list[Floats]:
+def corners(bounds: Matrix, random: np.random.Generator) -> list[Floats]:
+    """Controls (nu,) of which every component is lowest, highest or nearest to zero; of many components random ones."""
     middle = np.clip(0.0, bounds[:, 0], bounds[:, 1])
     levels = np.column_stack([bounds[:, 0], middle, bounds[:, 1]])
     if len(bounds) > CORNERS:

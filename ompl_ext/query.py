@@ -11,7 +11,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix, Matrix32
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.clearance import ClearanceField, cover, fields, memory_of_fields, tight_cover
+from ompl_ext.kernels.clearance import ClearanceField, cover, fields, grouped, memory_of_fields, tight_cover
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.fine_field import FineField
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Maps, Problem, Retained
@@ -177,7 +177,8 @@ def make_problem(
     spacing = _spacing(vehicle, goal)
     precise = spacing < math.inf
     settings = settings_for(settings, vehicle, goal)
-    discs = _tight_cover(vehicle.footprint, EXCESS) if precise else cover(vehicle.footprint, settings.discs).discs
+    few = cover(vehicle.footprint, settings.discs).discs
+    discs = _tight_cover(vehicle.footprint, EXCESS) if precise else np.column_stack([few, np.zeros(len(few))])
     reach = vehicle.footprint.reach
     delta = _largest_delta(vehicle, safety)
     smallest = float(discs[:, 2].min())
@@ -312,7 +313,7 @@ class _Vehicle:
 
 @lru_cache(CACHED_MAPS)
 def _tight_cover(footprint: Footprint, excess: float) -> Matrix:
-    return tight_cover(footprint, excess * footprint.width)
+    return grouped(tight_cover(footprint, excess * footprint.width))
 
 
 EXCESS = 0.01  # of the discs over the footprint where a heading is asked for, as a share of its width

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.following import PathFollower
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
 from ompl_ext.kernels.tree_memory import CAPACITY, MAX_NODES, path_to, prune
 from ompl_ext.obstacles import Workspace
+from ompl_ext.plan import Plan
 from ompl_ext.polish import SMOOTHNESS_COST, Guess, Polish, guess_of, guess_to_goal
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to_go_of, settings_for
 from ompl_ext.query_tree import Progress, QueryTree
@@ -29,7 +30,7 @@ LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
 POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation, and the factor from one to the next
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
 POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
-PATHS = 4  # that are tried before the search begins
+PATHS, PATHS_AGAIN = 4, 2  # that are tried before the search begins, without and with edges of an earlier plan
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
@@ -80,6 +81,7 @@ class DirtSolver(QueryTree):
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self._rounds = 0
         self._polish: Polish | None = None  # made when it is needed: it may have to be compiled
+        self._follower: PathFollower | None = None  # made with the first path
         self._polished = _Polished()
         self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
 
@@ -88,6 +90,33 @@ class DirtSolver(QueryTree):
         super().clear(seed)
         self._rounds = 0
         self._polished, self._polish_due = _Polished(), self._first_polish()
+
+    def retain(self, plan: Plan, elapsed: float = 0.0, *, optimised: bool = False) -> int:
+        """Add the rest of an earlier plan, as `QueryTree.retain`.
+
+        A plan that was `optimised` is optimised again only after the search has improved it.
+        """
+        added = super().retain(plan, elapsed)
+        self._count_as_optimised(optimised)
+        return added
+
+    def retain_edges(
+        self,
+        parents: Sequence[int] | Ints,
+        controls: Matrix,
+        durations: Floats,
+        targets: Matrix | None = None,
+        *,
+        optimised: bool = False,
+    ) -> int:
+        """Add edges of an earlier tree, as `QueryTree.retain_edges`; `optimised` as for `retain`."""
+        added = super().retain_edges(parents, controls, durations, targets)
+        self._count_as_optimised(optimised)
+        return added
+
+    def _count_as_optimised(self, optimised: bool) -> None:
+        if optimised and self._tree.count[at.BEST] >= 0:
+            self._polished = replace(self._polished, attempts=1, searched=float(self._tree.best[0]))
 
     def grow(
         self,
@@ -189,9 +218,11 @@ class DirtSolver(QueryTree):
         began, root = time.perf_counter(), self._tree.state[0].copy()
         cell = settings_for(self.settings, vehicle, goal).cell
         found = pose_cost_to_go_of(vehicle, self.workspace, goal, cell)
-        follower = PathFollower(vehicle, self._problem.parameters)
+        follower = self._path_follower(vehicle)
+        retained = int(self._tree.count[at.RETAINED])
         x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
-        for path in found.paths_from(x, y, theta, PATHS):
+        most = PATHS if retained == 0 else PATHS_AGAIN
+        for path in found.paths_from(x, y, theta, most):
             if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
                 break
             controls, durations = follower.edges_along(path, root)
@@ -204,6 +235,23 @@ class DirtSolver(QueryTree):
         retained = int(self._tree.count[at.RETAINED])
         self._trees[0].add(self._kernels, self._problem, edges)
         self._tree.count[at.RETAINED] = retained
+
+    def _path_follower(self, vehicle: Vehicle) -> PathFollower:
+        """Follower of paths for the current parameters; it is kept, since it simulates motions of the vehicle."""
+        if self._follower is None or not self._follower.has_parameters(self._problem.parameters):
+            self._follower = PathFollower(vehicle, self._problem.parameters, self._are_free, self.pose_slack)
+        return self._follower
+
+    def _are_free(self, state: Floats, controls: Matrix, durations: Floats, begin: float) -> bool:
+        """Whether edges with controls (n, nu) and durations (n,), from a state at `begin` s, are free and safe."""
+        cycle = self.safety.cycle
+        for control, duration in zip(controls, durations, strict=True):
+            samples, slack = self.edge(state, control, duration, begin)
+            crosses = self.safety.enabled and begin < cycle <= begin + duration
+            if slack < 0.0 or (crosses and self._first_safe_manoeuvre(begin, cycle) is None):
+                return False
+            state, begin = samples[-1], begin + duration
+        return True
 
     def _take_best(self) -> None:
         """Put the tree with the best plan first, and make its cost the bound of all trees."""
@@ -259,7 +307,7 @@ class DirtSolver(QueryTree):
         return elapsed
 
     def _add_polished(self, offset: float) -> None:
-        """Improve the best plan and, if the goal has a heading, at first one along the cost-to-go of poses.
+        """Improve the best plan or, if the goal has a heading and there is none, one along the cost-to-go of poses.
 
         Without a heading the result is kept apart from the tree until the end of `grow`: the search goes on as without
         it, and finds other ways round the obstacles, which may be better when they are optimised in their turn.
@@ -268,7 +316,7 @@ class DirtSolver(QueryTree):
         """
         assert self.goal is not None
         began, attempts = time.perf_counter(), self._polished.attempts
-        if attempts == 0 and self._has_heading:
+        if attempts == 0 and self._has_heading and self._tree.count[at.BEST] < 0:
             vehicle, goal = self._first
             assert goal is not None
             guess = guess_to_goal(vehicle, self.workspace, goal, self.settings, self._tree.state[0].copy())

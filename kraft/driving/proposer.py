@@ -428,9 +428,9 @@ def retain(dirt: DirtSolver, root: Floats, rest: Rest) -> PlanLoss:
     plan, elapsed, edges = rest.plan, rest.elapsed, rest.edges
     _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
     if edges is None:
-        dirt.retain(plan, elapsed)
+        dirt.retain(plan, elapsed, optimised=True)
     else:
-        dirt.retain_edges(edges.parents, edges.controls, edges.durations, edges.targets)
+        dirt.retain_edges(edges.parents, edges.controls, edges.durations, edges.targets, optimised=True)
     if dirt.retained_nodes[len(durations) - 1] >= 0:
         return PlanLoss.ESTIMATE if dirt.best_cost > rest.left + RETAINED_TOLERANCE else PlanLoss.NONE
     first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))

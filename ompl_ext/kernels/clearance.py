@@ -74,6 +74,9 @@ def cover(footprint: Footprint, discs: int = 4) -> DiscCover:
     return DiscCover(centres, math.hypot(slice_length / 2, footprint.width / 2))
 
 
+GROUP, LARGE = 6, 0.5  # most discs of a group; radius of a disc without one, as a share of the largest
+
+
 def tight_cover(footprint: Footprint, excess: float) -> Matrix:
     """Discs (n, 3) of centres and radii whose union contains the footprint and exceeds its sides by at most `excess` m.
 
@@ -94,6 +97,31 @@ def tight_cover(footprint: Footprint, excess: float) -> Matrix:
         found.append((0.0, along, radius) if long else (along, 0.0, radius))
     found.sort(key=lambda disc: -disc[2])  # a large one detects most collisions
     return np.array([(x + footprint.offset, y, radius) for x, y, radius in found])
+
+
+def grouped(discs: Matrix) -> Matrix:
+    """Discs (m, 4) with the number of discs that follow each one within it: these are free if it is.
+
+    The large ones of `discs` (n, 3) come first, since they detect most collisions; small neighbours are in groups, each
+    after a disc around it.
+    """
+    if len(discs) <= GROUP:
+        return np.column_stack([discs, np.zeros(len(discs))])
+    large = discs[:, 2] >= LARGE * discs[0, 2]
+    found = [np.column_stack([discs[large], np.zeros(np.count_nonzero(large))])]
+    waiting = [discs[~large]]
+    while waiting:
+        some = waiting.pop()
+        if len(some) > GROUP:
+            axis = int(np.argmax(np.ptp(some[:, :2], axis=0)))
+            order = np.argsort(some[:, axis], kind="stable")
+            waiting += [some[order[: len(order) // 2]], some[order[len(order) // 2 :]]]
+        elif len(some) > 0:
+            low, high = (some[:, :2] - some[:, 2:]).min(axis=0), (some[:, :2] + some[:, 2:]).max(axis=0)
+            centre = 0.5 * (low + high)
+            around = (np.linalg.norm(some[:, :2] - centre, axis=1) + some[:, 2]).max()
+            found.append(np.vstack([[*centre, around, len(some)], np.column_stack([some, np.zeros(len(some))])]))
+    return np.vstack(found)
 
 
 def _width_of_slice(deep: float, excess: float) -> float:
@@ -278,14 +306,24 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
     slack = field[int((y - oy) * inverse), int((x - ox) * inverse)] - scalar[REACH] - required
     if slack >= 0.0:
         return slack
-    slack = math.inf
-    for k in range(len(problem.discs)):
-        ahead, aside, radius = problem.discs[k, 0], problem.discs[k, 1], problem.discs[k, 2]
+    slack, k, count = math.inf, 0, len(problem.discs)
+    while k < count:
+        ahead, aside, radius, members = (
+            problem.discs[k, 0],
+            problem.discs[k, 1],
+            problem.discs[k, 2],
+            problem.discs[k, 3],
+        )
         px, py = x + ahead * c - aside * s, y + ahead * s + aside * c
         value = field[int((py - oy) * inverse), int((px - ox) * inverse)]
         spare = value - radius - required
         if spare < 0.0 and scalar[FINE_INVERSE] > 0.0:
             spare = max(spare, fine_distance(problem, px, py) - radius - required)
+        k += 1
+        if members > 0.0:
+            if spare < 0.0:
+                continue
+            k += int(members)
         slack = min(slack, spare)
         if slack < 0.0:
             return slack

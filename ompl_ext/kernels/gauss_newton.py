@@ -226,10 +226,20 @@ def clearance_penalty(
         return 0.0
     c, s = (cos(state[THETA]), sin(state[THETA])) if THETA >= 0 else (1.0, 0.0)
     total, e = 0.0, 0.25 / scalar[GRID_INVERSE]
-    for d in range(len(problem.discs)):
-        ahead, aside, radius = problem.discs[d, 0], problem.discs[d, 1], problem.discs[d, 2]
+    d, count = 0, len(problem.discs)
+    while d < count:
+        ahead, aside, radius, members = (
+            problem.discs[d, 0],
+            problem.discs[d, 1],
+            problem.discs[d, 2],
+            problem.discs[d, 3],
+        )
         px, py = x + ahead * c - aside * s, y + ahead * s + aside * c
         lack = required + radius - distance(problem, signed, px, py)
+        d += 1
+        if members > 0.0:
+            d += int(members) if lack <= 0.0 else 0
+            continue
         if lack <= 0.0:
             continue
         total += lack * lack

@@ -35,7 +35,7 @@ class Problem(NamedTuple):
     parameters: Floats  # of the vehicle
     controls: Matrix  # (nu, 2) bounds
     limits: Matrix  # (nx, 2) state limits, the workspace bounds of x and y among them
-    discs: Matrix  # (n, 3) centres in the body frame and radii of the discs that cover the footprint (m)
+    discs: Matrix  # (n, 4) centres in the body frame, radii (m), and how many that follow are within, see `grouped`
     field: Matrix32  # (rows, columns) lower bound of the distance to obstacles (m)
     togo: Matrix32  # (rows, columns) geodesic cost-to-go at the same cells' centres (s)
     tile: IntMatrix32  # (rows, columns) number of each tile of the fine field, -1 where none is stored

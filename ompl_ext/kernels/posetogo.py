@@ -19,6 +19,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Floats32, Floats32Cube, IntMatrix32, Ints32, Matrix, Matrix32
 from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.kernels.arcs import cross_track
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     GRID_INVERSE,
@@ -172,13 +173,14 @@ def _searched(
 
 
 def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
-    """Compile the kernels of this module and of `penetration`, or load them from the cache."""
+    """Compile the kernels of this module, of `arcs` and of `penetration`, or load them from the cache."""
+    cross_track(np.zeros((1, 1, 3)), np.zeros(3), np.ones(3), 1.0)
     scalar = np.zeros(SCALARS)
     scalar[[X_HIGH, Y_HIGH, GRID_INVERSE, REACH]] = 0.1, 0.1, 1.0, 0.1
     tile, squares = np.full((1, 1), -1, np.int32), np.zeros((1, 1), np.uint16)
     bounds, twists = ((0.0, 0.1), (0.0, 0.1)), np.array([[1.0, 0.0, 1.0]])
     for radius in (0.0, 10.0):  # the goal is free, or not
-        maps = Maps(np.array([[0.0, 0.0, radius]]), field, tile, squares, scalar)
+        maps = Maps(np.array([[0.0, 0.0, radius, 0.0]]), field, tile, squares, scalar)
         found = pose_cost_to_go(
             maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic, 0.1, maps.discs
         )

@@ -78,7 +78,7 @@ def pinned(workspace: Workspace, footprint: Footprint = FOOTPRINT, goal: Goal = 
 
 def bounds_at(dirt: DirtSolver, points: np.ndarray) -> np.ndarray:
     """Lower bounds (n,) of the distances of points by the fields of a solver."""
-    ((ahead, aside, radius),) = dirt.problem.discs  # one disc
+    ((ahead, aside, radius, _),) = dirt.problem.discs  # one disc
     poses = np.column_stack([points - (ahead, aside), np.zeros(len(points))])
     bounds: np.ndarray = dirt.clearances(poses) + radius
     return bounds

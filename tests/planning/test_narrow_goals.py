@@ -20,19 +20,24 @@ from ompl_ext.verification import verify
 REVERSING = replace(MUSHR, controls={"throttle": (-1.0, 1.0), "steering": MUSHR.controls["steering"]})
 
 
-def solver_of(vehicle: Vehicle, solids: list[tuple[float, float, float, float]], goal: Goal, size: float) -> DirtSolver:
-    """Solver in a street of size by 1.4 m, or in a room, with boxes (x, y, length, width)."""
-    bounds = ((0.0, size), (0.0, 1.4 if solids else size))
+def solver_of(
+    vehicle: Vehicle, solids: list[tuple[float, float, float, float]], goal: Goal, size: float, width: float = 1.4
+) -> DirtSolver:
+    """Solver in a street of size by `width` m, or in a room, with boxes (x, y, length, width)."""
+    bounds = ((0.0, size), (0.0, width if solids else size))
     return DirtSolver(vehicle, Workspace(bounds, tuple(box(s[:2], s[2:]) for s in solids)), goal)
 
 
-def parking(lengths: float, vehicle: Vehicle = REVERSING, left: bool = False) -> DirtSolver:
-    """Parallel parking between two cars, at rest within 5 cm and 5 degrees."""
-    body, x, y = vehicle.footprint, 1.6, 1.2 if left else 0.2
+def parking(lengths: float, vehicle: Vehicle = REVERSING, left: bool = False, scale: float = 1.0) -> DirtSolver:
+    """Parallel parking between two cars, at rest within 5 cm and 5 degrees, all lengths multiplied by `scale`."""
+    body, x = vehicle.footprint, 1.6 * scale
+    y = body.width / 2 + 0.06 * scale
+    y = 1.4 * scale - y if left else y
     apart = (lengths + 1) * body.length / 2
     cars = [(x + side * apart, y, body.length, body.width) for side in (-1, 1)]
-    goal = Goal((x - body.offset, y), 0.05, 0.0, math.radians(5), {"v": (-0.05, 0.05)})
-    return solver_of(vehicle, cars, goal, 3.2)
+    at_rest = dict.fromkeys(vehicle.rest, (-0.05, 0.05))
+    goal = Goal((x - body.offset, y), 0.05 * scale, 0.0, math.radians(5), at_rest)
+    return solver_of(vehicle, cars, goal, 3.2 * scale, 1.4 * scale)
 
 
 def start_of(vehicle: Vehicle, x: float, y: float, theta: float) -> np.ndarray:
@@ -86,6 +91,14 @@ def test_a_bay_across_the_street_is_entered_ahead_and_astern(heading: float) -> 
     goal = Goal((1.6, 0.3), 0.05, heading, math.radians(5), {"v": (-0.05, 0.05)})
     cars = [(1.6 + side * 0.35, 0.26, 0.28, 0.4) for side in (-1, 1)]
     check(solver_of(REVERSING, cars, goal, 3.2), start_of(REVERSING, 0.6, 0.9, 0.0), seed=0)
+
+
+@pytest.mark.parametrize(("name", "lengths"), [("f1tenth", 1.3), ("jackal", 1.3), ("unicycle2", 2.0)])
+def test_vehicles_that_leave_a_path_at_speed_park_in_moves(name: str, lengths: float) -> None:
+    """Wheels that turn at a limited rate, sides with a lag, and controls that are accelerations."""
+    vehicle = load_vehicle(name)
+    scale = vehicle.footprint.length / REVERSING.footprint.length
+    check(parking(lengths, vehicle, scale=scale), start_of(vehicle, 0.6 * scale, 0.7 * scale, 0.0), seed=0)
 
 
 @pytest.mark.parametrize(("name", "size"), [("mushr", 1.5), ("mushr", 2.5), ("jackal", 2.0)])
