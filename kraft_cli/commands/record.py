@@ -20,6 +20,9 @@ VehicleName = Annotated[
 ]
 Runs = Annotated[int, typer.Option(metavar="N", help="Number of runs, 20 s each.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same logs.")]
+Bag = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the runs as ROS 2 messages too: FILE_01.mcap and so on.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -30,6 +33,7 @@ def record(
     out: Out = Path("logs"),
     runs: Runs = 10,
     seed: Seed = 0,
+    bag: Bag = None,
     json: Json = False,
 ) -> ExitStatus:
     """Drive manoeuvres without feedback in simulation and log commands and measured poses, for kraft sysid."""
@@ -46,7 +50,7 @@ def record(
         terminal.info(f"{len(done)}/{runs}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
     try:
-        record_logs(RecordRequest(scenario, out, runs, seed, vehicle), terminal.info, ended)
+        record_logs(RecordRequest(scenario, out, runs, seed, vehicle, bag), terminal.info, ended)
     except KeyboardInterrupt:
         kept = f"; {len(done)} of {counted(runs, 'run')} kept in {out}" if done else " before the first run ended"
         terminal.problem(f"stopped{kept}")

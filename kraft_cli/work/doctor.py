@@ -43,6 +43,8 @@ REQUIRED: Final[dict[str, str]] = {
 
 OPTIONAL: Final[dict[str, tuple[str, str]]] = {
     "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
+    "cyclonedds": ("cyclonedds.domain", "`transport: {kind: ros2}` of robots"),
+    "websockets": ("websockets.sync.client", "`transport: {kind: rosbridge}` of robots"),
     "opencv-python-headless": ("cv2", "detects tags in rendered frames (`sensing.preset: rendered`)"),
 }
 """Each optional package: the module to import, and its purpose."""

@@ -19,13 +19,14 @@ RUNS: Final = 10
 
 @dataclass(frozen=True)
 class RecordRequest:
-    """Options of `kraft record` as written; `out` is a new folder."""
+    """Options of `kraft record` as written; `out` is a new folder, `bag` the file of a bag, or of several by number."""
 
     scenario: str = "training"
     out: Path = Path("logs")
     runs: int = RUNS
     seed: int = 0
     vehicle: str | None = None
+    bag: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,12 @@ def record_logs(
     scenario = load_scenario(request.scenario)
     vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
     from kraft.recording.recorder import Recorder, check_log_folder, write_recording  # these load the simulator
+    from kraft.robot.bag import bag_of_run, check_bag
+    from kraft.robot.bag import write_recording as write_bag
 
     check_log_folder(request.out)
+    if request.bag is not None:
+        check_bag(request.bag)
     ensure_compiled(vehicle, report, steps=not is_car(vehicle))
     recorder = Recorder(scenario, vehicle, request.seed)
     arguments = {"scenario": request.scenario, "runs": request.runs, "seed": request.seed}
@@ -70,6 +75,8 @@ def record_logs(
     for number in range(1, request.runs + 1):
         recording = recorder.record(number)
         folder = write_recording(request.out, scenario, arguments, recording)
+        if request.bag is not None:
+            write_bag(bag_of_run(request.bag, number, request.runs), scenario.task(), vehicle, recording)
         logged = len(recording.commands), len(recording.poses)
         done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note))
         if on_run is not None:
