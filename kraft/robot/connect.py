@@ -26,12 +26,33 @@ def open_transport(robot: Robot) -> Transport:
     return LOOPBACK.node("kraft")
 
 
+def check_transport(robot: Robot) -> None:
+    """Check that a drive, whose controller has a process of its own, can use the transport of a robot.
+
+    Raises:
+        MissingDependency: if a package of the transport is missing.
+        InputError: if messages cannot leave the process.
+    """
+    settings = robot.transport
+    if isinstance(settings, Ros2):
+        from kraft.robot.ros2 import domain_number
+
+        domain_number(settings)
+    elif isinstance(settings, Rosbridge):
+        from kraft.robot.rosbridge import check_library
+
+        check_library()
+    else:
+        problem, expected = "is loopback, which does not leave the process", "expected ros2 or rosbridge"
+        raise InputError([robot.source.diagnostic("transport.kind", problem, expected, code=Code.CONFLICT)])
+
+
 def open_robot(robot: Robot) -> Transport:
     """Transport of a simulated robot, to which `open_transport` connects in another process.
 
     Raises:
         MissingDependency: if a package of the transport is missing.
-        InputError: if the port is taken, or if messages cannot leave the process.
+        InputError: if the port is taken.
     """
     settings = robot.transport
     if isinstance(settings, Ros2):
@@ -42,5 +63,4 @@ def open_robot(robot: Robot) -> Transport:
         from kraft.robot.rosbridge import RosbridgeServer
 
         return RosbridgeServer(settings)
-    problem, expected = "is loopback, which does not leave the process", "expected ros2 or rosbridge"
-    raise InputError([robot.source.diagnostic("transport.kind", problem, expected, code=Code.CONFLICT)])
+    return LOOPBACK.node("robot")

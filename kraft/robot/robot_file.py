@@ -102,6 +102,8 @@ class PoseInput(StrictModel):
     """ask DDS to send lost poses again"""
     tracked_point: TrackedPoint = TrackedPoint()
     """{x, y, heading_deg} of the tracked point on the vehicle"""
+    level_camera: bool = False
+    """the poses come from the scenario's camera, which takes the floor as level"""
 
 
 class SpeedCommand(StrictModel):
@@ -220,7 +222,7 @@ class Robot(StrictModel):
     rate_hz: Rate | None = None
     """commands per second; the rate of the method's controller if left out"""
     pose: PoseInput
-    """{topic, type, frame, stamp, rate_hz, reliable, tracked_point}"""
+    """{topic, type, frame, stamp, rate_hz, reliable, tracked_point, level_camera}"""
     command: CommandOutput
     """{topic, type, frame, speed, steering, timeout}"""
     dead_man: DeadMan | None = None

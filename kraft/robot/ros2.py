@@ -177,7 +177,7 @@ class Ros2Transport:
     def _receive(self) -> None:
         while not self._closed:
             self._waitset.wait(duration(seconds=WAIT))
-            arrival = time.time_ns()
+            arrival = time.monotonic_ns()
             with self._lock:
                 readers = list(self._readers.values())
             for reader, kind, receive in readers:

@@ -31,6 +31,15 @@ SEND_BUFFER: Final = 32 * 1024
 """Bytes that wait in the operating system: after a pause of the network few old commands are delivered."""
 
 
+def check_library() -> None:
+    """Check that websockets is there.
+
+    Raises:
+        MissingDependency: if it is not.
+    """
+    _websockets()
+
+
 def _websockets() -> Any:
     try:
         import websockets.sync.client
@@ -190,7 +199,7 @@ class RosbridgeClient:
         while not self._outbox.closed:
             try:
                 for text in self._socket:
-                    self._take(text, time.time_ns())
+                    self._take(text, time.monotonic_ns())
                 raise OSError("closed by the server")
             except (OSError, self._library.exceptions.WebSocketException) as error:
                 if self._outbox.closed:
@@ -320,7 +329,7 @@ class RosbridgeServer:
         sender.start()
         try:
             for text in connection:
-                self._operate(client, text, time.time_ns())
+                self._operate(client, text, time.monotonic_ns())
         except self._library.exceptions.WebSocketException:
             pass  # the client is gone, which its mux timeout answers
         finally:

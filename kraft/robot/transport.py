@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol, TypeAlias
 
 Receive: TypeAlias = Callable[[Any, int], None]
-"""Called with each message and its time of arrival (ns since 1970), from a thread of the transport."""
+"""Called with each message and its time of arrival (ns of the monotonic clock), from a thread of the transport."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class LoopbackNode:
         """Deliver a message to all other nodes."""
         if topic in self._latched:
             self._bus.last[topic] = message
-        now = time.time_ns()
+        now = time.monotonic_ns()
         for node, receive in list(self._bus.receivers[topic]):
             if node is not self:
                 receive(message, now)
@@ -88,7 +88,7 @@ class LoopbackNode:
         """Receive the messages of a topic, and the last one of a latched topic at once."""
         self._bus.receivers[topic].append((self, receive))
         if latched and topic in self._bus.last:
-            receive(self._bus.last[topic], time.time_ns())
+            receive(self._bus.last[topic], time.monotonic_ns())
 
     def peers(self, topic: str) -> Peers:
         """Publishers and subscribers of a topic, without this node."""
