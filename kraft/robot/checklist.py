@@ -12,6 +12,7 @@ import numpy as np
 
 from kraft.robot.inputs import Inputs
 from kraft.robot.poses import Received, units_hint
+from kraft.robot.priority import is_preferred
 from kraft.robot.protocol import Check, Checked, DriveSpec
 from kraft.robot.transport import Peers, Transport
 from kraft.vehicles.config import load_vehicle_config
@@ -45,7 +46,7 @@ class Checklist:
         topic, kind = robot.command.topic, robot.command.type
         poses, peers = self._listen(is_cancelled)
         checks = [*self._check_poses(poses), *self._check_clock(poses), self._check_dead_man()]
-        checks += [self._check_commands(peers), self._check_model()]
+        checks += [self._check_commands(peers), self._check_model(), _check_priority()]
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
@@ -155,6 +156,14 @@ class Checklist:
         if identified:
             return Check("model", "ok", f"{vehicle.name} is identified")
         return Check("model", "warning", f"{vehicle.name} states no identification: was it made for this car?")
+
+
+def _check_priority() -> Check:
+    """Whether the controller runs before other programs."""
+    if is_preferred():
+        return Check("priority", "ok", "the controller runs before all ordinary programs")
+    detail = "the controller waits for other programs: rtprio in /etc/security/limits.conf permits more"
+    return Check("priority", "warning", detail)
 
 
 def _mean(poses: list[Received]) -> tuple[float, float, float]:

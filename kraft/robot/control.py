@@ -28,7 +28,7 @@ import numpy as np
 from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import AdaptiveEstimator, make_estimator
-from kraft.driving.messages import Estimate, Observation, Reference, ReferenceKind
+from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
 from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
 from kraft.planning.workspace import pose_of
@@ -36,7 +36,9 @@ from kraft.robot.checklist import Checklist
 from kraft.robot.command import CommandCodec
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
+from kraft.robot.messages import to_cdr
 from kraft.robot.poses import Clocks, PoseGuard
+from kraft.robot.priority import prefer_this_process
 from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop
 from kraft.robot.transport import Transport
 from kraft.scenario import Goal
@@ -66,6 +68,7 @@ def run_control(spec: DriveSpec, connection: Connection) -> None:
     """Main function of the process: check, drive, and write what is driven as it is driven."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
     sys.setswitchinterval(0.0005)
+    prefer_this_process()
     mailbox = Mailbox(connection)
     transport = open_transport(spec.robot)
     try:
@@ -202,8 +205,8 @@ class Control:
         self._on_board = OnBoard(settings, Safety(cycle=settings.cycle), self._model, begin.commitment)
         self._settings = settings
         self.period = 1.0 / (robot.rate_hz or method.controller.rate_hz)
-        now = clock.monotonic_ns() + round(1e9 * LEAD_IN)
-        self._clocks = Clocks(clock.time_ns() + round(1e9 * LEAD_IN), now, inputs.latency)
+        self._warm_up(begin)
+        self._clocks = Clocks(0, 0)  # until the drive begins
         self._guard = PoseGuard(robot, self._clocks)
         self._open_loop = np.array(begin.state, dtype=float)
         self._cycle, self._waiting = 0, False
@@ -226,12 +229,16 @@ class Control:
         self._foreign = ""
         self._since_stop: float | None = None
         self._alive = True
-        threading.Thread(target=self._watch_peers, name="peers", daemon=True).start()
 
     def run(self) -> Ended:
         """Drive until the goal, the time limit, an order, or a fault that does not go away."""
         gc.collect()
         gc.freeze()  # so that a collection looks at little
+        lead_in = round(1e9 * LEAD_IN)
+        self._clocks = Clocks(clock.time_ns() + lead_in, clock.monotonic_ns() + lead_in, self._inputs.latency)
+        self._guard = PoseGuard(self._spec.robot, self._clocks)
+        self._inputs.take_poses()  # those of the check list
+        threading.Thread(target=self._watch_peers, name="peers", daemon=True).start()
         number = math.ceil(-LEAD_IN / self.period) + 1
         while True:
             due = number * self.period
@@ -250,6 +257,25 @@ class Control:
         }  # fmt: skip
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
         return Ended(outcome, reason, self._ended_at, measures, dict(self._guard.refused), self._on_board.stops)
+
+    def _warm_up(self, begin: Begin) -> None:
+        """Do once what a tick does: the first time takes a second, because compiled functions are loaded."""
+        spec, model, state = self._spec, self._model, np.array(begin.state, dtype=float)
+        assert not isinstance(spec.method.estimator, Oracle), "no robot has it"
+        estimator = make_estimator(spec.method.estimator, model, state, spec.camera)
+        controller = make_controller(spec.method.controller, model)
+        x, y, theta = pose_of(state, model.vehicle)
+        for k in range(1, 4):
+            estimator.observe(Observation(0.1 * k, 0.1 * k, x, y, theta))
+            moving = estimator.estimate(0.1 * k).state
+            moving[model.v] = 0.5 * model.vehicle.top_speed
+            estimate = Estimate(0.1 * k, moving, 0.0)
+            board = OnBoard(self._settings, Safety(cycle=self._settings.cycle), model, begin.commitment)
+            board.receive(Commitment(replace(begin.commitment.reference, kind=ReferenceKind.PLAN)), estimate)
+            board.stop(estimate)
+            command = controller.command(estimate, board.reference(estimate))
+            estimator.commanded(0.1 * k, command)
+            to_cdr(self._codec.message(0, command))
 
     @property
     def _now(self) -> float:
@@ -270,7 +296,7 @@ class Control:
         estimate = self._estimator.estimate(now)
         self._check_faults(now, estimate)
         reference = self._on_board.reference(estimate)
-        if self._on_board.is_stopping and self._since_stop is None:
+        if self._on_board.is_stopping and self._since_stop is None and self._ending is None:
             self._event(now, self._why_blind(estimate))
         command = self._model.clamped(self._controller.command(estimate, reference))
         if now < 0.0:
@@ -354,7 +380,7 @@ class Control:
         return self._inputs.trouble or self._transport.problem
 
     def _check_faults(self, now: float, estimate: Estimate) -> None:
-        if now < 0.0:
+        if now < 0.0 or self._ending is not None:
             return
         if (trouble := self._trouble) and self._since_stop is None:
             self._event(now, trouble)

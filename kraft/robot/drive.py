@@ -22,7 +22,7 @@ import numpy as np
 from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import AdaptiveEstimator, make_estimator
-from kraft.driving.messages import Cycle
+from kraft.driving.messages import Cycle, Estimate
 from kraft.driving.method import Method, Oracle
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
@@ -196,13 +196,27 @@ class Planner:
         state = at_pose(spec, pose)
         self._model = model_of(vehicle)
         self._estimator = make_estimator(method.estimator, self._model, state, spec.camera)
+        self._solvers = Solvers.of(self._task, vehicle, method.planner)
+        self._replanner = self._new_replanner()
+        self._warm_up(state)
+        return Begin(state, self._replanner.begin(state))
+
+    def _warm_up(self, state: Floats) -> None:
+        """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""
+        assert self._replanner is not None, "it is there"
+        commitment, moving = self._replanner.begin(state), state.copy()
+        moving[self._model.v] = 0.5 * self._model.vehicle.top_speed
+        self._replanner.decide(Estimate(0.0, moving, 0.0), commitment)
+        self._replanner = self._new_replanner()
+
+    def _new_replanner(self) -> Replanner:
+        spec = self._spec
+        method = spec.method
         period = 1.0 / (spec.robot.rate_hz or method.controller.rate_hz)
-        self._replanner = Replanner(
-            Solvers.of(self._task, vehicle, method.planner), method.planner,
-            make_controller(method.controller, self._model), spec.seed,
+        return Replanner(
+            self._solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
             period=period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
         )  # fmt: skip
-        return Begin(state, self._replanner.begin(state))
 
     def decide(self, request: PlanRequest) -> tuple[Planned, Any]:
         """Answer a request, without the tree; and the tree."""

@@ -13,7 +13,7 @@ from kraft.config.overrides import parse_overrides
 from kraft.driving.control import needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import check_vehicle, load_method
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import InputError
 from kraft.evaluation.statistics import percentile
 from kraft.files import check_all, write_json
 from kraft.planning.compilation import ensure_compiled
@@ -138,9 +138,7 @@ def resolve(request: DriveRequest) -> DriveSpec:
     vehicle = load_planning_vehicle(scenario, reference)
     check_vehicle(method, vehicle, own=reference not in (request.vehicle, scenario.vehicle))
     if request.seed < 0:
-        raise InputError(
-            [Diagnostic("seed", f"is {request.seed}", "expected at least 0", code=Code.VALUE, argument=True)]
-        )
+        raise InputError.of_argument("seed", f"is {request.seed}", "expected a number of at least 0")
     camera = level_camera(scenario) if robot.pose.level_camera else None
     return DriveSpec(
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,
@@ -162,9 +160,7 @@ def _learned(cycle: Cycle, spec: DriveSpec) -> str:
 
 
 def _manifest(request: DriveRequest, spec: DriveSpec) -> dict[str, Any]:
-    arguments = {
-        name: value if value is None else plain(value) for name, value in vars(request).items() if name != "out"
-    }
+    arguments = {name: plain(value) for name, value in vars(request).items() if name not in ("out", "bag")}
     return {
         "schema": "kraft.drive-manifest/1",
         "arguments": {**arguments, "bag": None if request.bag is None else str(request.bag)},

@@ -11,7 +11,8 @@ from kraft.config.overrides import parse_overrides
 from kraft.driving.method import load_method
 from kraft.planning.workspace import vehicle_of_task
 from kraft.robot.connect import open_robot
-from kraft.robot.robot_file import Loopback, Ros2, load_robot
+from kraft.robot.priority import prefer_this_process
+from kraft.robot.robot_file import Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
 from kraft.text import counted, finite, metres
@@ -49,14 +50,12 @@ def simulate(request: WorldRequest, report: Callable[[str], None]) -> WorldResul
     options = OutputOptions(request.video, request.view)
     options.check()
     spec = TrialSpec(scenario, load_method("kraft"), vehicle, request.seed)
+    prefer_this_process()  # a robot does not wait for other programs
     transport = open_robot(robot)
     try:
         world = RobotWorld(scenario, vehicle, robot, transport, request.seed)
         where = robot.transport
-        if isinstance(where, Ros2):
-            place = "DDS"
-        else:
-            place = "this process" if isinstance(where, Loopback) else where.url
+        place = where.url if isinstance(where, Rosbridge) else "DDS"
         report(f"{scenario.name} is on {place}: poses on {robot.pose.topic}, commands from {robot.command.topic}")
         with TrialOutputs(options, spec) as outputs:
             result = world.run(outputs.on_step if request.video or request.view else None)
