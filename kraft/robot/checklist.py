@@ -46,12 +46,12 @@ class Checklist:
         topic, kind = robot.command.topic, robot.command.type
         poses, peers = self._listen(is_cancelled)
         checks = [*self._check_poses(poses), *self._check_clock(poses), self._check_dead_man()]
-        checks += [self._check_commands(peers), self._check_model(), _check_priority()]
+        checks += [self._check_commands(peers), *self._check_map(), self._check_model(), _check_priority()]
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
         pose = _mean(poses) if poses and all(map(math.isfinite, _mean(poses))) else None
-        return Checked(tuple(checks), pose)
+        return Checked(tuple(checks), pose, self._inputs.take_map())
 
     def _listen(self, is_cancelled: Callable[[], bool]) -> tuple[list[Received], Peers]:
         """Poses of a while after the first one, and the peers of the commands."""
@@ -149,6 +149,12 @@ class Checklist:
         if not peers.subscribers:
             return Check("commands", "problem", f"nobody listens on {topic}")
         return Check("commands", "ok", f"{topic} has a listener")
+
+    def _check_map(self) -> list[Check]:
+        settings = self._spec.robot.map
+        if settings is None:
+            return []
+        return [self._inputs.map_check(settings.topic)]
 
     def _check_model(self) -> Check:
         vehicle = self._spec.vehicle

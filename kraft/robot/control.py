@@ -299,8 +299,8 @@ class Control:
         if self._on_board.is_stopping and self._since_stop is None and self._ending is None:
             self._event(now, self._why_blind(estimate))
         command = self._model.clamped(self._controller.command(estimate, reference))
-        if now < 0.0:
-            command = self._model.rest.copy()
+        if now < 0.0 or (self._is_blind(estimate) and now >= reference.end):
+            command = self._model.rest.copy()  # what holds a vehicle on a slope is not known any more
         self._send(now, command)
         self._journal.row(
             "steps", f"{now:.6f}", *map(float, estimate.state), *map(float, command), self._cycle,
@@ -309,6 +309,9 @@ class Control:
         self._request(now)
         self._report(now, estimate)
         return self._is_over(now, estimate, reference)
+
+    def _is_blind(self, estimate: Estimate) -> bool:
+        return min(estimate.age, estimate.time) > (self._settings.watchdog or math.inf)
 
     def _measure(self, late: float) -> None:
         self._ticks += 1
@@ -391,7 +394,7 @@ class Control:
         self._since_stop = estimate.time
         if self._guard.reason:
             return f"the watchdog stopped the vehicle: {self._guard.reason}"
-        if estimate.age > (self._settings.watchdog or math.inf):
+        if self._is_blind(estimate):
             return f"the watchdog stopped the vehicle: no pose for {estimate.age:.2f} s"
         return "the watchdog stopped the vehicle: no message of the planner"
 

@@ -30,8 +30,9 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.planning.workspace import start_state
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
+from kraft.robot.priority import preferred_planner
 from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Status, Stop
-from kraft.scenario import Task
+from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
 from ompl_ext.arrays import Floats
 
@@ -117,7 +118,7 @@ def drive(
             here.send(message)
 
     try:
-        with _interrupts(lambda: send(Stop("interrupted")), process):
+        with preferred_planner(), _interrupts(lambda: send(Stop("interrupted")), process):
             return _drive(spec, here, process, send, (on_check, on_cycle, on_status), keep_trees)
     finally:
         here.close()
@@ -140,7 +141,7 @@ def _drive(
             if not checked.passed or checked.pose is None:
                 send(Stop("the check list failed"))
                 return DriveResult(checked, None)
-            send(planner.begin(checked.pose))
+            send(planner.begin(checked.pose, checked.map))
         elif isinstance(message, PlanRequest):
             answer, tree = planner.decide(message)
             send(answer)
@@ -188,9 +189,10 @@ class Planner:
         self._task = spec.task
         self._replanner: Replanner | None = None
 
-    def begin(self, pose: tuple[float, float, float]) -> Begin:
-        """Plan the first cycle from where the vehicle stands."""
+    def begin(self, pose: tuple[float, float, float], grid: OccupancyMap | None = None) -> Begin:
+        """Plan the first cycle from where the vehicle stands, around the robot's map too."""
         spec = self._spec
+        self._task = changed(self._task, None, grid)
         method, vehicle = spec.method, spec.vehicle
         assert not isinstance(method.estimator, Oracle), "it was checked"
         state = at_pose(spec, pose)
@@ -240,18 +242,18 @@ class Planner:
         """Plan for the next cycle, to a new goal or around a new map if the request has one."""
         assert self._replanner is not None, "it has begun"
         if request.new_goal is not None or request.new_map is not None:
-            self._task = changed(self._task, request)
+            self._task = changed(self._task, request.new_goal, request.new_map)
             self._replanner.set_solvers(Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner))
         self._replanner.prepare()
 
 
-def changed(task: Task, request: PlanRequest) -> Task:
-    """Task with the new goal and the new map of a request; a new map replaces the last one of the same name."""
-    if request.new_goal is not None:
-        task = replace(task, goal=replace(task.goal, center=request.new_goal, heading=None, heading_tolerance=None))
-    if request.new_map is not None:
-        kept = tuple(each for each in task.obstacles if each.name != request.new_map.name)
-        task = replace(task, obstacles=(*kept, request.new_map))
+def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:
+    """Task with a new goal, and with a new map instead of the last one of the same name."""
+    if goal is not None:
+        task = replace(task, goal=replace(task.goal, center=goal, heading=None, heading_tolerance=None))
+    if grid is not None:
+        kept = tuple(each for each in task.obstacles if each.name != grid.name)
+        task = replace(task, obstacles=(*kept, grid))
     return task
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from kraft.robot.messages import BOOL, GRID, POSE, yaw_of
 from kraft.robot.poses import Received, received
+from kraft.robot.protocol import Check
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import OccupancyMap
@@ -27,6 +28,8 @@ class Inputs:
         self._held: tuple[bool, float] | None = None
         self._goal: tuple[float, float] | None = None
         self._map: OccupancyMap | None = None
+        self._newest_map: OccupancyMap | None = None
+        self._map_problem = ""
         self.latency = 0.0
         pose = robot.pose
         transport.subscribe(pose.topic, pose.type, self._take_pose, reliable=pose.reliable)
@@ -56,7 +59,22 @@ class Inputs:
             self._goal = float(place.x), float(place.y)
 
     def _take_map(self, message: Any, arrival: int) -> None:
-        self._map = occupancy_map(message)
+        frame = message.header.frame_id.lstrip("/")
+        found = occupancy_map(message) if frame == self._robot.pose.frame else None
+        if found is None:
+            size = f"{message.info.width} x {message.info.height}"
+            self._map_problem = f"the map of {size} cells in the frame {frame!r} cannot be used"
+        elif found != self._newest_map:
+            self._map = self._newest_map = found
+
+    def map_check(self, topic: str) -> Check:
+        """Whether there is a map, for the check list."""
+        if self._newest_map is not None:
+            rows, columns = self._newest_map.occupied.shape
+            return Check("map", "ok", f"{columns} x {rows} cells of {self._newest_map.resolution:g} m")
+        if self._map_problem:
+            return Check("map", "problem", self._map_problem)
+        return Check("map", "warning", f"no map on {topic}: the obstacles are those of the scenario")
 
     def take_poses(self) -> list[Received]:
         """Poses that have arrived since the last call."""

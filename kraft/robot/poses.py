@@ -10,8 +10,8 @@ from kraft.driving.messages import Observation
 from kraft.robot.messages import POSE, TRANSFORM, nanoseconds_of, yaw_of
 from kraft.robot.robot_file import Robot
 
-FROZEN: Final = 0.08
-"""Distance that the vehicle should have driven by the model for which equal poses are believed, m."""
+FROZEN_SPEED: Final = 0.05
+"""Speed by the model from which on a pose that is exactly the last one tells nothing, m/s."""
 Pose = tuple[float, float, float]
 
 
@@ -68,7 +68,6 @@ class PoseGuard:
     def __init__(self, robot: Robot, clocks: Clocks) -> None:
         self._robot, self._clocks = robot, clocks
         self._last: Pose | None = None
-        self._last_arrival, self._still = 0.0, 0.0
         self.refused: dict[str, int] = {}
         self.reason = ""
 
@@ -83,9 +82,8 @@ class PoseGuard:
         """
         arrival = self._clocks.of_arrival(pose.arrival)
         time = arrival if self._robot.pose.stamp == "arrival" else self._clocks.of_stamp(pose.stamp)
-        self._still = self._still + abs(speed) * (arrival - self._last_arrival) if pose.pose == self._last else 0.0
-        self._last, self._last_arrival = pose.pose, arrival
         reason = self._doubt(pose, time, arrival, predicted, speed, age)
+        self._last = pose.pose
         if reason:
             self.refused[reason.split(":")[0]] = self.refused.get(reason.split(":")[0], 0) + 1
             self.reason = reason
@@ -103,7 +101,7 @@ class PoseGuard:
         late = arrival - time - self._clocks.latency
         if abs(late) > watchdog.clock:
             return f"the clock of the poses jumped: by {-late:.2f} s"
-        if self._still > FROZEN:
+        if pose.pose == self._last and abs(speed) > FROZEN_SPEED:
             return "the poses do not change: the vehicle should move"
         # a vehicle that was not seen may be farther off
         allowed = watchdog.jump + 0.5 * abs(speed) * min(max(age, 0.0), 2.0)

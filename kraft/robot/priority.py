@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from typing import Final
 
 REAL_TIME: Final = 20
 """Priority among real-time processes."""
+PLANNER: Final = -10
+"""Niceness of the planner."""
 
 
 def prefer_this_process() -> bool:
@@ -21,6 +25,21 @@ def prefer_this_process() -> bool:
     except PermissionError:
         return False
     return True
+
+
+@contextlib.contextmanager
+def preferred_planner() -> Iterator[None]:
+    """Run this process before ordinary ones, but not before those that keep to the clock, as far as it is permitted."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, min(before, PLANNER))
+    except PermissionError:  # the check list tells that nothing is preferred
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
 def is_preferred() -> bool:

@@ -40,10 +40,11 @@ class Check:
 
 @dataclass(frozen=True)
 class Checked:
-    """All checks, and the pose (x, y, theta) at which the vehicle stands; None if there are no poses."""
+    """All checks, the pose (x, y, theta) at which the vehicle stands (None without poses), and the robot's map."""
 
     checks: tuple[Check, ...]
     pose: tuple[float, float, float] | None
+    map: OccupancyMap | None = None
 
     @property
     def passed(self) -> bool:
