@@ -33,6 +33,7 @@ TOPICS = (
     "arenas",
     "sysid",
     "sensing",
+    "robot",
 )
 NEEDS_OUT = ("peers",)
 CHOSEN = ("estimated", "changes", "arenas")

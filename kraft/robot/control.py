@@ -158,7 +158,7 @@ class Journal:
         vehicle = self._spec.vehicle
         headings = {
             "steps": ["time", *(f"estimate_{name}" for name in vehicle.state),
-                      *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age", "late"],
+                      *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age", "late", "work"],
             "observations": ["time", "arrival", "x", "y", "theta"],
             "events": ["time", "event"],
         }  # fmt: skip
@@ -305,6 +305,7 @@ class Control:
         self._journal.row(
             "steps", f"{now:.6f}", *map(float, estimate.state), *map(float, command), self._cycle,
             int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
+            f"{self._now - now:.6f}",
         )  # fmt: skip
         self._request(now)
         self._report(now, estimate)

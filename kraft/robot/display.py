@@ -41,7 +41,8 @@ def occupancy_grid(task: Task, time: int, frame: str) -> Any:
     (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
     cell = max(CELL, math.sqrt((x1 - x0) * (y1 - y0) / CELLS_MAX))
     columns, rows = max(1, math.ceil((x1 - x0) / cell)), max(1, math.ceil((y1 - y0) / cell))
-    xs, ys = x0 + cell * (np.arange(columns) + 0.5), y0 + cell * (np.arange(rows) + 0.5)
+    xs: Floats = x0 + cell * (np.arange(columns, dtype=float) + 0.5)
+    ys: Floats = y0 + cell * (np.arange(rows, dtype=float) + 0.5)
     occupied = np.zeros((rows, columns), bool)
     for obstacle in task.obstacles:
         occupied |= _touched(obstacle, xs, ys, 0.5 * math.sqrt(2.0) * cell)

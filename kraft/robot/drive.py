@@ -12,12 +12,11 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
-
-import numpy as np
 
 from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
@@ -224,13 +223,13 @@ class Planner:
         """Answer a request, without the tree; and the tree."""
         assert self._replanner is not None, "it has begun"
         estimator, sense = self._estimator, request.sense
-        for time, event in sorted(
-            [*((o.arrival, o) for o in sense.observations), *sense.commands], key=lambda each: each[0]
-        ):
-            if isinstance(event, np.ndarray):
-                estimator.commanded(time, event)
-            else:
-                estimator.observe(event)
+        observations = deque(sense.observations)
+        for time, command in sense.commands:
+            while observations and observations[0].arrival <= time:
+                estimator.observe(observations.popleft())
+            estimator.commanded(time, command)
+        for observation in observations:
+            estimator.observe(observation)
         self._replanner.skip_to(request.number)
         estimate = estimator.replanning_estimate(request.time)
         self._replanner.set_delay(estimator.horizon)

@@ -68,6 +68,7 @@ class PoseGuard:
     def __init__(self, robot: Robot, clocks: Clocks) -> None:
         self._robot, self._clocks = robot, clocks
         self._last: Pose | None = None
+        self._frozen: Pose | None = None
         self.refused: dict[str, int] = {}
         self.reason = ""
 
@@ -102,6 +103,8 @@ class PoseGuard:
         if abs(late) > watchdog.clock:
             return f"the clock of the poses jumped: by {-late:.2f} s"
         if pose.pose == self._last and abs(speed) > FROZEN_SPEED:
+            self._frozen = pose.pose
+        if pose.pose == self._frozen:  # also when the vehicle stands because of it
             return "the poses do not change: the vehicle should move"
         # a vehicle that was not seen may be farther off
         allowed = watchdog.jump + 0.5 * abs(speed) * min(max(age, 0.0), 2.0)

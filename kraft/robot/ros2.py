@@ -75,7 +75,8 @@ def _field(node: Any) -> Any:
     if kind == _BASE:
         return _SCALARS[detail[0]]
     inner, size = detail
-    return idl_types.array[_field(inner), size] if kind == _ARRAY else idl_types.sequence[_field(inner)]
+    listed: Any = idl_types  # its generic types are not described
+    return listed.array[_field(inner), size] if kind == _ARRAY else listed.sequence[_field(inner)]
 
 
 @cache
