@@ -158,7 +158,8 @@ class Journal:
         vehicle = self._spec.vehicle
         headings = {
             "steps": ["time", *(f"estimate_{name}" for name in vehicle.state),
-                      *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age", "late", "work"],
+                      *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age",
+                      "late", "work"],
             "observations": ["time", "arrival", "x", "y", "theta"],
             "events": ["time", "event"],
         }  # fmt: skip
@@ -220,13 +221,12 @@ class Control:
         self._late = self._missed = self._ticks = 0
         self._worst_late = 0.0
         self._reply_delays: deque[float] = deque(maxlen=1000)
-        self._events: dict[str, float] = {}
         self._last_tick = self._last_sent = -LEAD_IN
         self._requested = self._ended_at = 0.0
         self._next = 0
         self._last_command = self._model.rest.copy()
         self._next_status = 0.0
-        self._foreign = ""
+        self._foreign = self._why = ""
         self._since_stop: float | None = None
         self._alive = True
 
@@ -297,7 +297,7 @@ class Control:
         self._check_faults(now, estimate)
         reference = self._on_board.reference(estimate)
         if self._on_board.is_stopping and self._since_stop is None and self._ending is None:
-            self._event(now, self._why_blind(estimate))
+            self._stopped(now, self._why_blind(estimate))
         command = self._model.clamped(self._controller.command(estimate, reference))
         if now < 0.0 or (self._is_blind(estimate) and now >= reference.end):
             command = self._model.rest.copy()  # what holds a vehicle on a slope is not known any more
@@ -325,8 +325,8 @@ class Control:
         if gap > timeout + self.period:
             halted = self._last_tick + timeout
             self._command(halted, self._model.rest.copy())
-            self._event(now, f"the controller was held up for {gap:.2f} s")
             self._on_board.stop(self._estimator.estimate(now))
+            self._stopped(now, f"the controller was held up for {gap:.2f} s")
         self._last_tick = now
 
     def _take_messages(self, now: float) -> None:
@@ -387,12 +387,10 @@ class Control:
         if now < 0.0 or self._ending is not None:
             return
         if (trouble := self._trouble) and self._since_stop is None:
-            self._event(now, trouble)
             self._on_board.stop(estimate)
-            self._since_stop = now
+            self._stopped(now, trouble)
 
     def _why_blind(self, estimate: Estimate) -> str:
-        self._since_stop = estimate.time
         if self._guard.reason:
             return f"the watchdog stopped the vehicle: {self._guard.reason}"
         if self._is_blind(estimate):
@@ -448,7 +446,7 @@ class Control:
         elif now >= self._spec.timeout:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
         elif self._since_stop is not None and now - self._since_stop > watchdog.give_up:
-            self._end(now, "stopped", max(self._events, key=self._events.__getitem__))
+            self._end(now, "stopped", self._why)
 
     def _end(self, now: float, outcome: str, reason: str) -> None:
         """Stop the vehicle, with the manoeuvre of the contingency on board."""
@@ -457,9 +455,13 @@ class Control:
             if now >= 0.0 and not self._mailbox.closed:
                 self._on_board.stop(self._estimator.estimate(now))
 
+    def _stopped(self, now: float, why: str) -> None:
+        """Note since when and why the vehicle stops by itself."""
+        self._since_stop, self._why = now, why
+        self._event(now, why)
+
     def _event(self, now: float, text: str) -> None:
         """Write what happened, and tell it."""
-        self._events[text] = now
         self._journal.row("events", f"{now:.3f}", text)
         self._mailbox.send(Status(now, math.nan, self._late, text))
 
