@@ -73,7 +73,7 @@ def run_control(spec: DriveSpec, connection: Connection) -> None:
     transport = open_transport(spec.robot)
     try:
         inputs = Inputs(spec.robot, transport)
-        found = Checklist(spec, transport, inputs).run(lambda: mailbox.closed)
+        found = Checklist(spec.robot, transport, inputs).run(spec, lambda: mailbox.closed)
         mailbox.send(found)
         order = mailbox.wait()
         if isinstance(order, Begin) and found.passed:
@@ -213,7 +213,7 @@ class Control:
         self._cycle, self._waiting = 0, False
         self._planned: deque[Planned] = deque()
         self._observations: list[Observation] = []
-        self._commands: list[tuple[float, Floats]] = []
+        self._commands: list[tuple[float, Floats, Floats]] = []
         self._in_goal, self._goal = 0, spec.task.goal
         self._ending: tuple[str, str] | None = None
         self._rested = 0.0
@@ -256,7 +256,8 @@ class Control:
             "decision_ms": 1000 * float(np.median(self._reply_delays)) if self._reply_delays else math.nan,
         }  # fmt: skip
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
-        return Ended(outcome, reason, self._ended_at, measures, dict(self._guard.refused), self._on_board.stops)
+        refused, stops = dict(self._guard.refused), self._on_board.stops
+        return Ended(outcome, reason, self._ended_at, measures, refused, stops, self._sensed())
 
     def _warm_up(self, begin: Begin) -> None:
         """Do once what a tick does: the first time takes a second, because compiled functions are loaded."""
@@ -301,7 +302,7 @@ class Control:
         command = self._model.clamped(self._controller.command(estimate, reference))
         if now < 0.0 or (self._is_blind(estimate) and now >= reference.end):
             command = self._model.rest.copy()  # what holds a vehicle on a slope is not known any more
-        self._send(now, command)
+        self._send(now, command, estimate)
         self._journal.row(
             "steps", f"{now:.6f}", *map(float, estimate.state), *map(float, command), self._cycle,
             int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
@@ -324,7 +325,7 @@ class Control:
         gap, timeout = now - self._last_tick, self._spec.robot.command.timeout
         if gap > timeout + self.period:
             halted = self._last_tick + timeout
-            self._command(halted, self._model.rest.copy())
+            self._command(halted, self._model.rest.copy(), self._estimator.estimate(max(halted, 0.0)))
             self._on_board.stop(self._estimator.estimate(now))
             self._stopped(now, f"the controller was held up for {gap:.2f} s")
         self._last_tick = now
@@ -397,17 +398,17 @@ class Control:
             return f"the watchdog stopped the vehicle: no pose for {estimate.age:.2f} s"
         return "the watchdog stopped the vehicle: no message of the planner"
 
-    def _send(self, now: float, command: Floats) -> None:
+    def _send(self, now: float, command: Floats, estimate: Estimate) -> None:
         self._transport.publish(self._spec.robot.command.topic, self._codec.message(self._clocks.stamp(now), command))
-        self._command(now, command)
+        self._command(now, command, estimate)
 
-    def _command(self, time: float, command: Floats) -> None:
+    def _command(self, time: float, command: Floats, estimate: Estimate) -> None:
         """Tell estimators and the model what the vehicle is commanded from `time` (s) on."""
         self._open_loop = self._model.advance(self._open_loop, self._last_command, max(0.0, time - self._last_sent))
         self._last_command, self._last_sent = command, time
         if time >= 0.0:
             self._estimator.commanded(time, command)
-            self._commands.append((time, command))
+            self._commands.append((time, command, estimate.state))
 
     def _request(self, now: float) -> None:
         """Ask for the next commitment when it is due, unless the planner still works on the last one."""
@@ -415,14 +416,19 @@ class Control:
         if now < self._next * cycle - lead or self._waiting or self._mailbox.closed or self._ending is not None:
             return
         number = max(self._next, math.ceil((now + 0.5 * lead) / cycle))  # what cannot be decided in time is left out
-        sense = Sense(tuple(self._observations), tuple(self._commands))
-        self._observations, self._commands = [], []
+        sense = self._sensed()
         self._waiting, self._requested = True, now
         goal, grid = self._inputs.take_goal(), self._inputs.take_map()
         if goal is not None:
             self._goal = replace(self._goal, center=goal, heading=None, heading_tolerance=None)
         self._mailbox.send(PlanRequest(now, number, sense, self._on_board.commitment, goal, grid))
         self._next = number + 1
+
+    def _sensed(self) -> Sense:
+        """What was sensed since the last call."""
+        sense = Sense(self._clocks.wall, tuple(self._observations), tuple(self._commands))
+        self._observations, self._commands = [], []
+        return sense
 
     def _report(self, now: float, estimate: Estimate) -> None:
         if now >= self._next_status and not self._mailbox.closed:
@@ -447,6 +453,8 @@ class Control:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
         elif self._since_stop is not None and now - self._since_stop > watchdog.give_up:
             self._end(now, "stopped", self._why)
+        elif min(estimate.age, now) > watchdog.give_up:
+            self._end(now, "stopped", self._why_blind(estimate))
 
     def _end(self, now: float, outcome: str, reason: str) -> None:
         """Stop the vehicle, with the manoeuvre of the contingency on board."""

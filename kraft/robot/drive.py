@@ -30,7 +30,7 @@ from kraft.planning.workspace import start_state
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.priority import preferred_planner
-from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Status, Stop
+from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop
 from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
 from ompl_ext.arrays import Floats
@@ -87,6 +87,7 @@ def drive(
     on_check: Callable[[Checked], None],
     on_cycle: Callable[[Cycle], None],
     on_status: Callable[[Status], None],
+    on_sense: Callable[[Sense], None],
     keep_trees: bool = False,
 ) -> DriveResult:
     """Check, and drive until the goal, the time limit, a fault or an interrupt.
@@ -98,6 +99,7 @@ def drive(
         on_check: called with the check list.
         on_cycle: called with each cycle, with its tree if `keep_trees`, after it was sent to the controller.
         on_status: called with the state every second, and with every event.
+        on_sense: called with what the controller sensed and sent.
         keep_trees: keep a copy of the planner's tree in each cycle, for `on_cycle`.
 
     Raises:
@@ -118,7 +120,7 @@ def drive(
 
     try:
         with preferred_planner(), _interrupts(lambda: send(Stop("interrupted")), process):
-            return _drive(spec, here, process, send, (on_check, on_cycle, on_status), keep_trees)
+            return _drive(spec, here, process, send, (on_check, on_cycle, on_status, on_sense), keep_trees)
     finally:
         here.close()
         process.join(JOIN_TIME)
@@ -127,10 +129,10 @@ def drive(
 
 
 def _drive(
-    spec: DriveSpec, here: Connection, process: Any, send: Callable[[Any], None], report: tuple[Any, Any, Any],
+    spec: DriveSpec, here: Connection, process: Any, send: Callable[[Any], None], report: tuple[Any, Any, Any, Any],
     keep_trees: bool,
 ) -> DriveResult:  # fmt: skip
-    on_check, on_cycle, on_status = report
+    on_check, on_cycle, on_status, on_sense = report
     planner = Planner(spec, keep_trees)
     checked, cycles = Checked((), None), list[Cycle]()
     for message in _messages(here, process):
@@ -146,11 +148,14 @@ def _drive(
             send(answer)
             cycles.append(answer.cycle)
             _append(spec, answer.cycle)
-            on_cycle(replace(answer.cycle, tree=tree))
             planner.prepare(message)
+            on_sense(message.sense)
+            on_cycle(replace(answer.cycle, tree=tree))
         elif isinstance(message, Status):
             on_status(message)
         elif isinstance(message, Ended):
+            if message.sense is not None:
+                on_sense(message.sense)
             return DriveResult(checked, message, tuple(cycles))
     reason = f"the controller's process ended with {process.exitcode}"
     last = cycles[-1].time if cycles else 0.0
@@ -224,7 +229,7 @@ class Planner:
         assert self._replanner is not None, "it has begun"
         estimator, sense = self._estimator, request.sense
         observations = deque(sense.observations)
-        for time, command in sense.commands:
+        for time, command, _ in sense.ticks:
             while observations and observations[0].arrival <= time:
                 estimator.observe(observations.popleft())
             estimator.commanded(time, command)

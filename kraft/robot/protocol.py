@@ -62,10 +62,14 @@ class Begin:
 
 @dataclass(frozen=True)
 class Sense:
-    """Observations and commands since the last request, each at its time (s), in order."""
+    """Observations since the last request, and ticks: time (s), command (nu,), estimated state (nx,); in order.
 
+    `epoch` is time 0 of the drive, ns since 1970.
+    """
+
+    epoch: int
     observations: tuple[Observation, ...] = ()
-    commands: tuple[tuple[float, Floats], ...] = ()
+    ticks: tuple[tuple[float, Floats, Floats], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,7 +114,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Ended:
-    """End of the drive: outcome, why, its time (s), and measures of the controller's clock."""
+    """End of the drive: outcome, why, its time (s), measures of the controller's clock, and what was sensed last."""
 
     outcome: str
     reason: str
@@ -118,3 +122,4 @@ class Ended:
     measures: dict[str, float] = field(default_factory=dict)
     refused: dict[str, int] = field(default_factory=dict)
     stops: int = 0
+    sense: Sense | None = None

@@ -1,25 +1,100 @@
-"""Display of a drive: plan, contingency, footprint and markers on the robot's topics, and everything in a bag."""
+"""Display of a drive: plan, contingency, footprint and markers on the robot's topics, and everything in a bag.
+
+It has a process of its own, because making these messages takes as long as a part of a plan.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
+import queue
+import signal
 import time as clock
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
 from kraft.driving.messages import Cycle
+from kraft.planning.workspace import pose_of
 from kraft.robot.bag import BagWriter, scene
+from kraft.robot.command import CommandCodec
 from kraft.robot.connect import open_transport
 from kraft.robot.display import Frames, cycle_messages
-from kraft.robot.messages import GRID, MARKERS, PATH, POLYGON, log_line
-from kraft.robot.protocol import DriveSpec
+from kraft.robot.messages import (
+    GRID,
+    MARKERS,
+    PATH,
+    POLYGON,
+    TF,
+    log_line,
+    make,
+    odometry,
+    stamped_pose,
+    transform,
+)
+from kraft.robot.protocol import DriveSpec, Sense
 from kraft.robot.transport import Transport
 
 KINDS: Final = {"plan": PATH, "contingency": PATH, "footprint": POLYGON, "markers": MARKERS}
 
 
 class Display:
+    """Hands what is driven to the display's process; at the exit of the context the bag is complete."""
+
+    def __init__(self, spec: DriveSpec, bag: Path | None) -> None:
+        self._is_wanted = bool(spec.robot.display) or bag is not None
+        context = multiprocessing.get_context("spawn")
+        self._queue: Any = context.Queue()
+        self._process = context.Process(target=run_display, args=(spec, bag, self._queue), name="kraft display")
+
+    @property
+    def draws_trees(self) -> bool:
+        """Whether markers of the planner's tree are sent or written."""
+        return self._is_wanted
+
+    def __enter__(self) -> Self:
+        """Start the process, if anything is displayed or written."""
+        if self._is_wanted:
+            self._process.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Wait until everything is written."""
+        if self._is_wanted:
+            self._queue.put(None)
+            self._process.join()
+
+    def sensed(self, sense: Sense) -> None:
+        """Write what the controller sensed and sent into the bag."""
+        if self._is_wanted:
+            self._queue.put(sense)
+
+    def show(self, cycle: Cycle) -> None:
+        """Show a cycle, which was decided now."""
+        if self._is_wanted:
+            self._queue.put((clock.time_ns(), cycle))
+
+
+def run_display(spec: DriveSpec, bag: Path | None, arrived: Any) -> None:
+    """Main function of the display's process, until None arrives or the planner's process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
+    planner = multiprocessing.parent_process()
+    assert planner is not None, "it is a child"
+    with _Sender(spec, bag) as sender:
+        while planner.is_alive():
+            try:
+                message = arrived.get(timeout=1.0)
+            except queue.Empty:
+                continue
+            if message is None:
+                return
+            if isinstance(message, Sense):
+                sender.sensed(message)
+            else:
+                sender.show(*message)
+
+
+class _Sender:
     """Sends what a viewer shows; a context manager that closes the bag and the transport."""
 
     def __init__(self, spec: DriveSpec, bag: Path | None) -> None:
@@ -29,12 +104,7 @@ class Display:
         self._transport: Transport | None = None
         self._bag: BagWriter | None = None
         self._stack = contextlib.ExitStack()
-        self._epoch: int | None = None
-
-    @property
-    def draws_trees(self) -> bool:
-        """Whether markers of the planner's tree are sent or written."""
-        return bool(self._root) or self._bag_path is not None
+        self._codec = CommandCodec(spec.robot, spec.vehicle)
 
     def __enter__(self) -> Self:
         """Open the bag; the transport is opened with the first cycle."""
@@ -50,9 +120,23 @@ class Display:
             self._transport.close()
         self._stack.__exit__(kind, error, at)
 
-    def show(self, cycle: Cycle) -> None:
-        """Send a cycle, which was decided now."""
-        now = clock.time_ns()
+    def sensed(self, sense: Sense) -> None:
+        """Write what the controller sensed and sent into the bag."""
+        if self._bag is None:
+            return
+        frames, vehicle, epoch = self._frames, self._spec.vehicle, sense.epoch
+        for each in sense.observations:
+            arrived, taken = (epoch + round(1e9 * time) for time in (each.arrival, each.time))
+            self._bag.write("/pose", arrived, stamped_pose(taken, frames.map, (each.x, each.y, each.theta)))
+        for time, command, state in sense.ticks:
+            now, pose = epoch + round(1e9 * time), pose_of(state, vehicle)
+            self._bag.write(self._spec.robot.command.topic, now, self._codec.message(now, command))
+            speed = float(state[vehicle.rest_indices[0]])
+            self._bag.write("/odometry/filtered", now, odometry(now, frames.map, frames.body, pose, speed))
+            self._bag.write("/tf", now, make(TF, transforms=[transform(now, frames.map, frames.body, pose)]))
+
+    def show(self, now: int, cycle: Cycle) -> None:
+        """Send a cycle that was decided `now` (ns since 1970)."""
         epoch = now - round(1e9 * cycle.decided)
         transport = self._open()
         for name, message in cycle_messages(cycle, self._spec.vehicle, now, epoch, self._frames):

@@ -118,7 +118,7 @@ def drive_robot(
             report(cycle_line(cycle) + _learned(cycle, spec))
             display.show(cycle)
 
-        result = drive(spec, on_check, on_cycle, on_status, keep_trees=display.draws_trees)
+        result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
     driven = Driven(request, spec, result)
     if out is not None:
         write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})
