@@ -303,11 +303,12 @@ class Control:
         if now < 0.0 or (self._is_blind(estimate) and now >= reference.end):
             command = self._model.rest.copy()  # what holds a vehicle on a slope is not known any more
         self._send(now, command, estimate)
-        self._journal.row(
-            "steps", f"{now:.6f}", *map(float, estimate.state), *map(float, command), self._cycle,
-            int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
-            f"{self._now - now:.6f}",
-        )  # fmt: skip
+        if now >= 0.0:
+            self._journal.row(
+                "steps", f"{now:.6f}", *map(float, estimate.state), *map(float, command), self._cycle,
+                int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
+                f"{self._now - now:.6f}",
+            )  # fmt: skip
         self._request(now)
         self._report(now, estimate)
         return self._is_over(now, estimate, reference)

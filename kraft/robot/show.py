@@ -9,7 +9,9 @@ import contextlib
 import multiprocessing
 import queue
 import signal
+import threading
 import time as clock
+from multiprocessing.connection import Connection
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -44,8 +46,10 @@ class Display:
     def __init__(self, spec: DriveSpec, bag: Path | None) -> None:
         self._is_wanted = bool(spec.robot.display) or bag is not None
         context = multiprocessing.get_context("spawn")
-        self._queue: Any = context.Queue()
-        self._process = context.Process(target=run_display, args=(spec, bag, self._queue), name="kraft display")
+        self._theirs, self._ours = context.Pipe(duplex=False)
+        self._process = context.Process(target=run_display, args=(spec, bag, self._theirs), name="kraft display")
+        self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._feeder = threading.Thread(target=self._feed, name="display", daemon=True)
 
     @property
     def draws_trees(self) -> bool:
@@ -56,37 +60,45 @@ class Display:
         """Start the process, if anything is displayed or written."""
         if self._is_wanted:
             self._process.start()
+            self._theirs.close()  # so that each end sees when the other process ends
+            self._feeder.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         """Wait until everything is written."""
         if self._is_wanted:
-            self._queue.put(None)
+            self._waiting.put(None)
+            self._feeder.join()
+            self._ours.close()
             self._process.join()
+
+    def _feed(self) -> None:
+        """Hand over what waits; the planner does not wait for the display."""
+        while (message := self._waiting.get()) is not None:
+            try:
+                self._ours.send(message)
+            except OSError:
+                return  # the display has ended, and the drive goes on
 
     def sensed(self, sense: Sense) -> None:
         """Write what the controller sensed and sent into the bag."""
         if self._is_wanted:
-            self._queue.put(sense)
+            self._waiting.put(sense)
 
     def show(self, cycle: Cycle) -> None:
         """Show a cycle, which was decided now."""
         if self._is_wanted:
-            self._queue.put((clock.time_ns(), cycle))
+            self._waiting.put((clock.time_ns(), cycle))
 
 
-def run_display(spec: DriveSpec, bag: Path | None, arrived: Any) -> None:
-    """Main function of the display's process, until None arrives or the planner's process ends."""
+def run_display(spec: DriveSpec, bag: Path | None, arrived: Connection) -> None:
+    """Main function of the display's process, until the planner's process closes its end or ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
-    planner = multiprocessing.parent_process()
-    assert planner is not None, "it is a child"
     with _Sender(spec, bag) as sender:
-        while planner.is_alive():
+        while True:
             try:
-                message = arrived.get(timeout=1.0)
-            except queue.Empty:
-                continue
-            if message is None:
+                message = arrived.recv()
+            except (EOFError, OSError):
                 return
             if isinstance(message, Sense):
                 sender.sensed(message)
