@@ -26,8 +26,9 @@ DOMAINS = itertools.count(10 + threading.get_native_id() % 80)
 def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, transport: str) -> None:
     settings = f"{{kind: ros2, domain: {next(DOMAINS)}, interface: lo}}" if transport == "ros2" else ""
     bag = tmp_path / "drive.mcap"
-    with Rig(tmp_path, transport=settings, arguments=("--bag", str(bag))) as rig:
-        assert rig.until(lambda: rig.process.poll() is not None, 150.0)
+    patient = {"trial.timeout": 150.0}  # beside other tests decisions come late, and the car waits for them
+    with Rig(tmp_path, transport=settings, arguments=("--bag", str(bag)), settings=patient) as rig:
+        assert rig.until(lambda: rig.process.poll() is not None, 240.0)
         out, errors = rig.process.communicate()
         driven = json.loads(out)
         assert rig.process.returncode == 0, errors
