@@ -58,6 +58,12 @@ STOPPING_MAX: Final = 6.0
 """Longest time in which a vehicle that stops at the end of a drive comes to rest, s."""
 PEERS_PERIOD: Final = 1.0
 """Time between two looks for a second publisher of commands, s."""
+RECENT: Final = 5
+"""Number of decisions whose duration tells how early the next one has to be asked for."""
+HURRY: Final = 1.3
+"""How much earlier than the slowest of them it is asked for."""
+LEAD_MAX: Final = 0.6
+"""Share of a cycle before its beginning that is the earliest time to ask."""
 GOAL_TICKS: Final = 3
 """Number of ticks in a row for which the estimate is in the goal region before the goal counts as reached."""
 GOAL_MARGIN: Final = 0.05
@@ -204,7 +210,7 @@ class Control:
             update={"watchdog": min(robot.watchdog.pose_age, method.planner.watchdog or math.inf)}
         )
         self._on_board = OnBoard(settings, Safety(cycle=settings.cycle), self._model, begin.commitment)
-        self._settings = settings
+        self._settings, self._lead = settings, settings.lead
         self.period = 1.0 / (robot.rate_hz or method.controller.rate_hz)
         self._warm_up(begin)
         self._clocks = Clocks(0, 0)  # until the drive begins
@@ -336,6 +342,8 @@ class Control:
             if isinstance(message, Planned):
                 self._waiting = False
                 self._reply_delays.append(now - self._requested)
+                slowest = HURRY * max(list(self._reply_delays)[-RECENT:])
+                self._lead = min(max(self._settings.lead, slowest), LEAD_MAX * self._settings.cycle)
                 self._planned.append(message)
             elif isinstance(message, Stop):
                 self._end(now, "interrupted" if not self._mailbox.closed else "stopped", message.reason)
@@ -413,7 +421,7 @@ class Control:
 
     def _request(self, now: float) -> None:
         """Ask for the next commitment when it is due, unless the planner still works on the last one."""
-        lead, cycle = self._settings.lead, self._settings.cycle
+        lead, cycle = self._lead, self._settings.cycle
         if now < self._next * cycle - lead or self._waiting or self._mailbox.closed or self._ending is not None:
             return
         number = max(self._next, math.ceil((now + 0.5 * lead) / cycle))  # what cannot be decided in time is left out

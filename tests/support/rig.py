@@ -151,7 +151,7 @@ class Rig:
         begun = self.until(lambda: self.world.world.time >= moment or self.process.poll() is not None, 180.0)
         assert begun
         assert self.process.poll() is None, self.process.communicate()
-        assert self.until(lambda: abs(self.world.world.speed) > 0.15 or self.result is not None, 30.0)
+        assert self.until(lambda: abs(self.world.world.speed) > 0.15 or self.result is not None, 150.0)
         assert self.controller is not None
 
     def stands(self, seconds: float) -> bool:
