@@ -35,6 +35,7 @@ TOPICS = (
     "disturbances",
     "experiment",
     "sensing",
+    "robot",
 )
 NEEDS_OUT = ("peers",)
 CHOSEN = ("estimated", "changes", "arenas")

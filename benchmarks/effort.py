@@ -23,6 +23,7 @@ class Effort:
         changes: trials with each change of the true car.
         estimated: drives in the test of Theorem 1 with an estimated deviation.
         arenas: random arenas and rooms of posts that are driven in.
+        drives: drives of each scene as two processes.
         method: method that drives where one is chosen.
     """
 
@@ -39,6 +40,7 @@ class Effort:
     changes: int
     estimated: int
     arenas: int
+    drives: int
     method: str = "adaptive-kraft"
 
 
@@ -56,6 +58,7 @@ FULL = Effort(
     changes=100,
     estimated=10_000,
     arenas=100,
+    drives=10,
 )
 QUICK = Effort(
     seeds=20,
@@ -71,6 +74,7 @@ QUICK = Effort(
     changes=4,
     estimated=40,
     arenas=4,
+    drives=1,
 )
 SMOKE = Effort(
     seeds=1,
@@ -86,4 +90,5 @@ SMOKE = Effort(
     changes=1,
     estimated=2,
     arenas=1,
+    drives=1,
 )

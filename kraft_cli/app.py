@@ -8,6 +8,7 @@ import typer
 
 from kraft.version import VERSION
 from kraft_cli.commands.doctor import doctor
+from kraft_cli.commands.drive import drive, world
 from kraft_cli.commands.eval import eval_
 from kraft_cli.commands.listing import list_
 from kraft_cli.commands.plan import plan
@@ -59,6 +60,8 @@ def common(
 app.command("plan")(plan)
 app.command("run")(run)
 app.command("eval")(eval_)
+app.command("drive")(drive)
+app.command("world")(world)
 app.command("report")(report)
 app.command("record")(record)
 app.command("sysid")(sysid)

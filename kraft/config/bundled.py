@@ -1,4 +1,4 @@
-"""Bundled scenarios, vehicles, methods and suites by name."""
+"""Bundled scenarios, vehicles, methods, suites and robots by name."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError, MissingAsset
 from kraft.text import nearest, suggestion
 
-Kind: TypeAlias = Literal["scenario", "vehicle", "method", "suite"]
+Kind: TypeAlias = Literal["scenario", "vehicle", "method", "suite", "robot"]
 
 _FOLDERS: Final[dict[Kind, str]] = {
     "scenario": "scenarios",
     "vehicle": "configs/vehicles",
     "method": "configs/methods",
     "suite": "configs/suites",
+    "robot": "configs/robots",
 }
 _SUFFIXES: Final = (".yaml", ".yml")
 

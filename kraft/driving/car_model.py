@@ -125,6 +125,10 @@ class CarModel(VehicleModel):
             control[k] = min(max(value, low), high)
         return control
 
+    def steady_speed(self, throttle: float) -> float:
+        """Speed (m/s) that a throttle leads to when it is held: inverse of `throttle_for`."""
+        return interpolate(throttle, self._throttles, self._speeds)
+
     def throttle_for(self, speed: float) -> float:
         """Throttle whose steady speed is `speed` (m/s), or the nearest possible one."""
         return _inverse(speed, self._speeds, self._throttles)

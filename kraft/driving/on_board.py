@@ -46,11 +46,23 @@ class OnBoard:
             self.commitment = Commitment(reference, decided=estimate.time)
         return reference
 
-    def _must_stop(self, estimate: Estimate, reference: Reference) -> bool:
-        if reference.kind is ReferenceKind.CONTINGENCY and (
+    def stop(self, estimate: Estimate) -> None:
+        """Stop the car for a reason of its own, as the watchdog does; later messages let it drive on."""
+        reference = self.commitment.reference_at(estimate.time)
+        self.is_stopping, self._stopped = True, estimate.time
+        if not self._stops_already(estimate, reference):
+            self.stops += 1
+            self.commitment = Commitment(self._stop_from(estimate, reference), decided=estimate.time)
+
+    def _stops_already(self, estimate: Estimate, reference: Reference) -> bool:
+        """Whether the car brakes on a reference at the time of the estimate, or stands."""
+        return reference.kind is ReferenceKind.CONTINGENCY and (
             reference.stop is None or estimate.time >= reference.stop.begin - 1e-9
-        ):
-            return False  # it stops already, or stands
+        )
+
+    def _must_stop(self, estimate: Estimate, reference: Reference) -> bool:
+        if self._stops_already(estimate, reference):
+            return False
         silent = reference.kind is ReferenceKind.PLAN and estimate.time - self._arrived > self._silence + 1e-9
         return silent or self._is_blind(estimate)
 

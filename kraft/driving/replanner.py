@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -93,7 +94,8 @@ class Replanner:
         keep_trees: bool = False,
     ) -> None:
         self._settings, self._solvers, self.dirt = settings, solvers, solvers.checking
-        self._proposer = Proposer(solvers, settings, seed, realtime=realtime, keep_trees=keep_trees)
+        self._propose_with = partial(Proposer, settings=settings, seed=seed, realtime=realtime, keep_trees=keep_trees)
+        self._proposer = self._propose_with(solvers)
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
         self._model: VehicleModel | None = None
@@ -108,6 +110,7 @@ class Replanner:
         self._number = 0
         self._proposal = Proposal(None, "no plan has been made yet")
         self._contingency: Reference | None = None
+        self._decision: Decision | None = None
         self._in_transit: list[tuple[float, Commitment]] = []
 
     def set_delay(self, delay: float) -> None:
@@ -126,12 +129,38 @@ class Replanner:
             return math.inf
         return max(0.0, self._number * self._settings.cycle - self._settings.lead)
 
+    @property
+    def number(self) -> int:
+        """Number of the next cycle."""
+        return self._number
+
+    def skip_to(self, number: int) -> None:
+        """Leave out the cycles before `number`, for which nothing was decided in time; there is no plan for it then."""
+        if number > self._number:
+            self._number, self._proposal = number, Proposal(None, "planning was held up")
+
+    def set_solvers(self, solvers: Solvers) -> None:
+        """Plan and check with other solvers, of a task with another map or goal, from the next plan on."""
+        self._solvers, self.dirt = solvers, solvers.checking
+        self._proposer = self._propose_with(solvers)
+        self._predict = replace(self._predict, dirt=self.dirt)
+        if self._ranking is not None:
+            assert self._model is not None, "a ranking has a model"
+            self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
+        self._delta = self.dirt.safety.delta
+
     def step(self, estimate: Estimate, current: Commitment) -> Cycle:
         """Commit a plan or a contingency for the next cycle, and plan for the cycle after it.
 
         `current` is what the car has on board now: after a lost message, an older one.  The controller has to track the
         commitment of the result from the start of the cycle on, which is when it has arrived.
         """
+        cycle = self.decide(estimate, current)
+        self.prepare()
+        return cycle
+
+    def decide(self, estimate: Estimate, current: Commitment) -> Cycle:
+        """First part of `step`: commit a plan or a contingency for the next cycle."""
         if estimate.parameters is not None:
             self._solvers.set_parameters(estimate.parameters)
             if self._model is not None:
@@ -149,9 +178,15 @@ class Replanner:
             self._calibration.committed(cycle.predicted, estimate.uncertainty)
         self._in_transit.append((cycle_start, cycle.commitment))
         self._number += 1
-        if not self._one_shot:
-            self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
+        self._decision = decision
         return cycle
+
+    def prepare(self) -> None:
+        """Second part of `step`: plan for the cycle after the one that was decided."""
+        assert self._decision is not None, "a cycle was decided"
+        if not self._one_shot:
+            decision = self._decision
+            self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
 
     def _calibrate(self, estimate: Estimate) -> None:
         """Compare the last prediction with the estimate, and set the bound for this cycle."""

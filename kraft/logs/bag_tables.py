@@ -17,13 +17,17 @@ from rosbags.typesys.store import Typestore
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.table import LOG_TIME, STAMP, Table
 
+_JOINTS: Final = "sensor_msgs/msg/JointState"
 TYPES: Final = {
     *("ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"),
     *("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     *("geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"),
     *("geometry_msgs/msg/Pose2D", "geometry_msgs/msg/TransformStamped", "nav_msgs/msg/Odometry", "std_msgs/msg/Bool"),
+    _JOINTS,
 }
 """Types of messages that are read without a mapping file."""
+TRUTH: Final = "/truth/"
+"""Beginning of the topics of a simulated drive that are true; they are read only if a mapping file names them."""
 _LIST_MAX: Final = 32  # longer lists are covariances and scans
 _ACKERMANN: Final = """
 float32 steering_angle
@@ -54,7 +58,7 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
     try:
         with AnyReader([path], default_typestore=_typestore()) as reader:
             known = {c.topic: c.msgtype for c in reader.connections}
-            chosen = [c for c in reader.connections if c.topic in wanted or c.msgtype in TYPES]
+            chosen = [c for c in reader.connections if c.topic in wanted or _is_read(c)]
             _check_types(path, chosen, reader.connections)
             read = _read(reader, chosen)
             _check_counts(chosen, read)
@@ -78,10 +82,20 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
 def _typestore() -> Typestore:
     """Types for bags that hold no definitions: ROS 2 wrote none into SQLite before Iron."""
     store = get_typestore(Stores.ROS2_HUMBLE)
+    register_ackermann(store)
+    return store
+
+
+def register_ackermann(store: Typestore) -> None:
+    """Add the types of ackermann_msgs that carry commands, which rosbags does not have."""
     store.register(get_types_from_msg(_ACKERMANN, "ackermann_msgs/msg/AckermannDrive"))
     stamped = "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
     store.register(get_types_from_msg(stamped, "ackermann_msgs/msg/AckermannDriveStamped"))
-    return store
+
+
+def _is_read(connection: Any) -> bool:
+    """Whether a topic is read without a mapping file."""
+    return connection.msgtype in TYPES and not connection.topic.startswith(TRUTH)
 
 
 def _read(reader: AnyReader, chosen: Sequence[Any]) -> dict[str, _Topic]:
@@ -123,7 +137,10 @@ def _check_counts(chosen: Sequence[Any], read: Mapping[str, _Topic]) -> None:
 
 
 def _getters(value: Any, name: str) -> Iterable[tuple[str, Any]]:
-    """Name and getter of each number in a message: ``pose.position.x``, ``buttons[4]``."""
+    """Name and getter of each number in a message: ``pose.position.x``, ``buttons[4]``; of joints by their names."""
+    if getattr(value, "__msgtype__", "") == _JOINTS:
+        yield from ((joint, _item("position", i)) for i, joint in enumerate(value.name))
+        return
     for part in fields(value):
         inner, path = getattr(value, part.name), f"{name}{part.name}"
         if part.name in ("header", "covariance") or part.name.startswith("__"):

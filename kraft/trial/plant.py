@@ -68,7 +68,7 @@ class Plant:
         """
         sensing = scenario.sensing
         self.world = world
-        self._camera = _camera(world, scenario, seed)
+        self._camera = camera_of(world, scenario, seed)
         self._frames, self._ticks = Ticks(sensing.rate_hz, world.dt), Ticks(command_rate, world.dt)
         self._delay = steps_of(sensing.command_delay, world.dt)
         self.controls = tuple(controls)
@@ -105,7 +105,7 @@ class Plant:
         world.step(max(due - world.steps, 1))
 
 
-def _camera(world: TrueWorld, scenario: Scenario, seed: int) -> Camera:
+def camera_of(world: TrueWorld, scenario: Scenario, seed: int) -> Camera:
     """Camera of the scenario's preset."""
     if scenario.sensing.preset != "rendered":
         return MarkerCamera(scenario.sensing, MARKER_HEIGHT, seed)

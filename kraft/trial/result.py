@@ -8,11 +8,12 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from kraft.driving.messages import Cycle, Observation
+from kraft.driving.messages import Cycle, Observation, Reference
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
+from kraft.text import finite
 from kraft.trial.measures import Measures, Step
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
@@ -165,3 +166,40 @@ class TrialResult:
     def missed(self) -> int:
         """Number of cycles that exceeded their planning time."""
         return sum(cycle.missed for cycle in self.cycles)
+
+
+def cycle_content(cycle: Cycle) -> dict[str, Any]:
+    """JSON object of a cycle; infinite values are null."""
+    return {
+        "number": cycle.number,
+        "time": float(cycle.time),
+        "speed": float(cycle.speed),
+        "kind": str(cycle.kind),
+        "reason": cycle.reason,
+        "cost_to_goal": finite(cycle.cost_to_goal),
+        "clearance": finite(cycle.clearance),
+        "iterations": cycle.iterations,
+        "nodes": cycle.nodes,
+        "retained": cycle.retained,
+        "lost": str(cycle.lost),
+        "switch_refused": bool(cycle.switch_refused),
+        "contingency_origin": None if cycle.contingency_origin is None else str(cycle.contingency_origin),
+        "planning_ms": cycle.planning_ms,
+        "missed": bool(cycle.missed),
+        "delivered": cycle.delivered,
+        "switch": finite(cycle.switch),
+        "reference": _reference(cycle.reference),
+        "contingency": _reference(cycle.contingency),
+    }
+
+
+def _reference(reference: Reference | None) -> dict[str, Any] | None:
+    if reference is None:
+        return None
+    return {
+        "kind": str(reference.kind),
+        "times": reference.times.tolist(),
+        "states": reference.states.tolist(),
+        "controls": reference.controls.tolist(),
+        "rest": reference.rest.tolist(),
+    }

@@ -13,13 +13,20 @@ from kraft_cli.terminal import Terminal
 
 def doctor(
     context: typer.Context,
+    robot: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="Check the topics of a robot too (kraft list robots).")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
-    """Check Python, packages, processor, kernel cache and rendering."""
+    """Check Python, packages, processor, kernel cache and rendering, and the topics of a robot."""
     from kraft_cli.work.doctor import examine
 
     terminal: Terminal = context.obj
     findings = examine()
+    if robot is not None:
+        from kraft_cli.work.doctor import examine_robot
+
+        findings += examine_robot(robot)
     missing = [finding.subject for finding in findings if finding.state == "missing"]
     if json:
         terminal.json("kraft.doctor/1", {"ok": not missing, "findings": [asdict(f) for f in findings]})

@@ -8,7 +8,7 @@ import typer
 
 from kraft_cli.terminal import Terminal
 
-THINGS = ("scenarios", "suites", "methods", "vehicles", "planners")
+THINGS = ("scenarios", "suites", "methods", "vehicles", "planners", "robots")
 
 
 def list_(
@@ -16,7 +16,7 @@ def list_(
     what: Annotated[str, typer.Argument(metavar="|".join(THINGS), help="What to list.")],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """List scenarios, suites, methods, vehicles or planners, each with its description."""
+    """List scenarios, suites, methods, vehicles, planners or robots, each with its description."""
     terminal: Terminal = context.obj
     described = _described(what)
     if json:
@@ -42,6 +42,7 @@ def _described(what: str) -> dict[str, str]:
         "methods": "method",
         "vehicles": "vehicle",
         "suites": "suite",
+        "robots": "robot",
     }
     if what not in kinds:
         raise InputError.of(what, "cannot be listed", suggestion(what, THINGS), Code.UNKNOWN)

@@ -28,6 +28,9 @@ Commands = Annotated[
     typer.Option(metavar="FILE|FOLDER", help="Drive these commands: files, or a folder of kraft sysid --commands."),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same logs.")]
+Bag = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the runs as ROS 2 messages too: FILE_01.mcap and so on.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -40,6 +43,7 @@ def record(
     seed: Seed = 0,
     for_: For = None,
     commands: Commands = None,
+    bag: Bag = None,
     json: Json = False,
 ) -> ExitStatus:
     """Drive manoeuvres without feedback in simulation and log commands and measured poses, for kraft sysid."""
@@ -47,7 +51,7 @@ def record(
     from kraft_cli.work.record import RecordRequest, record_logs
 
     terminal: Terminal = context.obj
-    request = RecordRequest(scenario, out, runs, seed, vehicle, for_, tuple(commands or ()))
+    request = RecordRequest(scenario, out, runs, seed, vehicle, for_, tuple(commands or ()), bag)
     done: list[RecordedRun] = []
 
     def ended(run: RecordedRun) -> None:

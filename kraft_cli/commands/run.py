@@ -22,6 +22,7 @@ Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial i
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4.")]
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the run: FILE.png, .svg or .pdf.")]
+Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trial as ROS 2 messages: FILE.mcap.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -36,6 +37,7 @@ def run(
     video: Video = None,
     view: View = False,
     plot: Plot = None,
+    bag: Bag = None,
     json: Json = False,
 ) -> ExitStatus:
     """Drive a scenario once in simulation; the exit code is 1 if the goal is not reached."""
@@ -46,7 +48,7 @@ def run(
     from kraft_cli.work.trial_outputs import OutputOptions
 
     terminal: Terminal = context.obj
-    request = RunRequest(scenario, method, vehicle, seed, tuple(set_ or ()), out, OutputOptions(video, view, plot))
+    request = RunRequest(scenario, method, vehicle, seed, tuple(set_ or ()), out, OutputOptions(video, view, plot, bag))
     driven = run_scenario(request, terminal.info, lambda cycle: terminal.info(cycle_line(cycle)), terminal.detail)
     success = driven.result.outcome is Outcome.SUCCESS
     if json:

@@ -20,11 +20,11 @@ def validate(
     context: typer.Context,
     files: Annotated[
         list[str],
-        typer.Argument(metavar="FILE", help="Scenario, vehicle, method, suite, map, mapping or plan files."),
+        typer.Argument(metavar="FILE", help="Scenario, vehicle, method, suite, map, mapping, plan or robot files."),
     ],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> ExitStatus:
-    """Check scenario, vehicle, method, suite, map, log mapping and plan files and print every problem of each."""
+    """Check scenario, vehicle, method, suite, map, mapping, plan and robot files and print every problem."""
     from kraft_cli.work.validate import check_file
 
     terminal: Terminal = context.obj

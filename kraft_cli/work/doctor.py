@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
 from kraft.config import bundled
-from kraft.errors import InputError, MissingAsset
+from kraft.errors import InputError, MissingAsset, MissingDependency
 from kraft.files import check_writable
 from kraft.gl import BACKENDS
 from kraft.text import counted
@@ -43,6 +43,8 @@ REQUIRED: Final[dict[str, str]] = {
 
 OPTIONAL: Final[dict[str, tuple[str, str]]] = {
     "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
+    "cyclonedds": ("cyclonedds.domain", "`transport: {kind: ros2}` of robots"),
+    "websockets": ("websockets.sync.client", "`transport: {kind: rosbridge}` of robots"),
     "opencv-python-headless": ("cv2", "detects tags in rendered frames (`sensing.preset: rendered`)"),
 }
 """Each optional package: the module to import, and its purpose."""
@@ -65,6 +67,24 @@ def examine() -> list[Finding]:
     findings += [_package(name, module) for name, module in REQUIRED.items()]
     findings += [_extra(name, *use) for name, use in OPTIONAL.items()]
     return [*findings, _processor(), _cache(), _rendering()]
+
+
+def examine_robot(name: str) -> list[Finding]:
+    """Listen to a robot for a few seconds: package of its transport, publishers, subscribers, rates and clocks.
+
+    Raises:
+        InputError: if the robot file is invalid.
+    """
+    from kraft.robot.checklist import examine_topics
+    from kraft.robot.robot_file import load_robot
+
+    robot = load_robot(name)
+    try:
+        checks = examine_topics(robot)
+    except (MissingDependency, InputError) as error:
+        return [Finding(f"{robot.name}: transport", "missing", str(error))]
+    states: dict[str, State] = {"ok": "ok", "warning": "note", "problem": "missing"}
+    return [Finding(f"{robot.name}: {check.name}", states[check.state], check.detail) for check in checks]
 
 
 def _python() -> Finding:

@@ -16,6 +16,7 @@ from kraft.config import bundled
 from kraft.driving.method import Method
 from kraft.evaluation.suite import SuiteFile
 from kraft.logs.mapping import Mapping
+from kraft.robot.robot_file import Robot
 from kraft.scenario.schema import ScenarioFile
 from kraft.vehicles.config import VehicleConfig
 
@@ -29,6 +30,7 @@ def files() -> dict[Path, type[BaseModel]]:
         bundled.folder("vehicle") / "vehicle.schema.json": VehicleConfig,
         bundled.folder("method") / "method.schema.json": Method,
         bundled.folder("suite") / "suite.schema.json": SuiteFile,
+        bundled.folder("robot") / "robot.schema.json": Robot,
         bundled.root() / "configs" / "logs" / "mapping.schema.json": Mapping,
     }
 

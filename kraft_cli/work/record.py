@@ -27,7 +27,11 @@ PLANNED_RUNS: Final = 3
 
 @dataclass(frozen=True)
 class RecordRequest:
-    """Options of `kraft record` as written; `out` is a new folder, `model` that whose parameters the drives show."""
+    """Options of `kraft record` as written.
+
+    `out` is a new folder, `model` that whose parameters the drives show, `bag` the file of a bag, or of several by
+    number.
+    """
 
     scenario: str = "training"
     out: Path = Path("logs")
@@ -36,6 +40,7 @@ class RecordRequest:
     vehicle: str | None = None
     model: str | None = None
     commands: tuple[Path, ...] = ()
+    bag: Path | None = None
 
     @property
     def count(self) -> int:
@@ -67,6 +72,40 @@ def record_logs(
         InputError: with the problems of the request and of the files it names, before the first run; if the scenario
             has no free space for a run.
     """
+    _check(request)
+    scenario = load_scenario(request.scenario)
+    vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
+    from kraft.recording.recorder import Recorder, check_log_folder, write_recording  # these load the simulator
+    from kraft.robot.bag import bag_of_run, check_bag
+    from kraft.robot.bag import write_recording as write_bag
+
+    check_log_folder(request.out)
+    if request.bag is not None:
+        check_bag(request.bag)
+    prior = None if request.model is None else load_prior(request.model, vehicle)
+    files = _command_files(request.commands)
+    drives: list[tuple[Manoeuvre, Place | None]] = [(read_commands(path, vehicle.controls), None) for path in files]
+    ensure_compiled(vehicle, report, steps=not is_car(vehicle))
+    recorder = Recorder(scenario, vehicle, request.seed)
+    if prior is not None:
+        drives = drives_for(prior, scenario, recorder, request.count, request.seed, report)
+    runs = len(drives) or request.count
+    arguments = _arguments(request, runs, files)
+    done = []
+    for number in range(1, runs + 1):
+        recording = recorder.record(number, *(drives[number - 1] if drives else ()))
+        folder = write_recording(request.out, scenario, arguments, recording)
+        if request.bag is not None:
+            write_bag(bag_of_run(request.bag, number, runs), scenario.task(), vehicle, recording)
+        logged = len(recording.commands), len(recording.poses)
+        done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note, runs))
+        if on_run is not None:
+            on_run(done[-1])
+    return tuple(done)
+
+
+def _check(request: RecordRequest) -> None:
+    """Raise an `InputError` with every problem of the options that needs no file."""
     problems = []
     if request.count < 1:
         problems.append(Diagnostic("runs", f"is {request.runs}", "expected a number of at least 1", argument=True))
@@ -81,35 +120,18 @@ def record_logs(
         problems.append(Diagnostic("seed", f"is {request.seed}", "expected a number of at least 0", argument=True))
     if problems:
         raise InputError(problems)
-    scenario = load_scenario(request.scenario)
-    vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
-    from kraft.recording.recorder import Recorder, check_log_folder, write_recording  # these load the simulator
 
-    check_log_folder(request.out)
-    prior = None if request.model is None else load_prior(request.model, vehicle)
-    files = _command_files(request.commands)
-    drives: list[tuple[Manoeuvre, Place | None]] = [(read_commands(path, vehicle.controls), None) for path in files]
-    ensure_compiled(vehicle, report, steps=not is_car(vehicle))
-    recorder = Recorder(scenario, vehicle, request.seed)
-    if prior is not None:
-        drives = drives_for(prior, scenario, recorder, request.count, request.seed, report)
-    runs = len(drives) or request.count
-    arguments: dict[str, Any] = {"scenario": request.scenario, "runs": runs, "seed": request.seed}
+
+def _arguments(request: RecordRequest, runs: int, files: Sequence[Path]) -> dict[str, Any]:
+    """Arguments for the manifest of a log; those that were not given are left out."""
+    given: dict[str, Any] = {"scenario": request.scenario, "runs": runs, "seed": request.seed}
     if request.vehicle is not None:
-        arguments["vehicle"] = request.vehicle
+        given["vehicle"] = request.vehicle
     if request.model is not None:
-        arguments["for"] = request.model
+        given["for"] = request.model
     if files:
-        arguments["commands"] = [str(path) for path in files]
-    done = []
-    for number in range(1, runs + 1):
-        recording = recorder.record(number, *(drives[number - 1] if drives else ()))
-        folder = write_recording(request.out, scenario, arguments, recording)
-        logged = len(recording.commands), len(recording.poses)
-        done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note, runs))
-        if on_run is not None:
-            on_run(done[-1])
-    return tuple(done)
+        given["commands"] = [str(path) for path in files]
+    return given
 
 
 def _command_files(paths: Sequence[Path]) -> list[Path]:

@@ -157,7 +157,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         slow = f", {result.missed} exceeded the planning time" if result.missed else ""
         rows.append(("planning", f"{percentile(planning, 0.5):.1f} ms median, {max(planning):.1f} ms worst{slow}"))
     outputs = run.request.outputs
-    made = (("film", outputs.video), ("picture", outputs.plot), ("written to", run.request.out))
+    made = (("film", outputs.video), ("picture", outputs.plot), ("bag", outputs.bag), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]
 
 

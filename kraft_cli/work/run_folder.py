@@ -7,13 +7,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.driving.messages import Cycle, Reference
 from kraft.errors import Code, InputError
 from kraft.evaluation import manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.files import check_writable, write_csv, write_json, write_whole
-from kraft.text import finite
-from kraft.trial.result import TrialResult
+from kraft.trial.result import TrialResult, cycle_content
 from ompl_ext.vehicle import Vehicle
 
 MANIFEST_SCHEMA: Final = "kraft.run-manifest/1"
@@ -71,40 +69,3 @@ def _observations(result: TrialResult) -> Iterator[list[float]]:
             float(value)
             for value in (observation.time, observation.arrival, observation.x, observation.y, observation.theta)
         ]
-
-
-def cycle_content(cycle: Cycle) -> dict[str, Any]:
-    """JSON object of a cycle; infinite values are null."""
-    return {
-        "number": cycle.number,
-        "time": float(cycle.time),
-        "speed": float(cycle.speed),
-        "kind": str(cycle.kind),
-        "reason": cycle.reason,
-        "cost_to_goal": finite(cycle.cost_to_goal),
-        "clearance": finite(cycle.clearance),
-        "iterations": cycle.iterations,
-        "nodes": cycle.nodes,
-        "retained": cycle.retained,
-        "lost": str(cycle.lost),
-        "switch_refused": bool(cycle.switch_refused),
-        "contingency_origin": None if cycle.contingency_origin is None else str(cycle.contingency_origin),
-        "planning_ms": cycle.planning_ms,
-        "missed": bool(cycle.missed),
-        "delivered": cycle.delivered,
-        "switch": finite(cycle.switch),
-        "reference": _reference(cycle.reference),
-        "contingency": _reference(cycle.contingency),
-    }
-
-
-def _reference(reference: Reference | None) -> dict[str, Any] | None:
-    if reference is None:
-        return None
-    return {
-        "kind": str(reference.kind),
-        "times": reference.times.tolist(),
-        "states": reference.states.tolist(),
-        "controls": reference.controls.tolist(),
-        "rest": reference.rest.tolist(),
-    }

@@ -1,4 +1,4 @@
-"""Outputs of a trial beside its result: a video, a window, a picture of the whole run."""
+"""Outputs of a trial beside its result: a video, a window, a picture of the whole run, a bag."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """Requested outputs: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf)."""
+    """Requested outputs: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf), a bag (.mcap)."""
 
     video: Path | None = None
     view: bool = False
     plot: Path | None = None
+    bag: Path | None = None
 
     def check(self) -> None:
         """Check before the drive that the outputs can be made.
@@ -45,6 +46,10 @@ class OutputOptions:
             from kraft.gl import check_video
 
             checks.append(partial(check_video, self.video))
+        if self.bag is not None:
+            from kraft.robot.bag import check_bag
+
+            checks.append(partial(check_bag, self.bag))
         check_all(*checks)
         if self.view:
             from kraft.gl import check_view
@@ -85,7 +90,7 @@ class TrialOutputs:
     @property
     def keep_trees(self) -> bool:
         """Whether an output draws the planner's tree."""
-        return bool(self._recorders)
+        return bool(self._recorders) or self._options.bag is not None
 
     def on_cycle(self, cycle: Cycle) -> None:
         """Callback of `run_trial`."""
@@ -101,13 +106,17 @@ class TrialOutputs:
             recorder.on_step(world, step)
 
     def finish(self, result: TrialResult) -> None:
-        """Finish the video, show the end in the window, draw the picture.
+        """Finish the video, show the end in the window, write the bag, draw the picture.
 
         Raises:
             InputError: if a file cannot be written.
         """
         for recorder in self._recorders:
             recorder.finish(result)
+        if self._options.bag is not None:
+            from kraft.robot.bag import write_trial
+
+            write_trial(self._options.bag, self._spec, result)
         if self._options.plot is not None:
             from kraft.plot.run import plot_run
             from kraft.simulation.appearance import hidden_features

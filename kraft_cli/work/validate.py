@@ -19,6 +19,7 @@ from kraft.planning.feasibility import check_placement
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
 from kraft.planning.plan_file import read_plan
 from kraft.planning.workspace import start_state, vehicle_of_task
+from kraft.robot.robot_file import Robot
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
@@ -29,7 +30,7 @@ from kraft.vehicles.load import load_vehicle
 from ompl_ext.cache_error import CacheError
 from ompl_ext.vehicle import Vehicle
 
-FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "suite", "map", "mapping", "plan"]
+FileKind: TypeAlias = Literal["scenario", "vehicle", "method", "suite", "map", "mapping", "plan", "robot"]
 
 _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "scenario": ScenarioFile,  # first: a file without a known key is checked as a scenario
@@ -38,6 +39,7 @@ _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "suite": SuiteFile,
     "map": MapServerFile,
     "mapping": Mapping,
+    "robot": Robot,
 }
 _WRITTEN: Final = "kraft."
 """Prefix of the `schema` of files that kraft writes."""
@@ -114,7 +116,7 @@ def _schema(document: Document) -> str | None:
 
 
 def _find(name_or_path: str | Path) -> Path:
-    kinds: tuple[bundled.Kind, ...] = ("vehicle", "method", "suite")
+    kinds: tuple[bundled.Kind, ...] = ("vehicle", "method", "suite", "robot")
     for kind in kinds:
         if name_or_path in bundled.names(kind):
             return bundled.find(kind, name_or_path)
@@ -140,8 +142,8 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         load_suite(path)
     elif kind == "plan":
         read_plan(path)
-    elif kind == "mapping":
-        _validated(Mapping, document)
+    elif kind in ("mapping", "robot"):
+        _validated(_SCHEMAS[kind], document)
     else:
         read_map(path, height=0.2, name=None)
 

@@ -44,15 +44,17 @@ IMPORTS = [
 ]
 
 COMMANDS = {
-    "doctor": "--json",
+    "doctor": "--json --robot",
+    "drive": "scenario --bag --json --method --out --robot --seed --set --vehicle",
     "eval": "scenarios --cluster --jobs --json --methods --out --realtime --resume --seed --set --suite --trials --vary --vehicle",
     "list": "what --json",
     "plan": "scenario --after --from --iterations --json --out --param --planner --plot --seed --set --threads --time --vehicle",
-    "record": "scenario --json --out --runs --seed --vehicle",
+    "record": "scenario --bag --json --out --runs --seed --vehicle",
     "report": "results --out",
-    "run": "scenario --json --method --out --plot --seed --set --vehicle --video --view",
+    "run": "scenario --bag --json --method --out --plot --seed --set --vehicle --video --view",
     "sysid": "logs --extras --freeze --graph --holdout --horizon --json --mapping --model --out --param --plot --pose-noise",
     "validate": "files --json",
+    "world": "scenario --json --robot --seed --set --vehicle --video --view",
 }
 
 

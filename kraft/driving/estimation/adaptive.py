@@ -54,6 +54,14 @@ CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
 ERRORS: Final = FLOOR.stop
 
 
+@dataclass(frozen=True)
+class Learned:
+    """Result of the identification, and the interval between the poses that it rests on, s."""
+
+    identified: Identified
+    interval: float
+
+
 class AdaptiveEstimator:
     """Estimates state, parameters, delay and noise; see the module."""
 
@@ -83,6 +91,7 @@ class AdaptiveEstimator:
             settings.iterations,
         )  # fmt: skip
         self._identified: Identified | None = None
+        self.learned: Learned | None = None
         self._history = _History(start_state, model)
         self._delay_index = parameters.index(DELAY)
         self.horizon = 0.0
@@ -143,10 +152,14 @@ class AdaptiveEstimator:
         if self._camera is not None:
             drive = replace(drive, poses=self._camera.on_floor(drive.poses, self._filter.floor))
         identified = self._window.update(drive, self._history.moving, self._noise.of_one_pose(drive.interval))
-        if identified is None:
-            return
-        self._identified = identified
-        self._noise = self._noise.updated(identified, drive.interval)
+        if identified is not None:
+            self.learn(Learned(identified, drive.interval))
+
+    def learn(self, learned: Learned) -> None:
+        """Use what was identified from now on: here, or by another estimator with the same poses and commands."""
+        identified = learned.identified
+        self.learned, self._identified = learned, identified
+        self._noise = self._noise.updated(identified, learned.interval)
         self._filter.set_noise(self._noise)
         self._filter.set_parameter_spread(self._covariance_of(identified))
         self._set_slope(identified)

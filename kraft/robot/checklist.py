@@ -1,0 +1,211 @@
+"""Check list before a drive: poses, clocks, the dead man, the receiver of commands, the map, the model."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from kraft.robot.connect import open_transport
+from kraft.robot.inputs import Inputs
+from kraft.robot.poses import Received, units_hint
+from kraft.robot.priority import is_preferred
+from kraft.robot.protocol import Check, Checked, DriveSpec
+from kraft.robot.robot_file import Robot
+from kraft.robot.transport import Peers, Transport
+from kraft.scenario import Task
+from kraft.vehicles.config import load_vehicle_config
+from ompl_ext.vehicle import Vehicle
+
+LISTENING: Final = 1.5
+"""Time for which poses are collected, s."""
+WAITING: Final = 15.0
+"""Longest time to wait for poses and peers, s."""
+SLOW: Final = 0.7
+"""Share of the expected rate of poses below which there is a warning."""
+LATENCY: Final = 0.15
+"""Age of an arriving pose beyond which there is a warning, s."""
+FUTURE: Final = -0.02
+"""The same of a pose that is younger than nothing, s."""
+MOVING: Final = 0.15
+"""Distance between the poses of a vehicle that should stand beyond which it moves, m."""
+
+
+def examine_topics(robot: Robot) -> tuple[Check, ...]:
+    """Checks of a robot without a drive: everything but the start, the map and the model.
+
+    Raises:
+        InputError: if no connection is possible.
+        MissingDependency: if a package of the transport is missing.
+    """
+    transport = open_transport(robot)
+    try:
+        return Checklist(robot, transport, Inputs(robot, transport)).examine()
+    finally:
+        transport.close()
+
+
+class Checklist:
+    """Looks at a robot that stands, and tells what prevents a drive."""
+
+    def __init__(self, robot: Robot, transport: Transport, inputs: Inputs) -> None:
+        self._robot, self._transport, self._inputs = robot, transport, inputs
+
+    def examine(self) -> tuple[Check, ...]:
+        """Checks that need no drive."""
+        poses, peers = self._listen(lambda: False)
+        return (
+            *self._check_poses(poses),
+            *self._check_clock(poses),
+            self._check_dead_man(),
+            self._check_commands(peers),
+        )
+
+    def run(self, spec: DriveSpec, is_cancelled: Callable[[], bool]) -> Checked:
+        """Collect poses for a while and check; every check is reported.
+
+        The commands are announced only if nobody else does.
+        """
+        topic, kind = self._robot.command.topic, self._robot.command.type
+        poses, peers = self._listen(is_cancelled)
+        checks = [*self._check_poses(poses), *self._check_start(poses, spec.task), *self._check_clock(poses)]
+        checks += [self._check_dead_man(), self._check_commands(peers), *self._check_map()]
+        checks += [_check_model(spec.vehicle), _check_priority()]
+        if not peers.publishers:
+            self._transport.advertise(topic, kind)
+            self._wait_for_subscriber(is_cancelled)
+        pose = _mean(poses) if poses and all(map(math.isfinite, _mean(poses))) else None
+        return Checked(tuple(checks), pose, self._inputs.take_map())
+
+    def _listen(self, is_cancelled: Callable[[], bool]) -> tuple[list[Received], Peers]:
+        """Poses of a while after the first one, and the peers of the commands."""
+        topic = self._robot.command.topic
+        until, poses, peers = clock.monotonic() + WAITING, list[Received](), Peers(None, None)
+        first: float | None = None
+        while clock.monotonic() < until and not is_cancelled():
+            poses += self._inputs.take_poses()
+            now = clock.monotonic()
+            if poses and first is None:
+                first = now
+            peers = self._transport.peers(topic)
+            complete = peers.subscribers is None or peers.subscribers
+            ready = complete and not self._inputs.trouble
+            if first is not None and now - first > LISTENING and (ready or now - first > 0.5 * WAITING):
+                break
+            clock.sleep(0.05)
+        return poses, peers
+
+    def _wait_for_subscriber(self, is_cancelled: Callable[[], bool]) -> None:
+        """Wait until the announced commands can reach somebody: discovery takes a moment."""
+        until = clock.monotonic() + 2.0
+        while clock.monotonic() < until and not is_cancelled():
+            subscribers = self._transport.peers(self._robot.command.topic).subscribers
+            if subscribers is None or subscribers:
+                return
+            clock.sleep(0.05)
+
+    def _check_poses(self, poses: list[Received]) -> list[Check]:
+        robot = self._robot
+        topic = robot.pose.topic
+        if not poses:
+            publishers = self._transport.peers(topic).publishers
+            why = "nobody publishes there" if publishers is not None and not publishers else "it is silent"
+            return [Check("poses", "problem", f"no pose of type {robot.pose.type} on {topic}: {why}")]
+        frames = {pose.frame for pose in poses}
+        if frames != {robot.pose.frame}:
+            there = ", ".join(repr(frame) for frame in sorted(frames))
+            return [Check("poses", "problem", f"their frame is {there}, expected {robot.pose.frame!r} (pose.frame)")]
+        mean = _mean(poses)
+        if not all(map(math.isfinite, mean)):
+            return [Check("poses", "problem", "they are no numbers, or their orientation is no unit quaternion")]
+        checks = [self._check_rate(poses)]
+        spread = max(math.hypot(p.pose[0] - mean[0], p.pose[1] - mean[1]) for p in poses)
+        moved = math.hypot(poses[-1].pose[0] - poses[0].pose[0], poses[-1].pose[1] - poses[0].pose[1])
+        if min(spread, moved) > MOVING:
+            checks.append(Check("standstill", "problem", f"the vehicle moves by {moved:.2f} m while it should stand"))
+        return checks
+
+    def _check_start(self, poses: list[Received], task: Task) -> list[Check]:
+        watchdog = self._robot.watchdog
+        if not poses or not all(map(math.isfinite, mean := _mean(poses))):
+            return []
+        start = task.start.x, task.start.y, task.start.heading
+        off = math.hypot(mean[0] - start[0], mean[1] - start[1])
+        turned = math.degrees(abs(math.remainder(mean[2] - start[2], math.tau)))
+        where = f"({mean[0]:.2f}, {mean[1]:.2f}) heading {math.degrees(mean[2]):.0f} deg"
+        if off <= watchdog.start and turned <= watchdog.start_deg:
+            return [Check("start", "ok", f"{where}, {off:.2f} m and {turned:.0f} deg from the scenario's start")]
+        hint = units_hint(mean, start, watchdog.start)
+        problem = f"the vehicle is at {where}, {off:.2f} m and {turned:.0f} deg from the start of {task.name}"
+        return [Check("start", "problem", problem + (f"; {hint}" if hint else ""))]
+
+    def _check_rate(self, poses: list[Received]) -> Check:
+        duration = 1e-9 * (poses[-1].arrival - poses[0].arrival)
+        rate = (len(poses) - 1) / duration if duration > 0.0 else 0.0
+        expected = self._robot.pose.rate_hz
+        state = "ok" if rate >= SLOW * expected else "warning"
+        return Check("poses", state, f"{rate:.1f} Hz on {self._robot.pose.topic}, expected {expected:g} Hz")
+
+    def _check_clock(self, poses: list[Received]) -> list[Check]:
+        """Whether stamps fit to this machine's clock; the usual latency is kept for the drive."""
+        robot = self._robot
+        if not poses or robot.pose.stamp == "arrival":
+            return []
+        offset = clock.time_ns() - clock.monotonic_ns()
+        latency = float(np.median([1e-9 * (pose.arrival + offset - pose.stamp) for pose in poses]))
+        self._inputs.latency = latency
+        if abs(latency) > robot.watchdog.clock:
+            problem = f"the stamps are {latency:.2f} s from this machine's clock"
+            return [Check("clock", "problem", f"{problem}: set the clocks, or pose.stamp: arrival")]
+        state = "ok" if FUTURE < latency < LATENCY else "warning"
+        return [Check("clock", state, f"poses arrive {1000 * latency:.0f} ms after their stamps")]
+
+    def _check_dead_man(self) -> Check:
+        switch = self._robot.dead_man
+        if switch is None:
+            return Check("dead man", "warning", "the robot file names no switch that a person holds")
+        trouble = self._inputs.trouble
+        return Check("dead man", "problem" if trouble else "ok", trouble or f"held on {switch.topic}")
+
+    def _check_commands(self, peers: Peers) -> Check:
+        topic = self._robot.command.topic
+        if peers.publishers:
+            others = ", ".join(sorted(peers.publishers))
+            return Check("commands", "problem", f"somebody else publishes on {topic} already ({others})")
+        if peers.subscribers is None:
+            return Check("commands", "warning", f"the transport cannot tell whether anybody listens on {topic}")
+        if not peers.subscribers:
+            return Check("commands", "problem", f"nobody listens on {topic}")
+        return Check("commands", "ok", f"{topic} has a listener")
+
+    def _check_map(self) -> list[Check]:
+        settings = self._robot.map
+        if settings is None:
+            return []
+        return [self._inputs.map_check(settings.topic)]
+
+
+def _check_model(vehicle: Vehicle) -> Check:
+    identified = bool(vehicle.file) and load_vehicle_config(Path(vehicle.file)).identification is not None
+    if identified:
+        return Check("model", "ok", f"{vehicle.name} is identified")
+    return Check("model", "warning", f"{vehicle.name} states no identification: was it made for this car?")
+
+
+def _check_priority() -> Check:
+    """Whether the controller runs before other programs."""
+    if is_preferred():
+        return Check("priority", "ok", "the controller runs before all ordinary programs")
+    detail = "the controller waits for other programs: rtprio in /etc/security/limits.conf permits more"
+    return Check("priority", "warning", detail)
+
+
+def _mean(poses: list[Received]) -> tuple[float, float, float]:
+    """Mean pose, with the mean direction as heading."""
+    table = np.array([pose.pose for pose in poses])
+    x, y = table[:, :2].mean(axis=0).tolist()
+    return x, y, math.atan2(float(np.sin(table[:, 2]).mean()), float(np.cos(table[:, 2]).mean()))

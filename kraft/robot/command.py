@@ -1,0 +1,99 @@
+"""Commands of a robot: units and signs between the controls of a model and the messages that the robot takes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kraft.driving.car_model import CarModel, model_of
+from kraft.errors import Code, InputError
+from kraft.robot.messages import ACKERMANN, JOINTS, header, joints, make
+from kraft.robot.robot_file import Robot
+from kraft.vehicles import CAR_CONTROLS, is_car
+from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
+
+
+def limited(vehicle: Vehicle, robot: Robot) -> Vehicle:
+    """Vehicle whose controls and top speed keep the limits of a robot, so that plans keep them too.
+
+    The throttle backwards, which brakes, is not limited.
+
+    Raises:
+        InputError: if the vehicle does not reach the limited speed, or has other controls than the robot takes.
+    """
+    check_controls(vehicle, robot)
+    limits = robot.limits
+    if not is_car(vehicle) or (limits.speed is None and limits.steering_deg is None):
+        return vehicle
+    bounds = dict(vehicle.controls)
+    top = vehicle.top_speed
+    if limits.speed is not None:
+        low, high = bounds["throttle"]
+        model = model_of(vehicle)
+        assert isinstance(model, CarModel), "it is a car"
+        most = min(high, model.throttle_for(limits.speed))
+        if model.steady_speed(most) <= 0.0:
+            problem = f"is {limits.speed:g} m/s, at which {vehicle.name} does not move"
+            expected = f"expected up to {model.steady_speed(high):.3g} m/s"
+            raise InputError([robot.source.diagnostic("limits.speed", problem, expected, code=Code.MISMATCH)])
+        bounds["throttle"], top = (low, most), min(top, limits.speed)
+    if limits.steering_deg is not None:
+        (low, high), most = bounds["steering"], math.radians(limits.steering_deg)
+        bounds["steering"] = max(low, -most), min(high, most)
+    return replace(vehicle, controls=bounds, top_speed=top)
+
+
+def check_controls(vehicle: Vehicle, robot: Robot) -> None:
+    """Check that the messages of a robot have all controls of a vehicle.
+
+    Raises:
+        InputError: if not.
+    """
+    if robot.command.type != JOINTS and not is_car(vehicle):
+        has = ", ".join(vehicle.controls)
+        problem = f"takes {' and '.join(CAR_CONTROLS)}, but {vehicle.name} has {has}"
+        expected = "expected a model with these controls, or the type sensor_msgs/msg/JointState"
+        raise InputError([robot.source.diagnostic("command.type", problem, expected, code=Code.MISMATCH)])
+
+
+class CommandCodec:
+    """Controls of a vehicle as messages of a robot, and back; the model is that before any adaptation."""
+
+    def __init__(self, robot: Robot, vehicle: Vehicle) -> None:
+        self._command, self._vehicle = robot.command, vehicle
+        self.names = tuple(vehicle.controls)
+        self._car = CarModel(vehicle) if is_car(vehicle) else None
+
+    def message(self, time: int, control: Floats) -> Any:
+        """Message at `time` (ns since 1970) for a control (nu,)."""
+        if self._car is None or self._command.type == JOINTS:
+            return joints(time, self.names, control)
+        throttle, steering = (float(control[self.names.index(name)]) for name in CAR_CONTROLS)
+        speed = self._car.steady_speed(throttle) if self._command.speed.unit == "m/s" else throttle
+        angle = self._command.steering.scale * steering + math.radians(self._command.steering.offset_deg)
+        drive = {"speed": self._command.speed.scale * speed, "steering_angle": angle}
+        if self._command.type == ACKERMANN:
+            return make(ACKERMANN, header=header(time, self._command.frame), drive=drive)
+        return make(self._command.type, **drive)
+
+    def control(self, message: Any) -> Floats | None:
+        """Control (nu,) of a message, as the simulated robot understands it; None if it holds no such numbers."""
+        if self._command.type == JOINTS:
+            held = dict(zip(message.name, np.asarray(message.position).tolist(), strict=False))
+            if not set(self.names) <= set(held):
+                return None
+            found = np.array([held[name] for name in self.names])
+        else:
+            assert self._car is not None, "it was checked"
+            drive = message.drive if self._command.type == ACKERMANN else message
+            speed = float(drive.speed) / self._command.speed.scale
+            throttle = self._car.throttle_for(speed) if self._command.speed.unit == "m/s" else speed
+            angle = float(drive.steering_angle) - math.radians(self._command.steering.offset_deg)
+            found = np.zeros(len(self.names))
+            found[self.names.index("throttle")] = throttle
+            found[self.names.index("steering")] = angle / self._command.steering.scale
+        return found if np.isfinite(found).all() else None

@@ -1,0 +1,309 @@
+"""A drive on the wall clock: this process plans, another one controls (`kraft.robot.control`).
+
+The planner's process has a mirror of the controller's estimator, so that the identification, which takes tens of
+milliseconds, does not hold up the controller.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection, wait
+from typing import Any, Final
+
+from kraft.driving.car_model import model_of
+from kraft.driving.control import make_controller
+from kraft.driving.estimation import AdaptiveEstimator, make_estimator
+from kraft.driving.messages import Cycle, Estimate
+from kraft.driving.method import Method, Oracle
+from kraft.driving.proposer import Solvers
+from kraft.driving.replanner import Replanner
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.planning.workspace import start_state
+from kraft.robot.connect import check_transport
+from kraft.robot.control import run_control
+from kraft.robot.priority import preferred_planner
+from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop
+from kraft.scenario import OccupancyMap, Task
+from kraft.trial.result import cycle_content
+from ompl_ext.arrays import Floats
+
+LEAD: Final = 0.3
+"""Time before a cycle at which it is decided, s: the decision takes a part of it, and travels to the controller."""
+JOIN_TIME: Final = 5.0
+"""Time to wait for the end of the controller's process, s."""
+
+
+@dataclass(frozen=True)
+class DriveResult:
+    """Result of a drive; `cycles` are without trees, `ended` None if the drive did not begin."""
+
+    checked: Checked
+    ended: Ended | None
+    cycles: tuple[Cycle, ...] = field(repr=False, default=())
+
+
+def on_the_clock(method: Method) -> Method:
+    """Method that decides early enough for a drive on the wall clock."""
+    planner = method.planner
+    return method.model_copy(update={"planner": planner.model_copy(update={"lead": max(planner.lead, LEAD)})})
+
+
+def check_method(method: Method) -> None:
+    """Check that a vehicle on this method is never without a verified way to stop.
+
+    Raises:
+        InputError: at the line of the method, if not.
+    """
+    planner, problems = method.planner, list[Diagnostic]()
+
+    def wrong(key: str, problem: str, expected: str) -> None:
+        problems.append(method.source.diagnostic(key, problem, expected, code=Code.CONFLICT))
+
+    if isinstance(method.estimator, Oracle):
+        wrong("estimator.kind", "is the truth, which no robot has", "expected another estimator")
+    if planner.mode != "replanning" or planner.on_board != "contingency":
+        problem = "leaves the vehicle without a contingency on board"
+        wrong(
+            "planner.on_board",
+            problem,
+            "expected `mode: replanning` and `on_board: contingency`",
+        )
+    if planner.cycle - max(planner.lead, LEAD) < LEAD:
+        wrong("planner.cycle", f"is {planner.cycle:g} s", f"expected more than {2 * LEAD:g} s on the wall clock")
+    if problems:
+        raise InputError(problems)
+
+
+def drive(
+    spec: DriveSpec,
+    on_check: Callable[[Checked], None],
+    on_cycle: Callable[[Cycle], None],
+    on_status: Callable[[Status], None],
+    on_sense: Callable[[Sense], None],
+    keep_trees: bool = False,
+) -> DriveResult:
+    """Check, and drive until the goal, the time limit, a fault or an interrupt.
+
+    The first SIGINT stops the vehicle and ends the drive with its result, the second ends both processes at once.
+
+    Args:
+        spec: the drive; its method fulfils `check_method`.
+        on_check: called with the check list.
+        on_cycle: called with each cycle, with its tree if `keep_trees`, after it was sent to the controller.
+        on_status: called with the state every second, and with every event.
+        on_sense: called with what the controller sensed and sent.
+        keep_trees: keep a copy of the planner's tree in each cycle, for `on_cycle`.
+
+    Raises:
+        InputError: if the transport cannot be opened.
+        MissingDependency: if a package of the transport is missing.
+    """
+    check_transport(spec.robot)
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=run_control, args=(spec, there), name="kraft controller")
+    process.start()
+    there.close()
+    lock = threading.Lock()
+
+    def send(message: Any) -> None:
+        with lock, contextlib.suppress(OSError):  # a controller that has ended is noticed by `_messages`
+            here.send(message)
+
+    try:
+        with preferred_planner(), _interrupts(lambda: send(Stop("interrupted")), process):
+            return _drive(spec, here, process, send, (on_check, on_cycle, on_status, on_sense), keep_trees)
+    finally:
+        here.close()
+        process.join(JOIN_TIME)
+        if process.is_alive():
+            process.kill()
+
+
+def _drive(
+    spec: DriveSpec, here: Connection, process: Any, send: Callable[[Any], None], report: tuple[Any, Any, Any, Any],
+    keep_trees: bool,
+) -> DriveResult:  # fmt: skip
+    on_check, on_cycle, on_status, on_sense = report
+    planner = Planner(spec, keep_trees)
+    checked, cycles = Checked((), None), list[Cycle]()
+    for message in _messages(here, process):
+        if isinstance(message, Checked):
+            checked = message
+            on_check(checked)
+            if not checked.passed or checked.pose is None:
+                send(Stop("the check list failed"))
+                return DriveResult(checked, None)
+            send(planner.begin(checked.pose, checked.map))
+        elif isinstance(message, PlanRequest):
+            answer, tree = planner.decide(message)
+            send(answer)
+            cycles.append(answer.cycle)
+            _append(spec, answer.cycle)
+            planner.prepare(message)
+            on_sense(message.sense)
+            on_cycle(replace(answer.cycle, tree=tree))
+        elif isinstance(message, Status):
+            on_status(message)
+        elif isinstance(message, Ended):
+            if message.sense is not None:
+                on_sense(message.sense)
+            return DriveResult(checked, message, tuple(cycles))
+    reason = f"the controller's process ended with {process.exitcode}"
+    last = cycles[-1].time if cycles else 0.0
+    return DriveResult(checked, Ended("stopped", reason, last), tuple(cycles))
+
+
+def _messages(here: Connection, process: Any) -> Iterator[Any]:
+    """Messages of the controller until its process ends."""
+    while True:
+        ready = wait([here, process.sentinel])
+        if here in ready:
+            try:
+                yield here.recv()
+            except (EOFError, ConnectionResetError):
+                process.join(JOIN_TIME)
+                return
+        elif process.sentinel in ready:
+            process.join(JOIN_TIME)
+            return
+
+
+def _append(spec: DriveSpec, cycle: Cycle) -> None:
+    """Write a cycle as it is decided: it is on the disk whatever ends the process."""
+    if spec.folder is None:
+        return
+    with (spec.folder / "cycles.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(cycle_content(cycle)) + "\n")
+
+
+class Planner:
+    """The replanner with a mirror of the controller's estimator."""
+
+    def __init__(self, spec: DriveSpec, keep_trees: bool = False) -> None:
+        self._spec, self._keep_trees = spec, keep_trees
+        self._task = spec.task
+        self._replanner: Replanner | None = None
+
+    def begin(self, pose: tuple[float, float, float], grid: OccupancyMap | None = None) -> Begin:
+        """Plan the first cycle from where the vehicle stands, around the robot's map too."""
+        spec = self._spec
+        self._task = changed(self._task, None, grid)
+        method, vehicle = spec.method, spec.vehicle
+        assert not isinstance(method.estimator, Oracle), "it was checked"
+        state = at_pose(spec, pose)
+        self._model = model_of(vehicle)
+        self._estimator = make_estimator(method.estimator, self._model, state, spec.camera)
+        self._solvers = Solvers.of(self._task, vehicle, method.planner)
+        self._replanner = self._new_replanner()
+        self._warm_up(state)
+        return Begin(state, self._replanner.begin(state))
+
+    def _warm_up(self, state: Floats) -> None:
+        """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""
+        assert self._replanner is not None, "it is there"
+        commitment, moving = self._replanner.begin(state), state.copy()
+        moving[self._model.v] = 0.5 * self._model.vehicle.top_speed
+        self._replanner.decide(Estimate(0.0, moving, 0.0), commitment)
+        self._replanner = self._new_replanner()
+
+    def _new_replanner(self) -> Replanner:
+        spec = self._spec
+        method = spec.method
+        period = 1.0 / (spec.robot.rate_hz or method.controller.rate_hz)
+        return Replanner(
+            self._solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
+            period=period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
+        )  # fmt: skip
+
+    def decide(self, request: PlanRequest) -> tuple[Planned, Any]:
+        """Answer a request, without the tree; and the tree."""
+        assert self._replanner is not None, "it has begun"
+        estimator, sense = self._estimator, request.sense
+        observations = deque(sense.observations)
+        for time, command, _ in sense.ticks:
+            while observations and observations[0].arrival <= time:
+                estimator.observe(observations.popleft())
+            estimator.commanded(time, command)
+        for observation in observations:
+            estimator.observe(observation)
+        self._replanner.skip_to(request.number)
+        estimate = estimator.replanning_estimate(request.time)
+        self._replanner.set_delay(estimator.horizon)
+        cycle = self._replanner.decide(estimate, request.current)
+        learned = estimator.learned if isinstance(estimator, AdaptiveEstimator) else None
+        return Planned(replace(cycle, tree=None), learned), cycle.tree
+
+    def prepare(self, request: PlanRequest) -> None:
+        """Plan for the next cycle, to a new goal or around a new map if the request has one."""
+        assert self._replanner is not None, "it has begun"
+        if request.new_goal is not None or request.new_map is not None:
+            self._task = changed(self._task, request.new_goal, request.new_map)
+            self._replanner.set_solvers(Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner))
+        self._replanner.prepare()
+
+
+def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:
+    """Task with a new goal, and with a new map instead of the last one of the same name."""
+    if goal is not None:
+        task = replace(task, goal=replace(task.goal, center=goal, heading=None, heading_tolerance=None))
+    if grid is not None:
+        kept = tuple(each for each in task.obstacles if each.name != grid.name)
+        task = replace(task, obstacles=(*kept, grid))
+    return task
+
+
+def at_pose(spec: DriveSpec, pose: tuple[float, float, float]) -> Floats:
+    """State (nx,) at rest at a measured pose."""
+    vehicle = spec.vehicle
+    state = start_state(spec.task, vehicle)
+    state[list(vehicle.rest_indices)] = 0.0
+    for name, value in zip(("x", "y", "theta"), pose, strict=True):
+        if vehicle.index(name) >= 0:
+            state[vehicle.index(name)] = value
+    return state
+
+
+@contextlib.contextmanager
+def _interrupts(stop: Callable[[], None], process: Any) -> Iterator[None]:
+    """Stop the vehicle at the first SIGINT, also while a kernel computes; end everything at the second.
+
+    Signals are seen by a thread through a pipe, because Python itself sees them only between two of its instructions.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    before = signal.signal(signal.SIGINT, lambda *_: None)
+    woken = signal.set_wakeup_fd(writer)
+
+    def watch() -> None:
+        count = 0
+        while (byte := os.read(reader, 1)) and byte[0] != 0:
+            if byte[0] == signal.SIGINT:
+                count += 1
+                if count > 1:
+                    process.kill()
+                    os._exit(130)
+                stop()
+
+    watcher = threading.Thread(target=watch, name="interrupts", daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(woken)
+        signal.signal(signal.SIGINT, before)
+        os.write(writer, b"\0")
+        watcher.join()
+        os.close(reader)
+        os.close(writer)

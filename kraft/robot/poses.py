@@ -1,0 +1,126 @@
+"""Poses of a robot as observations: frames, units and clocks are checked, and poses that cannot be true are refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+from kraft.driving.messages import Observation
+from kraft.robot.messages import POSE, TRANSFORM, nanoseconds_of, yaw_of
+from kraft.robot.robot_file import Robot
+
+FROZEN_SPEED: Final = 0.05
+"""Speed by the model from which on a pose that is exactly the last one tells nothing, m/s."""
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Received:
+    """A pose message: stamp and arrival (ns since 1970, ns of the monotonic clock), frame, and pose of the body."""
+
+    stamp: int
+    arrival: int
+    frame: str
+    pose: Pose
+
+
+def received(robot: Robot, message: Any, arrival: int) -> Received:
+    """Content of a pose message of the type that the robot sends."""
+    settings = robot.pose
+    if settings.type == TRANSFORM:
+        place, turn = message.transform.translation, message.transform.rotation
+    else:
+        pose = message.pose if settings.type == POSE else message.pose.pose
+        place, turn = pose.position, pose.orientation
+    tracked = float(place.x), float(place.y), yaw_of(turn)
+    body = settings.tracked_point.body_pose(*tracked) if all(map(math.isfinite, tracked)) else tracked
+    return Received(nanoseconds_of(message.header.stamp), arrival, message.header.frame_id.lstrip("/"), body)
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """Time 0 of the drive by both clocks (ns), and the usual time between stamp and arrival of a pose, s."""
+
+    wall: int
+    monotonic: int
+    latency: float = 0.0
+
+    def of_arrival(self, arrival: int) -> float:
+        """Time of the drive (s) of an arrival."""
+        return 1e-9 * (arrival - self.monotonic)
+
+    def of_stamp(self, stamp: int) -> float:
+        """Time of the drive (s) of a stamp."""
+        return 1e-9 * (stamp - self.wall)
+
+    def stamp(self, time: float) -> int:
+        """Stamp (ns since 1970) of a time of the drive (s)."""
+        return self.wall + round(1e9 * time)
+
+
+class PoseGuard:
+    """Turns poses into observations while the vehicle drives, and refuses those that cannot be true.
+
+    A refused pose is none: the newest observation grows older, until the watchdog stops the vehicle.
+    """
+
+    def __init__(self, robot: Robot, clocks: Clocks) -> None:
+        self._robot, self._clocks = robot, clocks
+        self._last: Pose | None = None
+        self._frozen: Pose | None = None
+        self.refused: dict[str, int] = {}
+        self.reason = ""
+
+    def observation(self, pose: Received, predicted: Pose, speed: float, age: float) -> Observation | None:
+        """Observation of a pose; None if it is refused, and then `reason` says why.
+
+        Args:
+            pose: the received pose.
+            predicted: pose that the model predicts now.
+            speed: speed that the commands lead to by the model, without any pose, m/s.
+            age: age of the newest observation, s; the prediction is that much less certain.
+        """
+        arrival = self._clocks.of_arrival(pose.arrival)
+        time = arrival if self._robot.pose.stamp == "arrival" else self._clocks.of_stamp(pose.stamp)
+        reason = self._doubt(pose, time, arrival, predicted, speed, age)
+        self._last = pose.pose
+        if reason:
+            self.refused[reason.split(":")[0]] = self.refused.get(reason.split(":")[0], 0) + 1
+            self.reason = reason
+            return None
+        self.reason = ""
+        return Observation(min(time, arrival), arrival, *pose.pose)
+
+    def _doubt(self, pose: Received, time: float, arrival: float, predicted: Pose, speed: float, age: float) -> str:
+        """Why a pose cannot be true; empty if it can."""
+        watchdog, (x, y, theta) = self._robot.watchdog, pose.pose
+        if not all(map(math.isfinite, pose.pose)):
+            return f"the poses are no numbers: ({x:g}, {y:g}, {theta:g})"
+        if pose.frame != self._robot.pose.frame:
+            return f"the poses are in another frame: {pose.frame!r} instead of {self._robot.pose.frame!r}"
+        late = arrival - time - self._clocks.latency
+        if abs(late) > watchdog.clock:
+            return f"the clock of the poses jumped: by {-late:.2f} s"
+        if pose.pose == self._last and abs(speed) > FROZEN_SPEED:
+            self._frozen = pose.pose
+        if pose.pose == self._frozen:  # also when the vehicle stands because of it
+            return "the poses do not change: the vehicle should move"
+        # a vehicle that was not seen may be farther off
+        allowed = watchdog.jump + 0.5 * abs(speed) * min(max(age, 0.0), 2.0)
+        off = math.hypot(x - predicted[0], y - predicted[1])
+        turned = abs(math.remainder(theta - predicted[2], math.tau))
+        if off > allowed:
+            return f"the poses jumped: {off:.2f} m from the predicted position"
+        if turned > math.radians(watchdog.jump_deg):
+            return f"the poses turned: {math.degrees(turned):.0f} degrees from the predicted heading"
+        return ""
+
+
+def units_hint(pose: Pose, expected: Pose, near: float) -> str:
+    """What the units of a pose may be that is far from the expected one; empty if it is near in no other unit."""
+    x, y, _ = expected
+    for factor, unit in ((1e-3, "millimetres"), (1e-2, "centimetres")):
+        if math.hypot(factor * pose[0] - x, factor * pose[1] - y) <= near:
+            return f"the position may be in {unit}"
+    return ""

@@ -1,0 +1,47 @@
+"""Priority of processes that must keep to the clock, as far as the operating system permits it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from typing import Final
+
+REAL_TIME: Final = 20
+"""Priority among real-time processes."""
+PLANNER: Final = -10
+"""Niceness of the planner."""
+
+
+def prefer_this_process() -> bool:
+    """Run this process, with the threads that it starts from now on, before all ordinary ones; False if not permitted.
+
+    Linux permits it to root and with the capability CAP_SYS_NICE, or by `rtprio` in /etc/security/limits.conf.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME))
+    except PermissionError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def preferred_planner() -> Iterator[None]:
+    """Run this process before ordinary ones, but not before those that keep to the clock, as far as it is permitted."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, min(before, PLANNER))
+    except PermissionError:  # the check list tells that nothing is preferred
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.setpriority(os.PRIO_PROCESS, 0, before)
+
+
+def is_preferred() -> bool:
+    """Whether this process runs before all ordinary ones."""
+    return hasattr(os, "sched_getscheduler") and os.sched_getscheduler(0) == os.SCHED_FIFO

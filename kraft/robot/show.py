@@ -1,0 +1,177 @@
+"""Display of a drive: plan, contingency, footprint and markers on the robot's topics, and everything in a bag.
+
+It has a process of its own, because making these messages takes as long as a part of a plan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import queue
+import signal
+import threading
+import time as clock
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from kraft.driving.messages import Cycle
+from kraft.planning.workspace import pose_of
+from kraft.robot.bag import BagWriter, scene
+from kraft.robot.command import CommandCodec
+from kraft.robot.connect import open_transport
+from kraft.robot.display import Frames, cycle_messages
+from kraft.robot.messages import (
+    GRID,
+    MARKERS,
+    PATH,
+    POLYGON,
+    TF,
+    log_line,
+    make,
+    odometry,
+    stamped_pose,
+    transform,
+)
+from kraft.robot.protocol import DriveSpec, Sense
+from kraft.robot.transport import Transport
+
+KINDS: Final = {"plan": PATH, "contingency": PATH, "footprint": POLYGON, "markers": MARKERS}
+
+
+class Display:
+    """Hands what is driven to the display's process; at the exit of the context the bag is complete."""
+
+    def __init__(self, spec: DriveSpec, bag: Path | None) -> None:
+        self._is_wanted = bool(spec.robot.display) or bag is not None
+        context = multiprocessing.get_context("spawn")
+        self._theirs, self._ours = context.Pipe(duplex=False)
+        self._process = context.Process(target=run_display, args=(spec, bag, self._theirs), name="kraft display")
+        self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._feeder = threading.Thread(target=self._feed, name="display", daemon=True)
+
+    @property
+    def draws_trees(self) -> bool:
+        """Whether markers of the planner's tree are sent or written."""
+        return self._is_wanted
+
+    def __enter__(self) -> Self:
+        """Start the process, if anything is displayed or written."""
+        if self._is_wanted:
+            self._process.start()
+            self._theirs.close()  # so that each end sees when the other process ends
+            self._feeder.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Wait until everything is written."""
+        if self._is_wanted:
+            self._waiting.put(None)
+            self._feeder.join()
+            self._ours.close()
+            self._process.join()
+
+    def _feed(self) -> None:
+        """Hand over what waits; the planner does not wait for the display."""
+        while (message := self._waiting.get()) is not None:
+            try:
+                self._ours.send(message)
+            except OSError:
+                return  # the display has ended, and the drive goes on
+
+    def sensed(self, sense: Sense) -> None:
+        """Write what the controller sensed and sent into the bag."""
+        if self._is_wanted:
+            self._waiting.put(sense)
+
+    def show(self, cycle: Cycle) -> None:
+        """Show a cycle, which was decided now."""
+        if self._is_wanted:
+            self._waiting.put((clock.time_ns(), cycle))
+
+
+def run_display(spec: DriveSpec, bag: Path | None, arrived: Connection) -> None:
+    """Main function of the display's process, until the planner's process closes its end or ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
+    with _Sender(spec, bag) as sender:
+        while True:
+            try:
+                message = arrived.recv()
+            except (EOFError, OSError):
+                return
+            if isinstance(message, Sense):
+                sender.sensed(message)
+            else:
+                sender.show(*message)
+
+
+class _Sender:
+    """Sends what a viewer shows; a context manager that closes the bag and the transport."""
+
+    def __init__(self, spec: DriveSpec, bag: Path | None) -> None:
+        self._spec, self._bag_path = spec, bag
+        self._frames = Frames(spec.robot.pose.frame, spec.robot.command.frame)
+        self._root = spec.robot.display
+        self._transport: Transport | None = None
+        self._bag: BagWriter | None = None
+        self._stack = contextlib.ExitStack()
+        self._codec = CommandCodec(spec.robot, spec.vehicle)
+
+    def __enter__(self) -> Self:
+        """Open the bag; the transport is opened with the first cycle."""
+        if self._bag_path is not None:
+            self._bag = self._stack.enter_context(BagWriter(self._bag_path))
+            for time, topic, message in scene(self._spec.task, clock.time_ns(), self._frames.map):
+                self._bag.write(topic, time, message)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Close the transport and the bag."""
+        if self._transport is not None:
+            self._transport.close()
+        self._stack.__exit__(kind, error, at)
+
+    def sensed(self, sense: Sense) -> None:
+        """Write what the controller sensed and sent into the bag."""
+        if self._bag is None:
+            return
+        frames, vehicle, epoch = self._frames, self._spec.vehicle, sense.epoch
+        for each in sense.observations:
+            arrived, taken = (epoch + round(1e9 * time) for time in (each.arrival, each.time))
+            self._bag.write("/pose", arrived, stamped_pose(taken, frames.map, (each.x, each.y, each.theta)))
+        for time, command, state in sense.ticks:
+            now, pose = epoch + round(1e9 * time), pose_of(state, vehicle)
+            self._bag.write(self._spec.robot.command.topic, now, self._codec.message(now, command))
+            speed = float(state[vehicle.rest_indices[0]])
+            self._bag.write("/odometry/filtered", now, odometry(now, frames.map, frames.body, pose, speed))
+            self._bag.write("/tf", now, make(TF, transforms=[transform(now, frames.map, frames.body, pose)]))
+
+    def show(self, now: int, cycle: Cycle) -> None:
+        """Send a cycle that was decided `now` (ns since 1970)."""
+        epoch = now - round(1e9 * cycle.decided)
+        transport = self._open()
+        for name, message in cycle_messages(cycle, self._spec.vehicle, now, epoch, self._frames):
+            if transport is not None:
+                transport.publish(f"{self._root}/{name}", message)
+            self._write(f"/{name}", now, message)
+        if cycle.reason:
+            self._write("/rosout", now, log_line(now, f"{cycle.kind}: {cycle.reason}", level=30))
+
+    def _write(self, topic: str, time: int, message: Any) -> None:
+        if self._bag is not None:
+            self._bag.write(topic, time, message)
+
+    def _open(self) -> Transport | None:
+        """Transport with the topics announced; None if nothing is sent."""
+        if not self._root:
+            return None
+        if self._transport is None:
+            self._transport = open_transport(self._spec.robot)
+            for name, kind in KINDS.items():
+                self._transport.advertise(f"{self._root}/{name}", kind)
+            for _, topic, message in scene(self._spec.task, clock.time_ns(), self._frames.map):
+                kind, name = (GRID, "map") if topic == "/map" else (MARKERS, "scene")
+                self._transport.advertise(f"{self._root}/{name}", kind, latched=True)
+                self._transport.publish(f"{self._root}/{name}", message)
+        return self._transport

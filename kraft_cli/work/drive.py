@@ -1,0 +1,218 @@
+"""`kraft drive` without a terminal: from its options to a drive that is driven and written."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.config.overrides import parse_overrides
+from kraft.driving.control import needs_steps
+from kraft.driving.messages import Cycle
+from kraft.driving.method import check_vehicle, load_method
+from kraft.errors import InputError
+from kraft.evaluation.statistics import percentile
+from kraft.files import check_all, write_json
+from kraft.planning.compilation import ensure_compiled
+from kraft.planning.feasibility import check_reachable
+from kraft.provenance import SIMULATION, plain, versions
+from kraft.robot.bag import check_bag
+from kraft.robot.command import limited
+from kraft.robot.drive import DriveResult, check_method, drive, on_the_clock
+from kraft.robot.protocol import Checked, DriveSpec, Status
+from kraft.robot.robot_file import load_robot
+from kraft.robot.show import Display
+from kraft.scenario import load_scenario
+from kraft.text import counted
+from kraft.trial.plant import level_camera
+from kraft.trial.result import load_planning_vehicle, vehicle_reference
+from kraft_cli.work.run import cycle_line
+from kraft_cli.work.run_folder import check_run_folder
+from kraft_cli.work.verbose import vehicle_details
+
+DRIVE_SCHEMA: Final = "kraft.drive/1"
+
+
+@dataclass(frozen=True)
+class DriveRequest:
+    """Options of `kraft drive` as written; `out` is a new folder, None writes nothing."""
+
+    scenario: str
+    robot: str
+    method: str = "adaptive-kraft"
+    vehicle: str | None = None
+    seed: int = 0
+    settings: tuple[str, ...] = ()
+    out: Path | None = None
+    bag: Path | None = None
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Request with its resolved drive and the result."""
+
+    request: DriveRequest
+    spec: DriveSpec
+    result: DriveResult
+
+    @property
+    def outcome(self) -> str:
+        """``success``, ``timeout``, ``stopped``, ``interrupted``, or ``refused`` by the check list."""
+        return "refused" if self.result.ended is None else self.result.ended.outcome
+
+    @property
+    def reached(self) -> bool:
+        """Whether the estimate was in the goal region."""
+        return self.outcome == "success"
+
+
+def drive_robot(
+    request: DriveRequest, report: Callable[[str], None], problem: Callable[[str], None], detail: Callable[[str], None]
+) -> Driven:
+    """Load, check, drive and write.
+
+    Args:
+        request: the options.
+        report: receives messages about what goes on.
+        problem: receives what prevents the drive or stops the vehicle.
+        detail: receives the messages of ``-v``.
+
+    Raises:
+        InputError: with the problems of the request and of the files it names, before anything moves.
+        Unreachable: if no path leads to the goal.
+        MissingDependency: if a package of the transport is missing.
+    """
+    out, bag = request.out, request.bag
+    spec = resolve(request)
+    check_all(
+        *([] if out is None else [lambda: check_run_folder(out)]), *([] if bag is None else [lambda: check_bag(bag)])
+    )
+    for line in vehicle_details(spec.vehicle):
+        detail(line)
+    steps, heading = needs_steps(spec.method, spec.vehicle), spec.task.goal.heading is not None
+    ensure_compiled(spec.vehicle, report, steps=steps, heading=heading, polish=bool(spec.method.planner.polish))
+    check_reachable(spec.task, spec.vehicle)
+    if out is not None:
+        out.mkdir(parents=True)
+        write_json(out / "manifest.json", _manifest(request, spec))
+
+    def on_check(checked: Checked) -> None:
+        for check in checked.checks:
+            say = problem if check.state == "problem" else report
+            say(f"{check.state:8s} {check.name}: {check.detail}")
+
+    def on_status(status: Status) -> None:
+        if status.note:
+            problem(f"{status.time:6.2f} s  {status.note}")
+        else:
+            age = "none yet" if math.isinf(status.pose_age) else f"{1000 * status.pose_age:.0f} ms old"
+            detail(f"{status.time:6.2f} s  newest pose {age}, {counted(status.late_ticks, 'late tick')}")
+
+    with contextlib.ExitStack() as stack:
+        display = stack.enter_context(Display(spec, bag))
+
+        def on_cycle(cycle: Cycle) -> None:
+            report(cycle_line(cycle) + _learned(cycle, spec))
+            display.show(cycle)
+
+        result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
+    driven = Driven(request, spec, result)
+    if out is not None:
+        write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})
+    return driven
+
+
+def resolve(request: DriveRequest) -> DriveSpec:
+    """Load everything that a drive needs, and check that it fits together.
+
+    Raises:
+        InputError: with the problems of the first thing that is wrong.
+    """
+    robot, method = load_robot(request.robot), load_method(request.method)
+    check_method(method)
+    scenario = load_scenario(request.scenario, parse_overrides(request.settings, "set"))
+    reference = vehicle_reference(scenario, method, request.vehicle)
+    vehicle = load_planning_vehicle(scenario, reference)
+    check_vehicle(method, vehicle, own=reference not in (request.vehicle, scenario.vehicle))
+    if request.seed < 0:
+        raise InputError.of_argument("seed", f"is {request.seed}", "expected a number of at least 0")
+    camera = level_camera(scenario) if robot.pose.level_camera else None
+    return DriveSpec(
+        scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,
+        request.out, camera,
+    )  # fmt: skip
+
+
+def _learned(cycle: Cycle, spec: DriveSpec) -> str:
+    """What the vehicle has learned about itself, as far as it differs from the file by a tenth."""
+    if cycle.parameters is None:
+        return ""
+    before = spec.vehicle.parameters
+    changed = [
+        f"{name} {float(value):.3g}"
+        for (name, old), value in zip(before.items(), cycle.parameters, strict=True)
+        if abs(float(value) - old) > 0.1 * max(abs(old), 0.05)
+    ]
+    return f"  learned {', '.join(changed)}" if changed else ""
+
+
+def _manifest(request: DriveRequest, spec: DriveSpec) -> dict[str, Any]:
+    arguments = {name: plain(value) for name, value in vars(request).items() if name not in ("out", "bag")}
+    return {
+        "schema": "kraft.drive-manifest/1",
+        "arguments": {**arguments, "bag": None if request.bag is None else str(request.bag)},
+        "scenario": spec.task.name,
+        "method": plain(spec.method),
+        "robot": plain(spec.robot),
+        "vehicle": {"name": spec.vehicle.name, "parameters": dict(spec.vehicle.parameters)},
+        "versions": versions(SIMULATION),
+    }
+
+
+def drive_json(driven: Driven) -> dict[str, Any]:
+    """Content of the ``kraft.drive/1`` object."""
+    result, spec, ended = driven.result, driven.spec, driven.result.ended
+    planning = [cycle.planning_ms for cycle in result.cycles]
+    return {
+        "scenario": spec.task.name,
+        "robot": spec.robot.name,
+        "method": spec.method.name,
+        "vehicle": spec.vehicle.name,
+        "seed": spec.seed,
+        "outcome": driven.outcome,
+        "reason": "" if ended is None else ended.reason,
+        "t_s": 0.0 if ended is None else float(ended.time),
+        "cycles": len(result.cycles),
+        "contingencies": sum(cycle.kind == "contingency" for cycle in result.cycles),
+        "watchdog_stops": 0 if ended is None else ended.stops,
+        "refused_poses": {} if ended is None else ended.refused,
+        "controller": {} if ended is None else {k: None if math.isnan(v) else v for k, v in ended.measures.items()},
+        "planning_ms_p50": percentile(planning, 0.5),
+        "planning_ms_p99": percentile(planning, 0.99),
+        "checks": [{"name": c.name, "state": c.state, "detail": c.detail} for c in result.checked.checks],
+        "folder": str(driven.request.out) if driven.request.out else None,
+    }
+
+
+def drive_table(driven: Driven) -> list[tuple[str, str]]:
+    """Labels and values of the result table."""
+    content, ended = drive_json(driven), driven.result.ended
+    if ended is None:
+        return [("result", "refused: the check list found problems")]
+    measures = ended.measures
+    late = f"{measures.get('late_ticks', 0):.0f} of {measures.get('ticks', 0):.0f} ticks over 3 ms late"
+    rows = [
+        ("scenario", content["scenario"]),
+        ("robot", content["robot"]),
+        ("method", driven.spec.method.title),
+        ("result", f"{ended.outcome}{f': {ended.reason}' if ended.reason else ''} after {ended.time:.2f} s"),
+        ("cycles", f"{content['cycles']}, {content['contingencies']} of them with the contingency"),
+        ("watchdog", counted(ended.stops, "stop")),
+        ("controller", f"{late}, {measures.get('worst_late_ms', 0.0):.1f} ms at most"),
+    ]
+    rows += [("refused poses", f"{count}: {why}") for why, count in ended.refused.items()]
+    made = (("bag", driven.request.bag), ("written to", driven.request.out))
+    return rows + [(name, str(path)) for name, path in made if path is not None]

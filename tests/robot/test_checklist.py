@@ -1,0 +1,207 @@
+"""The check list finds what prevents a drive before anything moves."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from kraft.driving.method import load_method
+from kraft.robot import checklist
+from kraft.robot.checklist import Checklist
+from kraft.robot.inputs import Inputs
+from kraft.robot.messages import ACKERMANN, BOOL, GRID, JOY, POSE, header, make, pose_fields
+from kraft.robot.protocol import Checked, DriveSpec
+from kraft.robot.robot_file import Robot
+from kraft.robot.transport import LoopbackBus, LoopbackNode
+from kraft.scenario import load_scenario
+from kraft.vehicles.load import load_vehicle
+
+POSE_INPUT = {"topic": "/pose", "type": POSE}
+START = (1.0, -0.5, 1.5708)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checklist, "LISTENING", 0.4)
+    monkeypatch.setattr(checklist, "WAITING", 1.2)
+
+
+def robot(**changed: Any) -> Robot:
+    content = {"name": "r", "transport": {"kind": "loopback"}, "pose": POSE_INPUT, "command": {"topic": "/drive"}}
+    return Robot.model_validate({**content, **changed})
+
+
+@contextmanager
+def sending(send: Callable[[LoopbackNode], None], bus: LoopbackBus) -> Iterator[LoopbackNode]:
+    """A robot that sends 30 times a second and listens to commands."""
+    node, stop = bus.node("robot"), threading.Event()
+    node.advertise("/pose", POSE)
+    node.subscribe("/drive", ACKERMANN, lambda *_: None)
+
+    def run() -> None:
+        while not stop.wait(1 / 30):
+            send(node)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield node
+    finally:
+        stop.set()
+        thread.join()
+
+
+def poses(
+    x: float = START[0], y: float = START[1], theta: float = START[2], frame: str = "map", off: float = 0.0
+) -> Callable[[LoopbackNode], None]:
+    def send(node: LoopbackNode) -> None:
+        stamp = time.time_ns() + round(1e9 * off)
+        node.publish("/pose", make(POSE, header=header(stamp, frame), pose=pose_fields(x, y, theta)))
+
+    return send
+
+
+def checked(send: Callable[[LoopbackNode], None], described: Robot | None = None, others: bool = False) -> Checked:
+    described = described or robot()
+    spec = DriveSpec(
+        load_scenario("boxes").task(), load_method("adaptive-kraft"), load_vehicle("mushr"), described, timeout=60.0
+    )
+    bus = LoopbackBus()
+    if others:
+        bus.node("joystick").advertise("/drive", ACKERMANN)
+    here = bus.node("kraft")
+    with sending(send, bus):
+        return Checklist(described, here, Inputs(described, here)).run(spec, lambda: False)
+
+
+def states(found: Checked) -> dict[str, str]:
+    return {check.name: check.state for check in found.checks}
+
+
+def test_a_robot_that_stands_at_the_start_passes() -> None:
+    found = checked(poses())
+    assert found.passed, found.checks
+    assert found.pose == pytest.approx(START, abs=1e-6)
+    assert {"poses", "start", "clock", "commands", "dead man", "model", "priority"} == set(states(found))
+
+
+@pytest.mark.parametrize(
+    ("send", "name", "words"),
+    [
+        (lambda _: None, "poses", "silent"),
+        (poses(frame="odom"), "poses", "'odom'"),
+        (poses(x=float("nan")), "poses", "no numbers"),
+        (poses(x=1003.0, y=-498.0), "start", "millimetres"),
+        (poses(y=1.8), "start", "2.30 m"),
+        (poses(theta=-1.5), "start", "deg from the start"),
+        (poses(off=5.0), "clock", "-5.0"),
+        (poses(off=-5.0), "clock", "5.0"),
+    ],
+)
+def test_what_prevents_a_drive_is_found(send: Callable[[LoopbackNode], None], name: str, words: str) -> None:
+    found = checked(send)
+    assert not found.passed
+    (problem,) = [check for check in found.checks if check.state == "problem"]
+    assert problem.name == name
+    assert words in problem.detail
+
+
+def test_an_orientation_in_degrees_is_no_rotation() -> None:
+    def send(node: LoopbackNode) -> None:
+        pose = {"position": {"x": 1.0, "y": -0.5}, "orientation": {"z": 90.0}}
+        node.publish("/pose", make(POSE, header=header(time.time_ns(), "map"), pose=pose))
+
+    assert states(checked(send))["poses"] == "problem"
+
+
+def test_a_robot_that_moves_is_found() -> None:
+    places = iter(range(1000))
+
+    def send(node: LoopbackNode) -> None:
+        poses(y=-0.5 + 0.03 * next(places))(node)
+
+    found = checked(send)
+    assert states(found)["standstill"] == "problem"
+
+
+def test_slow_poses_and_a_missing_dead_man_are_warnings() -> None:
+    found = checked(poses(), robot(pose={**POSE_INPUT, "rate_hz": 100.0}))
+    assert found.passed
+    assert states(found)["poses"] == states(found)["dead man"] == "warning"
+
+
+def test_somebody_else_who_publishes_commands_is_found() -> None:
+    found = checked(poses(), others=True)
+    assert states(found)["commands"] == "problem"
+
+
+def test_commands_that_nobody_hears_are_found() -> None:
+    described = robot(command={"topic": "/other"})
+    assert states(checked(poses(), described))["commands"] == "problem"
+
+
+@pytest.mark.parametrize(("held", "state"), [(True, "ok"), (False, "problem"), (None, "problem")])
+@pytest.mark.parametrize("kind", [BOOL, JOY])
+def test_the_dead_man_must_be_held(held: bool | None, state: str, kind: str) -> None:
+    switch: dict[str, Any] = {"topic": "/switch", "type": kind}
+    if kind == JOY:
+        switch["button"] = 2
+
+    def send(node: LoopbackNode) -> None:
+        poses()(node)
+        if held is not None:
+            content = {"data": held} if kind == BOOL else {"buttons": [0, 0, int(held)]}
+            node.publish("/switch", make(kind, **content))
+
+    assert states(checked(send, robot(dead_man=switch)))["dead man"] == state
+
+
+def test_a_dead_man_that_falls_silent_counts_as_released() -> None:
+    described = robot(dead_man={"topic": "/switch", "type": BOOL, "timeout": 0.1})
+    bus = LoopbackBus()
+    inputs, node = Inputs(described, bus.node("kraft")), bus.node("robot")
+    node.publish("/switch", make(BOOL, data=True))
+    assert inputs.trouble == ""
+    time.sleep(0.15)
+    assert "silent" in inputs.trouble
+
+
+@pytest.mark.parametrize(("frame", "state"), [("map", "ok"), ("odom", "problem"), (None, "warning")])
+def test_the_map_of_the_robot_is_part_of_the_check(frame: str | None, state: str) -> None:
+    def send(node: LoopbackNode) -> None:
+        poses()(node)
+        if frame is not None:
+            info = {"resolution": 0.1, "width": 2, "height": 2, "origin": pose_fields(0, 0, 0)}
+            node.publish("/map", make(GRID, header=header(1, frame), info=info, data=[0, 0, 100, -1]))
+
+    found = checked(send, robot(map={"topic": "/map"}))
+    assert states(found)["map"] == state
+    assert (found.map is not None) == (state == "ok")
+
+
+def test_goals_in_another_frame_are_ignored() -> None:
+    bus, described = LoopbackBus(), robot(goal={"topic": "/goal"})
+    inputs, node = Inputs(described, bus.node("kraft")), bus.node("robot")
+    node.publish("/goal", make(POSE, header=header(1, "odom"), pose=pose_fields(1, 2, 0)))
+    assert inputs.take_goal() is None
+    node.publish("/goal", make(POSE, header=header(1, "map"), pose=pose_fields(1, 2, 0)))
+    assert inputs.take_goal() == (1.0, 2.0)
+    assert inputs.take_goal() is None
+
+
+def test_a_scenario_that_begins_elsewhere_is_the_one_to_check_against() -> None:
+    spec = DriveSpec(
+        load_scenario("boxes").task(), load_method("adaptive-kraft"), load_vehicle("mushr"), robot(), timeout=60.0
+    )
+    moved = replace(spec.task, start=replace(spec.task.start, x=2.0))
+    bus = LoopbackBus()
+    here = bus.node("kraft")
+    with sending(poses(), bus):
+        found = Checklist(robot(), here, Inputs(robot(), here)).run(replace(spec, task=moved), lambda: False)
+    assert states(found)["start"] == "problem"

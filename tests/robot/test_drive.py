@@ -1,0 +1,121 @@
+"""`kraft drive` and the simulated robot as two processes, over rosbridge and over DDS."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from support.rig import Rig
+
+from kraft.logs.reader import read_logs
+from kraft.trial.result import Outcome
+from kraft_cli.main import main
+
+DOMAINS = itertools.count(10 + threading.get_native_id() % 80)
+
+
+@pytest.mark.parametrize("transport", ["rosbridge", "ros2"])
+def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, transport: str) -> None:
+    settings = f"{{kind: ros2, domain: {next(DOMAINS)}, interface: lo}}" if transport == "ros2" else ""
+    bag = tmp_path / "drive.mcap"
+    patient = {"trial.timeout": 150.0}  # beside other tests decisions come late, and the car waits for them
+    with Rig(tmp_path, transport=settings, arguments=("--bag", str(bag)), settings=patient) as rig:
+        assert rig.until(lambda: rig.process.poll() is not None, 240.0)
+        out, errors = rig.process.communicate()
+        driven = json.loads(out)
+        assert rig.process.returncode == 0, errors
+        assert rig.until(lambda: rig.result is not None, 10.0)
+        assert rig.result is not None
+        assert rig.result.outcome is Outcome.SUCCESS
+    assert driven["outcome"] == "success"
+    assert driven["t_s"] == pytest.approx(rig.result.time, abs=1.5)
+    folder = tmp_path / "out"
+    assert {path.name for path in folder.iterdir()} == {
+        "manifest.json", "steps.csv", "observations.csv", "events.csv", "cycles.jsonl", "result.json",
+    }  # fmt: skip
+    (log,) = read_logs(folder).logs
+    assert log.duration > 0.8 * driven["t_s"]
+    (by_bag,) = read_logs(bag).logs
+    np.testing.assert_allclose(by_bag.parts[0].commands[:100], log.parts[0].commands[:100], atol=1e-6)
+    with bag.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        topics = {channel.topic for _, channel, _, _ in reader.iter_decoded_messages()}
+    assert {"/plan", "/contingency", "/markers", "/map", "/pose", "/drive", "/tf", "/odometry/filtered"} <= topics
+
+
+def test_the_first_interrupt_stops_the_car_and_writes_the_result(tmp_path: Path) -> None:
+    with Rig(tmp_path) as rig:
+        rig.drive_until(2.0)
+        os.kill(rig.process.pid, signal.SIGINT)
+        assert rig.stands(6.0)
+        out, _ = rig.process.communicate(timeout=30)
+        assert rig.process.returncode == 130
+        assert json.loads(out)["outcome"] == "interrupted"
+        assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["outcome"] == "interrupted"
+
+
+def test_the_second_interrupt_ends_at_once(tmp_path: Path) -> None:
+    with Rig(tmp_path) as rig:
+        rig.drive_until(1.5)
+        for _ in range(2):
+            os.kill(rig.process.pid, signal.SIGINT)
+            rig.until(lambda: False, 0.05)
+        assert rig.until(lambda: rig.process.poll() is not None, 5.0)
+        assert rig.process.returncode == 130
+        assert rig.stands(6.0)
+
+
+def test_a_robot_that_is_elsewhere_is_not_moved(tmp_path: Path) -> None:
+    with Rig(tmp_path, arguments=("--set", "start.x=0.1", "--set", "start.y=3.5")) as rig:
+        out, errors = rig.process.communicate(timeout=120)
+        assert rig.process.returncode == 1
+        assert json.loads(out)["outcome"] == "refused"
+        assert "start" in errors
+        assert rig.world.world.time == 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--robot", "nothing"], "nothing"),
+        (["--robot", "sim", "--method", "kraft"], "planner.on_board"),
+        (["--robot", "sim", "--vehicle", "unicycle2"], "command.type"),
+        (["--robot", "sim", "--bag", "x.bag"], "--bag"),
+        (["--robot", "sim", "--seed", "-1"], "--seed"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_before_anything_moves(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["drive", "boxes", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_transport_within_a_process_serves_no_two_processes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "r.yaml").write_text(
+        "name: r\ntransport: {kind: loopback}\npose: {topic: /p, type: nav_msgs/msg/Odometry}\ncommand: {topic: /d}\n",
+        encoding="utf-8",
+    )
+    assert main(["drive", "boxes", "--robot", str(tmp_path / "r.yaml")]) == 2
+    assert "transport.kind" in capsys.readouterr().err
+
+
+def test_doctor_says_that_nobody_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "r.yaml").write_text(
+        'name: r\ntransport: {kind: rosbridge, url: "ws://localhost:9"}\n'
+        "pose: {topic: /p, type: nav_msgs/msg/Odometry}\ncommand: {topic: /d}\n",
+        encoding="utf-8",
+    )
+    assert main(["doctor", "--robot", str(tmp_path / "r.yaml"), "--json"]) == 3
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    assert {"r: transport": "missing"}.items() <= {f["subject"]: f["state"] for f in findings}.items()

@@ -1,0 +1,175 @@
+"""Units and signs of commands, limits of the model, and poses that are refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.method import load_method
+from kraft.errors import Code, InputError
+from kraft.robot.command import CommandCodec, limited
+from kraft.robot.drive import check_method, on_the_clock
+from kraft.robot.inputs import occupancy_map
+from kraft.robot.messages import GRID, make, pose_fields
+from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
+from kraft.robot.robot_file import Robot
+from kraft.vehicles.load import load_vehicle
+
+LATENCY = 0.01
+HERE = (1.0, 2.0, 0.5)
+
+
+def robot(**changed: Any) -> Robot:
+    content: dict[str, Any] = {
+        "name": "r", "transport": {"kind": "loopback"},
+        "pose": {"topic": "/pose", "type": "geometry_msgs/msg/PoseStamped"}, "command": {"topic": "/drive"},
+    }  # fmt: skip
+    return Robot.model_validate({**content, **changed}, strict=False)
+
+
+def command(**changed: Any) -> dict[str, Any]:
+    return {"topic": "/drive", **changed}
+
+
+@pytest.mark.parametrize("name", ["mushr", "mushr-drive", "f1tenth", "mushr-lag"])
+@pytest.mark.parametrize("unit", ["throttle", "m/s"])
+@pytest.mark.parametrize("sign", [1.0, -2.0])
+def test_a_command_comes_back_from_its_message(name: str, unit: str, sign: float) -> None:
+    vehicle = load_vehicle(name)
+    settings = command(speed={"unit": unit, "scale": sign}, steering={"scale": sign, "offset_deg": 3.0})
+    codec = CommandCodec(robot(command=settings), vehicle)
+    model = CarModel(vehicle)
+    for throttle in (0.3, 0.6, 1.0):
+        control = model.command(throttle, -0.2)
+        back = codec.control(codec.message(7, control))
+        assert back is not None
+        np.testing.assert_allclose(back, control, atol=1e-3)
+
+
+def test_a_speed_in_metres_per_second_is_the_one_that_the_model_reaches() -> None:
+    vehicle = load_vehicle("f1tenth")
+    codec = CommandCodec(robot(command=command(speed={"unit": "m/s"})), vehicle)
+    message = codec.message(7, np.array([0.5, 0.1]))
+    assert message.drive.speed == pytest.approx(0.5 * vehicle.parameters["v_delta"], rel=1e-3)
+    assert message.drive.steering_angle == pytest.approx(0.1)
+
+
+def test_commands_that_are_no_numbers_are_none() -> None:
+    codec = CommandCodec(robot(), load_vehicle("mushr"))
+    assert codec.control(make("ackermann_msgs/msg/AckermannDriveStamped", drive={"speed": math.nan})) is None
+
+
+def test_the_controls_of_any_vehicle_fit_into_joints() -> None:
+    vehicle = load_vehicle("jackal")
+    codec = CommandCodec(robot(command=command(type="sensor_msgs/msg/JointState")), vehicle)
+    np.testing.assert_array_equal(codec.control(codec.message(7, np.array([0.3, -0.4]))), [0.3, -0.4])
+
+
+def test_a_model_with_other_controls_than_the_robot_takes_is_refused() -> None:
+    with pytest.raises(InputError) as error:
+        limited(load_vehicle("jackal"), robot())
+    (problem,) = error.value.diagnostics
+    assert (problem.path, problem.code) == ("command.type", Code.MISMATCH)
+
+
+def test_limits_bound_what_is_planned() -> None:
+    slow = limited(load_vehicle("f1tenth"), robot(limits={"speed": 0.3, "steering_deg": 10.0}))
+    model = CarModel(slow)
+    assert slow.top_speed == 0.3
+    assert model.steady_speed(float(model.high[model.throttle])) == pytest.approx(0.3, rel=0.01)
+    assert slow.controls["steering"] == pytest.approx((-math.radians(10), math.radians(10)))
+    assert slow.controls["throttle"][0] == load_vehicle("f1tenth").controls["throttle"][0], "it brakes as before"
+
+
+def test_methods_without_a_contingency_on_board_may_not_drive_a_robot() -> None:
+    for name, key in (
+        ("kraft", "planner.on_board"), ("conservative-kraft", "planner.on_board"),
+        ("oneshot-openloop", "planner.on_board"), ("oracle", "estimator.kind"),
+    ):  # fmt: skip
+        with pytest.raises(InputError) as error:
+            check_method(load_method(name))
+        assert key in {problem.path for problem in error.value.diagnostics}
+    method = load_method("adaptive-kraft")
+    check_method(method)
+    assert on_the_clock(method).planner.lead == 0.3
+
+
+def received(
+    time: float, pose: tuple[float, float, float] = HERE, frame: str = "map", arrival: float | None = None
+) -> Received:
+    at = time + LATENCY if arrival is None else arrival
+    return Received(10**18 + round(1e9 * time), 5 * 10**9 + round(1e9 * at), frame, pose)
+
+
+def guard(**changed: Any) -> PoseGuard:
+    return PoseGuard(robot(**changed), Clocks(10**18, 5 * 10**9, LATENCY))
+
+
+def test_a_good_pose_becomes_an_observation_at_its_stamp() -> None:
+    found = guard().observation(received(3.0), HERE, 0.5, 0.03)
+    assert found is not None
+    assert (found.time, found.arrival) == pytest.approx((3.0, 3.01))
+    assert (found.x, found.y, found.theta) == HERE
+
+
+def test_a_pose_counts_from_its_arrival_where_the_clocks_cannot_be_set() -> None:
+    pose = {"topic": "/pose", "type": "geometry_msgs/msg/PoseStamped", "stamp": "arrival"}
+    found = guard(pose=pose).observation(received(99.0, arrival=3.0), HERE, 0.5, 0.03)
+    assert found is not None
+    assert found.time == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("pose", "why"),
+    [
+        (received(3.0, (math.nan, 2.0, 0.5)), "the poses are no numbers"),
+        (received(3.0, (1.0, 2.0, math.inf)), "the poses are no numbers"),
+        (received(3.0, frame="odom"), "the poses are in another frame"),
+        (received(3.0, (3.0, 2.0, 0.5)), "the poses jumped"),
+        (received(3.0, (1.0, 2.0, 2.5)), "the poses turned"),
+        (received(8.0, arrival=3.0), "the clock of the poses jumped"),
+        (received(-2.0, arrival=3.0), "the clock of the poses jumped"),
+    ],
+)
+def test_a_pose_that_cannot_be_true_is_refused(pose: Received, why: str) -> None:
+    refusing = guard()
+    assert refusing.observation(pose, HERE, 0.5, 0.03) is None
+    assert refusing.reason.startswith(why)
+    assert refusing.refused == {why: 1}
+    assert refusing.observation(received(3.1, (1.01, 2.01, 0.5)), HERE, 0.5, 0.1) is not None
+    assert refusing.reason == ""
+
+
+def test_a_heading_across_the_seam_is_no_turn() -> None:
+    assert guard().observation(received(3.0, (1.0, 2.0, math.pi - 0.1)), (1.0, 2.0, -math.pi + 0.1), 0.5, 0.03)
+
+
+def test_frozen_poses_are_refused_until_they_change_even_when_the_car_stands() -> None:
+    refusing = guard()
+    assert refusing.observation(received(3.0), HERE, 0.5, 0.03)
+    assert refusing.observation(received(3.1), HERE, 0.5, 0.1) is None
+    assert refusing.observation(received(3.2), HERE, 0.0, 0.2) is None
+    assert refusing.observation(received(3.3, (1.001, 2.0, 0.5)), HERE, 0.0, 0.3)
+
+
+def test_equal_poses_of_a_car_that_stands_are_believed() -> None:
+    believing = guard()
+    assert all(believing.observation(received(0.1 * k), HERE, 0.0, 0.1) for k in range(10))
+
+
+def test_millimetres_are_recognised() -> None:
+    assert "millimetres" in units_hint((1003.0, 1990.0, 0.0), HERE, 0.5)
+    assert units_hint((5.0, 5.0, 0.0), HERE, 0.5) == ""
+
+
+def test_a_map_with_a_turned_origin_and_unknown_cells_is_an_obstacle() -> None:
+    info = {"resolution": 0.5, "width": 2, "height": 1, "origin": pose_fields(1.0, 2.0, 0.3)}
+    found = occupancy_map(make(GRID, info=info, data=[0, -1]))
+    assert found is not None
+    np.testing.assert_array_equal(found.occupied, [[False, True]])
+    assert found.origin == pytest.approx((1.0, 2.0, 0.3))
+    assert occupancy_map(make(GRID, info={**info, "width": 3}, data=[0, -1])) is None
