@@ -27,7 +27,8 @@ import numpy as np
 
 from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
-from kraft.driving.estimation import AdaptiveEstimator, make_estimator
+from kraft.driving.estimation import make_estimator
+from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
 from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard

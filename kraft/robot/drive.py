@@ -20,7 +20,8 @@ from typing import Any, Final
 
 from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
-from kraft.driving.estimation import AdaptiveEstimator, make_estimator
+from kraft.driving.estimation import make_estimator
+from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.messages import Cycle, Estimate
 from kraft.driving.method import Method, Oracle
 from kraft.driving.proposer import Solvers
