@@ -55,10 +55,7 @@ def compared(name: str, effort: Effort) -> list[Row]:
             ),
         ]  # fmt: skip
     worst = [float(each.max()) for each in stds]
-    return [
-        *rows,
-        row(f"{name}: standard deviation of the worst parameter, over that of {RANDOM} random", "times", worst),
-    ]
+    return [*rows, row(f"{name}: worst standard deviation over that of {RANDOM} random", "times", worst)]
 
 
 def recorded(vehicle: str, seed: int, runs: int, model: str | None = None) -> Sequence[Log]:

@@ -136,13 +136,15 @@ def _commands(part: Part) -> Manoeuvre:
 
 
 def _within_logs(definition: VehicleConfig | Vehicle, logs: Sequence[Log]) -> VehicleConfig | Vehicle:
-    """The vehicle with the limits of the logs for controls whose commands are beyond its own: in another unit."""
+    """The vehicle with the limits of the logs where its own are in another unit, as those of a car of any make."""
     limits = {}
     controls = definition.controls if isinstance(definition, Vehicle) else configured(definition).controls
     for name, (low, high) in controls.items():
         commands = np.concatenate([part.commands[:, log.controls.index(name)] for log in logs for part in log.parts])
-        if commands.min() < low or commands.max() > high:
-            limits[name] = (min(float(commands.min()), 0.0), max(float(commands.max()), 0.0))
+        if commands.min() < low or commands.max() > high or has_terms(definition):
+            least, most = min(float(commands.min()), 0.0), max(float(commands.max()), 0.0)
+            reach = max(-least, most)
+            limits[name] = (-reach, reach) if name == "steering" else (least, most)
     return _with_controls(definition, limits)
 
 
