@@ -1,6 +1,6 @@
 """Whatever breaks in the middle of a drive, the car stands without a collision, says why, and what was driven is kept.
 
-Each fault happens once here, at a moment that the seed draws; `python -m benchmarks robot` repeats each 20 times.
+Each fault happens once here, at a moment that the seed draws.
 """
 
 from __future__ import annotations
