@@ -88,15 +88,19 @@ def check_file(name_or_path: str | Path) -> FileReport:
 
 
 def recognise(document: Document) -> FileKind:
-    """Kind of a file by its top-level keys; misspelt keys decide between kinds with equally many known keys."""
+    """Kind of a file by its top-level keys; misspelt keys decide between kinds with equally many known keys.
+
+    A robot file is one with a transport or a command: `pose` alone may be the misspelt `poses` of a mapping.
+    """
     keys = set(document.data) if isinstance(document.data, dict) else set()
+    kinds = [kind for kind in _SCHEMAS if kind != "robot" or keys & {"transport", "command"}]
 
     def likeness(kind: FileKind) -> tuple[int, int]:
         known = _SCHEMAS[kind].model_fields
         misspelt = sum(nearest(str(key), known) is not None for key in keys - set(known))
         return len(keys & set(known)), misspelt
 
-    return max(_SCHEMAS, key=likeness)
+    return max(kinds, key=likeness)
 
 
 def _schema(document: Document) -> str | None:

@@ -49,10 +49,11 @@ COMMANDS = {
     "eval": "scenarios --cluster --jobs --json --methods --out --realtime --resume --seed --set --suite --trials --vary --vehicle",
     "list": "what --json",
     "plan": "scenario --after --from --iterations --json --out --param --planner --plot --seed --set --threads --time --vehicle",
-    "record": "scenario --bag --json --out --runs --seed --vehicle",
+    "record": "scenario --bag --commands --for --json --out --runs --seed --vehicle",
     "report": "results --out",
     "run": "scenario --bag --json --method --out --plot --seed --set --vehicle --video --view",
-    "sysid": "logs --extras --freeze --graph --holdout --horizon --json --mapping --model --out --param --plot --pose-noise",
+    "sysid": "logs --area --commands --extras --freeze --graph --holdout --horizon --json --mapping --model --next --out "
+    "--param --plot --pose-noise",
     "validate": "files --json",
     "world": "scenario --json --robot --seed --set --vehicle --video --view",
 }
