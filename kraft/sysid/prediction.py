@@ -86,26 +86,27 @@ def predict_windows(
     parameters = parameters_of(vehicle, given, auxiliary)
     usable = usable_logs(model, logs)
     pieces = pieces_of(usable, settings)
-    varying = variation_of(parameters, settings)
-    predict = _with_deviations if varying else _with_states
+    if varying := variation_of(parameters, settings):
+        predicted = _with_deviations(pieces, parameters, settings, varying)
+    else:
+        predicted = _with_states(pieces, len(usable), parameters, settings)
     return tuple(
         Window(usable[p.segment.log].name, p.segment.part.pose_times[p.ahead], p.segment.part.poses[p.ahead], poses)
-        for p, poses in zip(pieces, predict(pieces, len(usable), parameters, settings), strict=True)
+        for p, poses in zip(pieces, predicted, strict=True)
     )
 
 
 def _with_deviations(
-    pieces: Sequence[Piece], logs: int, parameters: Parameters, settings: Settings
+    pieces: Sequence[Piece], parameters: Parameters, settings: Settings, varying: Mapping[str, float]
 ) -> Sequence[Matrix]:
     """Predicted poses of each window, with the deviations of the parameters that its history shows."""
-    del logs
     model = parameters.vehicle
     noise = settings.noise or measured_noise(
         [p.segment.part.pose_times[p.ahead] for p in pieces], [p.segment.part.poses[p.ahead] for p in pieces]
     )
     known = noise_model(model, settings, noise)
     growth = HISTORY_PROCESS_FACTOR * error_growth(model, known.process, WINDOW_LENGTH)
-    predictor = Predictor(pieces, parameters, known, growth, variation_of(parameters, settings))
+    predictor = Predictor(pieces, parameters, known, growth, varying)
     return [row[own] for row, own in zip(predictor.poses(parameters.nominal), predictor.ahead, strict=True)]
 
 

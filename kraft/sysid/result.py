@@ -158,7 +158,10 @@ class Identification:
         return replace(
             settings,
             process={**process, **settings.process},
-            variation={**{name: p.variation for name, p in self.parameters.items()}, **settings.variation},
+            variation={
+                **{name: p.variation for name, p in self.parameters.items() if p.variation},
+                **settings.variation,
+            },
         )
 
     @property

@@ -169,6 +169,7 @@ def _unknown(vehicle: Vehicle, settings: Settings) -> Iterator[Diagnostic]:
         ("auxiliary", named, list(auxiliary), "auxiliary parameter"),
         ("process", settings.process, list(vehicle.state), "state component"),
         ("control_noise", settings.control_noise, list(vehicle.controls), "control"),
+        ("variation", settings.variation, list(vehicle.parameters), "parameter"),
     ]
     for field, names, known, kind in fields:
         for name in names:
@@ -201,3 +202,6 @@ def _not_positive(settings: Settings) -> Iterator[Diagnostic]:
         for name, value in values.items():
             if not (value > 0.0 and math.isfinite(value)):
                 yield Diagnostic(field, f"{name} is {value:g}", "expected a number greater than 0", argument=True)
+    for name, value in settings.variation.items():
+        if not (value >= 0.0 and math.isfinite(value)):
+            yield Diagnostic("variation", f"{name} is {value:g}", "expected a number of at least 0", argument=True)

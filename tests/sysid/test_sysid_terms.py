@@ -126,6 +126,12 @@ def test_a_car_takes_commands_as_they_were_recorded() -> None:
     assert recorded.vehicle.controls["steering"][1] == pytest.approx(100.0 * base.vehicle.controls["steering"][1])
 
 
+def test_a_variation_names_a_parameter_of_the_model_and_is_not_negative() -> None:
+    with pytest.raises(InputError) as refused:
+        identify_terms(car_file(), [drive(car(), 0)], Settings(variation={"a_drivee": 0.1, "phi_diff": -0.1}))
+    assert sorted(found.file for found in refused.value.diagnostics) == ["variation", "variation"]
+
+
 def test_flipped_steering_is_a_negative_gain() -> None:
     model = car()
     logs = [drive(model, seed) for seed in range(5)]
