@@ -21,6 +21,7 @@ from ompl_ext.configuration import Bounds, Configuration, ControlLayout, goal_co
 from ompl_ext.kernels import callback_kernel
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
+from ompl_ext.kernels.functions import FUNCTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Lanes, Problem, Retained
 from ompl_ext.kernels.rng import generator
 from ompl_ext.kernels.tree_memory import (  # fmt: skip
@@ -129,6 +130,7 @@ class CallbackSearch:
             goal_limits=np.zeros((1, 3)),
             scalar=scalar,
             option=option,
+            functions=np.zeros(FUNCTIONS, np.int64),
         )
 
     def count(self, which: int) -> int:

@@ -13,6 +13,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.fine_field import raise_to_fine
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, Problem
+from ompl_ext.kernels.search import search
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency
@@ -34,9 +35,10 @@ class EdgeChecker:
         """Prepare the maps; with a `goal` also the cost-to-go."""
         self.vehicle, self.workspace, self.goal = vehicle, workspace, goal
         self.safety, self.settings = safety or Safety(), settings or Settings()
-        self._kernels = kernels(vehicle)
+        self._kernels, self._search = kernels(vehicle), search()
         self._problem = make_problem(vehicle, workspace, goal, self.safety, self.settings)
         problem = self._problem
+        problem.functions[:] = self._kernels.functions
         self._maps = problem.field, problem.tile, problem.squares, problem.discs, problem.scalar
         sizes = len(vehicle.state), len(vehicle.controls), len(vehicle.inputs) or len(vehicle.controls)
         self._work = make_lanes(*sizes, int(problem.option[at.STEPS]))
@@ -58,7 +60,7 @@ class EdgeChecker:
         A state follows every `safety.step` s; nothing is checked.
         """
         self._brake.source[:] = state
-        self._kernels.brake(self._problem, self._work, self._brake, math.inf)
+        self._search.brake(self._problem, self._work, self._brake, math.inf)
         trajectory = self._brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)
         rest, found = list(self.vehicle.rest_indices), []
         for number in range(len(self.vehicle.manoeuvres)):
@@ -99,7 +101,7 @@ class EdgeChecker:
 
     def pose_slack(self, x: float, y: float, theta: float) -> float:
         """Lower bound of the footprint's clearance at a pose within the workspace (m)."""
-        return self._kernels.pose(*self._maps, x, y, theta)
+        return self._search.pose(*self._maps, x, y, theta)
 
     def clearances(self, poses: Matrix) -> Floats:
         """Lower bound (n,) of the footprint's clearance at poses (n, 3), m; as `pose_slack`, but tight everywhere."""
@@ -156,12 +158,12 @@ class EdgeChecker:
             work.steps[0] = max(1, round(duration / self.settings.quantum))
         if not 1 <= work.steps[0] <= problem.option[at.STEPS]:
             raise ValueError(f"an edge of {duration} s is longer than the longest of {self.settings.longest} s")
-        self._kernels.edge(problem, work, start_time)
+        self._search.edge(problem, work, start_time)
         return float(work.slack[0])
 
     def _first_safe_manoeuvre(self, edge_begins: float, brakes_at: float) -> Contingency | None:
         """SAFETY where the edge in lane 0 crosses the end of the cycle, or of `source` if `edge_begins` is infinite."""
-        number = self._kernels.brake(self._problem, self._work, self._brake, edge_begins)
+        number = self._search.brake(self._problem, self._work, self._brake, edge_begins)
         if number < 0:
             return None
         samples, nx = int(self._brake.steps[number]) + 1, len(self.vehicle.state)

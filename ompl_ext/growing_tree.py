@@ -9,9 +9,10 @@ import numpy as np
 from ompl_ext.arrays import Words
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Problem, Retained, Tree
-from ompl_ext.kernels.specialise import VehicleKernels
-from ompl_ext.kernels.tree_memory import first_nodes, new_tree, reset, with_room
-from ompl_ext.query import edges_to_retain, make_lanes
+from ompl_ext.kernels.search import search
+from ompl_ext.kernels.specialise import optional_module
+from ompl_ext.kernels.tree_memory import first_nodes, new_tree, reset, reset_indices, with_room
+from ompl_ext.query import Settings, edges_to_retain, make_lanes
 from ompl_ext.vehicle import Vehicle
 
 
@@ -23,6 +24,7 @@ class GrowingTree:
         vehicle: Vehicle,
         problem: Problem,
         bounds: tuple[tuple[float, float], tuple[float, float]],
+        settings: Settings,
         capacity: int,
         max_nodes: int,
     ) -> None:
@@ -37,6 +39,7 @@ class GrowingTree:
         self._q = np.zeros(at.Q_DIM)
         self._no_edges = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
         self.retained = self._no_edges
+        self._sparse = _SparseTree(vehicle, bounds, settings) if settings.planner == "sst" else None
 
     def clear(self, random: Words) -> None:
         """Empty the tree; memory allocated since is kept."""
@@ -48,14 +51,17 @@ class GrowingTree:
         if len(self.tree.state) - int(self.tree.count[at.SIZE]) < nodes:
             self._memory = self.tree = with_room(self._memory, nodes, self._max_nodes)
 
-    def add(self, kernels: VehicleKernels, problem: Problem, edges: Retained) -> None:
+    def add(self, problem: Problem, edges: Retained) -> None:
         """Add the free and safe ones of some edges."""
         self.reserve(len(edges.parent))
-        self._run(kernels, problem, edges, 0)
+        self._run(problem, edges, 0)
 
-    def grow(self, kernels: VehicleKernels, problem: Problem, iterations: int) -> None:
+    def grow(self, problem: Problem, iterations: int) -> None:
         """Visit nodes; ends early if the memory is full."""
-        self._run(kernels, problem, self._no_edges, iterations)
+        if self._sparse is not None:
+            self._sparse.grow(self.tree, problem, self.work, self.brake, iterations)
+            return
+        self._run(problem, self._no_edges, iterations)
 
     def has_room(self, *, fixed: bool) -> bool:
         """Whether a tenth of the memory is free, or more can be had unless it is `fixed`."""
@@ -69,5 +75,30 @@ class GrowingTree:
         tree, best = self.tree, int(self.tree.count[at.BEST])
         return (float(tree.value[best, at.COST]) if best >= 0 else math.inf), float(tree.best[1])
 
-    def _run(self, kernels: VehicleKernels, problem: Problem, edges: Retained, iterations: int) -> None:
-        kernels.grow(self.tree, problem, self.work, self.brake, self._q, edges, iterations)
+    def _run(self, problem: Problem, edges: Retained, iterations: int) -> None:
+        search().grow(self.tree, problem, self.work, self.brake, self._q, edges, iterations)
+
+
+class _SparseTree:
+    """Witnesses of SST, see `ompl_ext.kernels.sst`."""
+
+    def __init__(
+        self, vehicle: Vehicle, bounds: tuple[tuple[float, float], tuple[float, float]], settings: Settings
+    ) -> None:
+        self._grow = optional_module(vehicle, "sst").grow
+        self._bounds, self._q = bounds, np.zeros(at.Q_DIM)
+        self._radii = np.zeros(2)
+        self._radii[[at.SST_SELECTION, at.SST_PRUNING]] = settings.selection_radius, settings.pruning_radius
+        self._witnesses = new_tree(1, 1, 1, bounds)
+        self._known = 0, 0, 0  # nodes, iterations and pruned nodes when the witnesses were up to date
+
+    def grow(self, tree: Tree, problem: Problem, work: at.Lanes, brake: at.Lanes, iterations: int) -> None:
+        """Visit nodes; witnesses are found anew if nodes were added or removed since."""
+        count = tree.count
+        if self._known != (int(count[at.SIZE]), int(count[at.ITERATIONS]), int(count[at.PRUNED])):
+            if len(self._witnesses.state) < len(tree.state):
+                self._witnesses = new_tree(len(tree.state), 1, 1, self._bounds)
+            reset(self._witnesses, tree.random)
+            reset_indices(tree)
+        self._grow(tree, self._witnesses, problem, work, brake, self._q, self._radii, iterations)
+        self._known = int(count[at.SIZE]), int(count[at.ITERATIONS]), int(count[at.PRUNED])

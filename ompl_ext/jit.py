@@ -25,13 +25,18 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba import types
+from numba.core import cgutils
 from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
+from numba.extending import intrinsic
 
 from ompl_ext.cache_error import CacheError
 
 _njit: Any = numba.njit  # numba's stubs lack `_nrt` and the configuration
 _config: Any = numba.config
+_codegen: Any = cgutils
+_intrinsic: Any = intrinsic
 F = TypeVar("F", bound=Callable[..., object])
 
 
@@ -160,6 +165,46 @@ def inlined(function: F) -> F:
 def part(function: F) -> F:
     """Compile `function` as a part of the kernels that call it; LLVM decides whether to inline it."""
     return _part(function)
+
+
+def callee(function: Any, folder: Path, signature: object) -> int:
+    """Address of a function that kernels call with `caller`; compiled for the signature and cached in `folder`.
+
+    Raises:
+        CacheError: `folder` is not writable.
+    """
+    check_cache(folder)
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    with _caching_in(folder):
+        dispatcher: Any = _njit(signature, cache=True, error_model="numpy", _nrt=False, **options)(function)
+    _callees.append(dispatcher)  # its machine code lives as long as it does
+    (overload,) = dispatcher.overloads.values()
+    address: int = overload.library.get_pointer_to_function(overload.fndesc.llvm_func_name)
+    return address
+
+
+_callees: list[object] = []
+
+
+def caller(signature: Any) -> Callable[[int, tuple[object, ...]], Any]:
+    """Function `call(address, arguments)` for use in kernels, which calls what `callee` compiled for the signature."""
+
+    @_intrinsic  # type: ignore[untyped-decorator]
+    def call(_: Any, address: Any, arguments: Any) -> Any:
+        def generate(context: Any, builder: Any, typed: Any, values: Any) -> Any:
+            convention, result = context.call_conv, signature.return_type
+            kind = convention.get_function_type(result, signature.args).as_pointer()
+            given = zip(_codegen.unpack_tuple(builder, values[1]), typed.args[1].types, signature.args, strict=True)
+            converted = [context.cast(builder, value, before, after) for value, before, after in given]
+            function = builder.inttoptr(values[0], kind)
+            status, returned = convention.call_function(builder, function, result, signature.args, converted)
+            with _codegen.if_unlikely(builder, status.is_error):
+                convention.return_status_propagate(builder, status)
+            return returned
+
+        return signature.return_type(types.int64, arguments), generate
+
+    return cast("Callable[[int, tuple[object, ...]], Any]", call)
 
 
 def template(function: F) -> F:

@@ -23,6 +23,7 @@ import numpy as np
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels import trajectory_types as st
+from ompl_ext.kernels.functions import INTERVALS
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.kernels.penetration import fill_penetration
 from ompl_ext.kernels.posepath import PosePath
@@ -80,6 +81,7 @@ class Polish:
 
     def __init__(self, vehicle: Vehicle, problem: Problem) -> None:
         self._vehicle, self._problem, self._kernels = vehicle, problem, polish_kernels(vehicle)
+        problem.functions[INTERVALS] = self._kernels.intervals
         self._signed = np.empty_like(problem.field)
         fill_penetration(problem.field, 1.0 / problem.scalar[at.GRID_INVERSE], self._signed)
         nx, nu = len(vehicle.state), len(vehicle.controls)

@@ -14,6 +14,7 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.clearance import ClearanceField, cover, fields, grouped, memory_of_fields, tight_cover
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.fine_field import FineField
+from ompl_ext.kernels.functions import FUNCTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Maps, Problem, Retained
 from ompl_ext.kernels.posepath import PoseCostToGo
 from ompl_ext.kernels.posetogo import pose_cost_to_go
@@ -111,8 +112,14 @@ class Safety:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of DIRT.  Lengths in m, times in s."""
+    """Settings of DIRT, and of SST instead of it.  Lengths in m, times in s."""
 
+    planner: str = "dirt"
+    """`dirt`, or `sst`, which has no regions, no child extension, no exploration and no optimisation"""
+    selection_radius: float = 0.2
+    """radius around a sample within which SST selects the node with the lowest cost"""
+    pruning_radius: float = 0.1
+    """radius around a witness of SST within which one node is active"""
     blossom: int = 32
     insertions: int = 1
     child_extension: bool = True
@@ -141,6 +148,7 @@ class Settings:
         """
         longest = math.floor(self.longest / self.quantum + 0.5) if self.quantum > 0 else self.steps
         rules = {
+            f"planner is {self.planner!r}, not 'dirt' or 'sst'": self.planner in ("dirt", "sst"),
             f"blossom is {self.blossom}, not 1 to {LANE_WIDTH}": 1 <= self.blossom <= LANE_WIDTH,
             f"insertions is {self.insertions}, not 1 to blossom": 1 <= self.insertions <= max(self.blossom, 1),
             f"an edge has {longest} integration steps, not 1 to {MAX_STEPS}": 1 <= longest <= MAX_STEPS,
@@ -156,6 +164,8 @@ class Settings:
                 for value, low in (
                     (self.cell, 1e-6),
                     (self.resolution, 0.0),
+                    (self.selection_radius, 0.0),
+                    (self.pruning_radius, 0.0),
                     (self.heading_weight, 0.0),
                     (self.beyond, 0.0),
                     (self.quantum, 0.0),
@@ -221,6 +231,7 @@ def make_problem(
     option = np.zeros(OPTIONS, np.int64)
     option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
     option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
+    option[at.MANOEUVRES] = len(vehicle.manoeuvres)
     option[[at.BLOSSOM, at.INSERTIONS]] = settings.blossom, settings.insertions
     option[[at.CHILD_EXTENSION, at.REQUIRE_SAFETY]] = settings.child_extension, safety.enabled
     problem = Problem(
@@ -236,6 +247,7 @@ def make_problem(
         goal_limits=np.zeros((len(vehicle.state), 3)),
         scalar=scalar,
         option=option,
+        functions=np.zeros(FUNCTIONS, np.int64),  # `EdgeChecker` enters them, when they are compiled
     )
     if goal is None:
         return problem
@@ -263,10 +275,11 @@ def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings
     scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
     scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.has_heading else -2.0
     scalar[at.GOAL_NEAR] = goal.radius + settings.longest * vehicle.top_speed
-    scalar[at.SHORTEST_NEAR_GOAL] = SHORT * settings.shortest
+    exact = goal.has_heading or bool(goal.limits)  # a disc alone needs no short edges: those that pass it end in it
+    scalar[at.SHORTEST_NEAR_GOAL] = (SHORT if exact else 1.0) * settings.shortest
     passes = settings.shortest * vehicle.top_speed > 4 * goal.radius  # over twice the diameter
     option[at.GOAL_HEADING], option[at.GOAL_LIMITS] = goal.has_heading, bool(goal.limits)
-    option[at.CUT_AT_GOAL] = goal.has_heading or bool(goal.limits) or passes
+    option[at.CUT_AT_GOAL] = exact or passes
     limits[:, 0], limits[:, 1] = -math.inf, math.inf
     for name, (low, high) in goal.limits.items():
         k, rate = vehicle.index(name), motion_of(vehicle).rate[vehicle.index(name)]

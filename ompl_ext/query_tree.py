@@ -64,7 +64,8 @@ class QueryTree(EdgeChecker):
         super().__init__(vehicle, workspace, goal, safety, settings)
         max_nodes = max(capacity, max_nodes)
         self._trees = [
-            GrowingTree(vehicle, self._problem, workspace.bounds, capacity, max_nodes) for _ in range(threads)
+            GrowingTree(vehicle, self._problem, workspace.bounds, self.settings, capacity, max_nodes)
+            for _ in range(threads)
         ]
         self._progress = Progress()
 
@@ -133,7 +134,7 @@ class QueryTree(EdgeChecker):
         began = time.perf_counter()
         for each in self._trees:
             each.retained = edges_to_retain(parents, controls, durations, targets)
-            each.add(self._kernels, self._problem, each.retained)
+            each.add(self._problem, each.retained)
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before
 

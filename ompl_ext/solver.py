@@ -149,9 +149,9 @@ class DirtSolver(QueryTree):
             if self._polish is not None:
                 count = min(count, max(self._polish_due - int(self._tree.count[at.ITERATIONS]), 1))
             if iterations is None:
-                self._trees[0].reserve(count * max(EXPLORATION_INSERTIONS, self.settings.insertions))
+                self._trees[0].reserve(count * self._insertions)
             elapsed_before, before = elapsed, int(self._tree.count[at.ITERATIONS])
-            self._trees[0].grow(self._kernels, self._problem, count)
+            self._trees[0].grow(self._problem, count)
             left -= int(self._tree.count[at.ITERATIONS]) - before
             elapsed = self._after_growing(base, began, seconds)
             if self._tree.count[at.FULL] or self._prunes_now():
@@ -177,18 +177,17 @@ class DirtSolver(QueryTree):
         """
         left = iterations if iterations is not None else 2**62
         base, began, elapsed, trees = self._progress.seconds, time.perf_counter(), 0.0, len(self._trees)
-        insertions = max(EXPLORATION_INSERTIONS, self.settings.insertions)
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
             longest = min(FIRST_CHUNK << min(self._rounds, 10), LONGEST_ROUND)
             shares = [min(longest, left // trees + (k < left % trees)) for k in range(trees)]
             if iterations is None:
                 for each in self._trees:
-                    each.reserve(longest * insertions)
+                    each.reserve(longest * self._insertions)
             running = [
-                pool.submit(each.grow, self._kernels, self._problem, share)
+                pool.submit(each.grow, self._problem, share)
                 for each, share in zip(self._trees[1:], shares[1:], strict=True)
             ]
-            self._trees[0].grow(self._kernels, self._problem, shares[0])
+            self._trees[0].grow(self._problem, shares[0])
             for future in running:
                 future.result()
             left -= sum(shares)
@@ -205,10 +204,17 @@ class DirtSolver(QueryTree):
         return self._progress
 
     @property
+    def _insertions(self) -> int:
+        """Largest number of nodes that an iteration adds."""
+        if self.settings.planner == "sst":
+            return self.settings.blossom
+        return max(EXPLORATION_INSERTIONS, self.settings.insertions)
+
+    @property
     def _follows_path(self) -> bool:
         """Whether the path of poses to the goal is to be added to the tree: once, unless there is a plan already."""
         count, option = self._tree.count, self._problem.option
-        wanted = option[at.POSE_HEADINGS] > 0 and self.settings.quantum == 0.0
+        wanted = option[at.POSE_HEADINGS] > 0 and self.settings.quantum == 0.0 and self.settings.planner == "dirt"
         return bool(wanted and count[at.ITERATIONS] == 0 and count[at.SIZE] > 0 and count[at.BEST] < 0)
 
     def _add_path(self) -> None:
@@ -233,7 +239,7 @@ class DirtSolver(QueryTree):
         """Add edges one after the other from the root, with all checks; they do not count as retained."""
         edges = edges_to_retain(list(range(-1, len(durations) - 1)), controls, durations)
         retained = int(self._tree.count[at.RETAINED])
-        self._trees[0].add(self._kernels, self._problem, edges)
+        self._trees[0].add(self._problem, edges)
         self._tree.count[at.RETAINED] = retained
 
     def _path_follower(self, vehicle: Vehicle) -> PathFollower:
@@ -270,7 +276,7 @@ class DirtSolver(QueryTree):
 
         Where durations are multiples of a step, they are improved only if the settings say so.
         """
-        wanted = self.settings.polish
+        wanted = self.settings.polish if self.settings.planner == "dirt" else False
         return self._has_heading and self.settings.quantum == 0.0 if wanted is None else wanted
 
     def _reaches_polish(self, iterations: int | None) -> bool:

@@ -14,30 +14,36 @@ from support.paths import ROOT, TESTS
 
 COMPILE = """
 import sys
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import compile_for_headings, compile_maps, ensure_compiled
 from kraft.sysid.fast_graph import ensure_compiled as ensure_identification
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
-from ompl_ext.kernels.specialise import are_steps_cached, is_cached, kernels, polish_kernels, step_kernels
+from ompl_ext.kernels.specialise import (
+    are_steps_cached, is_cached, kernels, optional_module, polish_kernels, step_kernels
+)
 from support.kernels import ROVER
+if "shared" in sys.argv:
+    compile_maps()
+    compile_for_headings()
+    grow()
+    ensure_identification(load_vehicle("mushr"), "mushr", str)
 for name in sys.argv[1:]:
+    if name == "shared":
+        continue
     vehicle = ROVER if name == "rover" else load_vehicle(name)
-    if name == "mushr":  # and what is the same for every vehicle
-        ensure_compiled(vehicle, str, heading=True)
-        ensure_identification(vehicle, name, str)
-        grow()
     if not is_cached(vehicle):
         kernels(vehicle)
-    if name in ("benchmark", "rover", "jackal", "mushr-drive", "unicycle2"):
-        polish_kernels(vehicle)
+    polish_kernels(vehicle)
+    if name == "mushr":
+        optional_module(vehicle, "rollouts")
+        optional_module(vehicle, "sst")
     if name not in ("benchmark", "rover") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """
-VEHICLES = (
-    ("mushr", "unicycle2", "benchmark"),
-    ("mushr-force", "mushr-drive", "mushr-lag", "rover", "jackal", "f1tenth"),
+STAGES = (  # of two processes each, which take about the same time and compile nothing twice
+    (("mushr",), ("shared",)),
+    (("mushr-force", "mushr-drive", "mushr-lag", "benchmark", "f1tenth"), ("rover", "jackal", "unicycle2")),
 )
-"""Vehicles that two processes compile, in about the same time each."""
 LONG = (
     "test_interrupts", "test_quality", "test_cli_sysid", "test_evaluation_workers", "test_examples", "test_theorem",
     "test_example_identify", "test_evaluation_cluster", "test_benchmarks", "test_docs_python", "test_ompl_planner",
@@ -52,8 +58,9 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a hundred processes of the tests would compile every module
     in_a_worker = hasattr(config, "workerinput")
     if not in_a_worker and config.getoption("numprocesses", None):
-        with ThreadPoolExecutor(len(VEHICLES)) as pool:  # otherwise each worker would compile all of them
-            list(pool.map(_compile, VEHICLES))
+        for stage in STAGES:  # otherwise each worker would compile all of it
+            with ThreadPoolExecutor(len(stage)) as pool:
+                list(pool.map(_compile, stage))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -61,6 +68,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: next((k for k, name in enumerate(LONG) if item.path.name.startswith(name)), len(LONG)))
 
 
-def _compile(vehicles: Sequence[str]) -> None:
+def _compile(names: Sequence[str]) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])}
-    subprocess.run([sys.executable, "-c", COMPILE, *vehicles], cwd=ROOT, env=environment, check=True)
+    subprocess.run([sys.executable, "-c", COMPILE, *names], cwd=ROOT, env=environment, check=True)

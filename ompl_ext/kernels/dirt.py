@@ -192,8 +192,8 @@ def is_visited_next(tree: Tree, node: int, child: int, exploring: bool) -> bool:
 
 
 @part
-def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) -> int:
-    """Add the end of an edge as a node with its region, and update the best solution; -1 if the tree is full."""
+def new_node(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) -> int:
+    """Add the end of an edge as a node that no index lists, and update the best solution; -1 if the tree is full."""
     node = tree.count[SIZE]
     if node == len(tree.state):
         tree.count[FULL] = 1
@@ -214,8 +214,6 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
     tree.link[node, PARENT] = parent
     tree.link[node, AT_GOAL] = work.at_goal[lane]
     tree.link[node, VISITS] = 0
-    closed = closed_radius(problem.scalar[RESOLUTION], tree.count[SIZE] + tree.count[PRUNED])
-    add_to_indices(tree, node, math.sqrt(distance_squared(tree, parent, tree.value[node])), closed)
     if tree.link[node, AT_GOAL] == 1 and tree.value[node, COST] < tree.best[0]:  # Alg. 1, l. 20-22
         if tree.count[BEST] < 0:
             tree.count[FIRST_ITERATION] = tree.count[ITERATIONS]
@@ -225,6 +223,16 @@ def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) ->
     if beyond_cycle and tree.value[node, TOGO] < tree.best[1]:  # Alg. 1, l. 24, among the nodes checked by SAFETY
         tree.best[1] = tree.value[node, TOGO]
         tree.count[CLOSEST] = node
+    return node
+
+
+@part
+def insert(tree: Tree, problem: Problem, parent: int, lane: int, work: Lanes) -> int:
+    """Add the end of an edge as a node with its region, and update the best solution; -1 if the tree is full."""
+    node = new_node(tree, problem, parent, lane, work)
+    if node >= 0:
+        closed = closed_radius(problem.scalar[RESOLUTION], tree.count[SIZE] + tree.count[PRUNED])
+        add_to_indices(tree, node, math.sqrt(distance_squared(tree, parent, tree.value[node])), closed)
     return node
 
 

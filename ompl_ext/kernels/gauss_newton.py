@@ -1,7 +1,8 @@
-"""Local optimisation of a trajectory by Gauss-Newton with multiple shooting, compiled for one vehicle.
+"""Local optimisation of a trajectory by Gauss-Newton with multiple shooting, compiled for one layout of the state.
 
-`specialise` executes this module once per vehicle and supplies the vehicle as a global; it cannot be imported directly.
-`ompl_ext.polish` explains the method.
+`specialise` executes this module once for all vehicles whose states have the same layout, and supplies the layout as a
+global; it cannot be imported directly.  `shooting` integrates the vehicle's motion.  `ompl_ext.polish` explains the
+method.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from numba import types
 
 from ompl_ext.arrays import Floats, Matrix, Matrix32, int64
 from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.kernels import functions
 from ompl_ext.kernels.dirt import requires_safety, set_duration
 from ompl_ext.kernels.fine_field import TILE, fine_distance
+from ompl_ext.kernels.functions import call_intervals
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CYCLE,
     DELTA,
@@ -37,8 +40,8 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Lanes,
     Problem,
 )
-from ompl_ext.kernels.runge_kutta import runge_kutta_4
-from ompl_ext.kernels.specialise import module_of, vehicle_being_compiled, vehicle_cache_folder
+from ompl_ext.kernels.search import search
+from ompl_ext.kernels.specialise import layout_being_compiled, layout_cache_folder
 from ompl_ext.kernels.trajectory_types import (  # fmt: skip
     BACKWARD,
     BEGIN,
@@ -62,58 +65,29 @@ from ompl_ext.kernels.trajectory_types import (  # fmt: skip
     Shooting,
     Stages,
 )
-from ompl_ext.kernels.unroll import per_component, store_components
 from ompl_ext.trigonometry import cos, sin
 
-VEHICLE = vehicle_being_compiled()
-FOLDER = vehicle_cache_folder(VEHICLE)
-NX, NU = len(VEHICLE.state), len(VEHICLE.controls)
+LAYOUT = layout_being_compiled()
+FOLDER = layout_cache_folder(LAYOUT)
+NX, NU, X, Y, THETA = LAYOUT.components, LAYOUT.controls, LAYOUT.x, LAYOUT.y, LAYOUT.theta
 M = NU + 1
-NI = len(VEHICLE.inputs) or NU
-X, Y, THETA = (VEHICLE.index(name) for name in ("x", "y", "theta"))
-SPEED = VEHICLE.rest_indices[0] if VEHICLE.rest else -1
+SPEED = LAYOUT.rest[0] if LAYOUT.rest else -1
 WIDTH = LANE_WIDTH
-SUBSTEPS = 4  # of the integration of an interval
 WITHIN_LIMITS = 1e-3  # share of a component's range, at most of 1, by which it is to stay within its limits
 LEAST_MARGIN = 0.2  # added to what an edge lacks, in cells of the field
 CHANGE = 1e-6  # of numerical derivatives, in a control as a share of its range
-AT_CONTROL = NX * WIDTH  # the working block: state, control, duration, input
-AT_STEP = AT_CONTROL + NU * WIDTH
-AT_INPUT = AT_STEP + WIDTH
-BLOCK = AT_INPUT + NI * WIDTH
 
-_planner = module_of(VEHICLE, "lanes")
-edge, brake = _planner.edge, _planner.brake
-derivative = VEHICLE.derivative
-actuation = VEHICLE.actuation or per_component("u, p", "u[{k}]", NU)
-load_state = per_component("a, i", f"a[i + {{k}} * {WIDTH}]", NX)
-load_control = per_component("a, i", f"a[{AT_CONTROL} + i + {{k}} * {WIDTH}]", NU)
-load_input = per_component("a, i", f"a[{AT_INPUT} + i + {{k}} * {WIDTH}]", NI)
-load_parameters = per_component("p", "p[{k}]", len(VEHICLE.parameter_array))
-rk4_step = runge_kutta_4(derivative, NX)
-store_state = store_components(NX, WIDTH)
-store_input = store_components(NI, WIDTH)
+edge, brake = search().edge, search().brake
 
 
-@part
+@inlined
 def integrate(
     first: int, lanes: int, column: int, change: float, problem: Problem, states: Matrix, inputs: Matrix, block: Floats
 ) -> None:
-    """Integrate intervals `first` ... with one component of state, control and duration changed; this vectorises."""
-    p = load_parameters(problem.parameters)
-    for i in range(lanes):
-        for k in range(NX):
-            block[k * WIDTH + i] = states[first + i, k]
-        for k in range(M):
-            block[AT_CONTROL + k * WIDTH + i] = inputs[first + i, k]
-        if column >= 0:
-            block[column * WIDTH + i] += change
-    for i in range(lanes):
-        store_input(block, AT_INPUT, i, actuation(load_control(block, i), p))
-    for _ in range(SUBSTEPS):
-        for i in range(lanes):
-            x, _, _ = rk4_step(load_state(block, i), load_input(block, i), p, block[AT_STEP + i] * (1.0 / SUBSTEPS))
-            store_state(block, 0, i, x)
+    """Integrate intervals `first` ... with one component of state, control and duration changed."""
+    call_intervals(
+        problem.functions[functions.INTERVALS], (first, lanes, column, change, problem, states, inputs, block)
+    )
 
 
 @inlined

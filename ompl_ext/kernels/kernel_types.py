@@ -44,6 +44,7 @@ class Problem(NamedTuple):
     goal_limits: Matrix  # (nx, 3) bounds of each component in the goal, and least time per unit to change it (s)
     scalar: Floats
     option: Ints
+    functions: Ints  # addresses of the vehicle's compiled functions, see `ompl_ext.kernels.functions`
 
 
 class Maps(NamedTuple):
@@ -94,7 +95,16 @@ BLOSSOM, INSERTIONS, CHILD_EXTENSION, REQUIRE_SAFETY = 2, 3, 4, 5
 POSE_HEADINGS, POSE_ROWS, POSE_COLUMNS = 6, 7, 8  # shape of pose_togo; 0 headings without it
 CUT_AT_GOAL = 9  # whether an edge that passes through the goal ends there
 GOAL_HEADING, GOAL_LIMITS = 10, 11  # whether the goal has a heading, and bounds of other components
-OPTIONS = 12
+MANOEUVRES = 12  # number of the vehicle's contingency manoeuvres
+OPTIONS = 13
+
+# Indices of the weights of rollouts: step (s), weights of the time to the goal, of a collision, of a clearance below
+# the margin (m), of errors of position, heading and speed, and of controls
+ROLLOUT_STEP, ROLLOUT_GOAL, ROLLOUT_COLLISION, ROLLOUT_NEAR, ROLLOUT_MARGIN = range(5)
+ROLLOUT_POSITION, ROLLOUT_HEADING, ROLLOUT_SPEED, ROLLOUT_GAMMA = range(5, 9)
+ROLLOUT_WEIGHTS = 9
+
+SST_SELECTION, SST_PRUNING = range(2)  # indices of the radii of SST (m)
 
 
 class Lanes(NamedTuple):
@@ -111,6 +121,19 @@ class Lanes(NamedTuple):
     at_goal: Ints
     slack: Floats  # spare clearance (m), negative if the edge may collide
     source: Floats  # (nx,) a state to start from
+
+
+def block_layout(nx: int) -> tuple[int, int, int, int, int, int]:
+    """Indices in the working block of step, deviation, outside, cosine, sine, input; the state is before them."""
+    begin = nx * LANE_WIDTH
+    return (
+        begin,
+        begin + LANE_WIDTH,
+        begin + 2 * LANE_WIDTH,
+        begin + 3 * LANE_WIDTH,
+        begin + 4 * LANE_WIDTH,
+        (begin + 5 * LANE_WIDTH),
+    )
 
 
 class Tree(NamedTuple):

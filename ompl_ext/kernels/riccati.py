@@ -7,7 +7,8 @@ costs of their changes are exact.  The virtual controls w let a trajectory devia
 leads to one that obeys it (Mao et al., Successive convexification of non-convex optimal control problems, 2016).
 Bounds are treated as in box-DDP (Tassa et al., Control-limited differential dynamic programming, 2014).
 
-`specialise` executes this module once per vehicle, so that all sizes are constants: that is four times faster.
+`specialise` executes this module once per layout of the state, so that all sizes are constants: that is four times
+faster.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from numba import types
 
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.cholesky import factorise, solve_factorised
-from ompl_ext.kernels.specialise import vehicle_being_compiled, vehicle_cache_folder
+from ompl_ext.kernels.specialise import layout_being_compiled, layout_cache_folder
 from ompl_ext.kernels.trajectory_types import BACKWARD, STAGES, Backward, Stages
 
-VEHICLE = vehicle_being_compiled()
-NX, NU = len(VEHICLE.state), len(VEHICLE.controls)
+LAYOUT = layout_being_compiled()
+NX, NU = LAYOUT.components, LAYOUT.controls
 M = NU + 1  # controls and the duration
 NS = NX + NU  # state and the controls of the stage before
 
@@ -257,6 +258,6 @@ def _solve(stages: Stages, n: int, damping: float, stiffness: float, work: Backw
 
 solve = compiled(
     _solve,
-    folder=vehicle_cache_folder(VEHICLE),
+    folder=layout_cache_folder(LAYOUT),
     signature=types.boolean(STAGES, types.int64, types.float64, types.float64, BACKWARD),
 )

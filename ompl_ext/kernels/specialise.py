@@ -1,11 +1,14 @@
 """Compiled kernels of a vehicle: a module is executed with the vehicle's functions as its globals.
 
-`lanes` has the planner's kernels; `steps` has only the model's steps, for identification; `gauss_newton` and `riccati`
-have the local optimisation.
+`lanes` integrates the planner's edges, `steps` the steps for identification, `shooting` the intervals of the local
+optimisation.  What depends on the layout of the state alone is compiled once for all vehicles that share it: the
+`checks` of edges, and `gauss_newton` and `riccati` of the local optimisation.  Few methods use `rollouts`, the costs of
+a sampling-based controller.
 """
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 import tempfile
@@ -13,28 +16,49 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple, TypeVar
 
-from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix
+import numpy as np
+
+from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder
-from ompl_ext.kernels.kernel_types import Lanes, Problem, Retained, Tree
+from ompl_ext.kernels.functions import FUNCTIONS
+from ompl_ext.kernels.search import search
 from ompl_ext.vehicle import Vehicle
 
+T = TypeVar("T")
+FOR_ALL_VEHICLES = ("sst",)  # modules that few methods use and that do not depend on the vehicle
 _being_compiled: list[Vehicle] = []
 _kernels: dict[str, VehicleKernels] = {}
 _steps: dict[str, StepKernels] = {}
+_layouts_being_compiled: list[Layout] = []
+
+
+class Layout(NamedTuple):
+    """Layout of a vehicle's state: number of components and controls, and indices, -1 without such a component."""
+
+    components: int
+    controls: int
+    x: int
+    y: int
+    theta: int
+    rest: tuple[int, ...]  # components that vanish at standstill, the speed first
+
+    @property
+    def key(self) -> str:
+        """Name for files and modules."""
+        return "_".join(str(k).replace("-", "m") for k in (*self[:-1], *self.rest))
 
 
 @dataclass(frozen=True)
 class VehicleKernels:
     """Compiled functions of one vehicle, see `ompl_ext.kernels.lanes`."""
 
-    grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int], None]
-    edge: Callable[[Problem, Lanes, float], None]
-    brake: Callable[[Problem, Lanes, Lanes, float], int]
     advance: Callable[[Floats, Floats, Floats, float, Floats], None]
     roll_out: Callable[[Floats, Matrix, Floats, Floats], None]
-    pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
+    functions: Ints
+    """addresses of those that kernels call, see `ompl_ext.kernels.functions`"""
 
 
 @dataclass(frozen=True)
@@ -53,6 +77,13 @@ def vehicle_being_compiled() -> Vehicle:
     return _being_compiled[-1]
 
 
+def layout_being_compiled() -> Layout:
+    """Layout for which a module is being executed."""
+    if not _layouts_being_compiled:
+        raise ImportError("this module is executed once per layout of a state; use ompl_ext.kernels.specialise.kernels")
+    return _layouts_being_compiled[-1]
+
+
 def is_cached(vehicle: Vehicle) -> bool:
     """Whether `kernels(vehicle)` loads machine code instead of compiling it."""
     return bool(vehicle.source) and _done_marker(vehicle).exists()
@@ -65,7 +96,7 @@ def are_steps_cached(vehicle: Vehicle) -> bool:
 
 def is_polish_cached(vehicle: Vehicle) -> bool:
     """Whether `polish_kernels(vehicle)` has or loads machine code instead of compiling it."""
-    loaded = _module_name(vehicle, "gauss_newton") in sys.modules
+    loaded = _module_name(_key(vehicle), "shooting") in sys.modules
     return loaded or (bool(vehicle.source) and _done_marker(vehicle, "polish-complete").exists())
 
 
@@ -77,9 +108,12 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     """
     key = _key(vehicle)
     if key not in _kernels:
-        module = _execute(vehicle, "lanes")
-        names = VehicleKernels.__dataclass_fields__
-        _kernels[key] = VehicleKernels(**{name: getattr(module, name) for name in names})
+        search()
+        module, checks = _execute(vehicle, "lanes"), layout_module_of(vehicle, "checks")
+        functions = np.zeros(FUNCTIONS, np.int64)
+        for number, address in {**module.ADDRESSES, **checks.ADDRESSES}.items():
+            functions[number] = address
+        _kernels[key] = VehicleKernels(module.advance, module.roll_out, functions)
         if vehicle.source:
             _done_marker(vehicle).touch()
     return _kernels[key]
@@ -102,31 +136,85 @@ def step_kernels(vehicle: Vehicle) -> StepKernels:
 
 @dataclass(frozen=True)
 class PolishKernels:
-    """Compiled parts of the local optimisation for one vehicle, see `gauss_newton` and `riccati`."""
+    """Compiled parts of the local optimisation for one vehicle, see `gauss_newton`, `riccati` and `shooting`."""
 
     approximate: Callable[..., None]
     evaluate: Callable[..., float]
     replay: Callable[..., int]
     solve: Callable[..., bool]
+    intervals: int
+    """address of the integration of intervals"""
     block: int
+    """length of its working block"""
 
 
 def polish_kernels(vehicle: Vehicle) -> PolishKernels:
     """Compiled local optimisation of `vehicle`: from this process, else from the cache on disk, else compiled now."""
-    kernels(vehicle)  # parts of them are used
-    steps, solver = (module_of(vehicle, name) for name in ("gauss_newton", "riccati"))
+    shooting = module_of(vehicle, "shooting")
+    steps, solver = (layout_module_of(vehicle, name) for name in ("gauss_newton", "riccati"))
     if vehicle.source:
         _done_marker(vehicle, "polish-complete").touch()
-    return PolishKernels(steps.approximate, steps.evaluate, steps.replay, solver.solve, steps.BLOCK)
+    address = shooting.ADDRESS
+    return PolishKernels(steps.approximate, steps.evaluate, steps.replay, solver.solve, address, shooting.BLOCK)
+
+
+def is_module_cached(vehicle: Vehicle, source: str) -> bool:
+    """Whether `optional_module(vehicle, source)` has or loads machine code instead of compiling it."""
+    loaded = _module_name(_key(vehicle), source) in sys.modules
+    return loaded or (bool(vehicle.source) and _optional_marker(vehicle, source).exists())
+
+
+def optional_module(vehicle: Vehicle, source: str) -> ModuleType:
+    """Module of kernels that few methods use, `rollouts` or `sst`: from this process, the cache, or compiled now."""
+    kernels(vehicle)  # parts of them are used
+    shared = source in FOR_ALL_VEHICLES
+    module = importlib.import_module(f"ompl_ext.kernels.{source}") if shared else module_of(vehicle, source)
+    if vehicle.source:
+        _optional_marker(vehicle, source).touch()
+    return module
+
+
+def _optional_marker(vehicle: Vehicle, source: str) -> Path:
+    return _done_marker(vehicle, f"{source}-complete") if source not in FOR_ALL_VEHICLES else cache_folder() / source
 
 
 def module_of(vehicle: Vehicle, source: str) -> ModuleType:
     """Module of kernels that was executed for a vehicle, or is now."""
-    return sys.modules.get(_module_name(vehicle, source)) or _execute(vehicle, source)
+    return sys.modules.get(_module_name(_key(vehicle), source)) or _execute(vehicle, source)
 
 
-def _module_name(vehicle: Vehicle, source: str) -> str:
-    return f"ompl_ext.{source}_{_key(vehicle).replace('-', '_')}"
+def layout_module_of(vehicle: Vehicle, source: str) -> ModuleType:
+    """Module of kernels that was executed for the layout of a vehicle's state, or is now."""
+    layout = _layout(vehicle)
+    name = _module_name(layout.key, source)
+    module = sys.modules.get(name)
+    if module is None:
+        module = _execute_as(name, source, _layouts_being_compiled, layout)
+        _layout_marker(layout, source).touch()
+    return module
+
+
+def is_layout_cached(vehicle: Vehicle, source: str) -> bool:
+    """Whether `layout_module_of` has or loads machine code instead of compiling it."""
+    return _layout_marker(_layout(vehicle), source).exists()
+
+
+def _layout(vehicle: Vehicle) -> Layout:
+    x, y, theta = (vehicle.index(name) for name in ("x", "y", "theta"))
+    return Layout(len(vehicle.state), len(vehicle.controls), x, y, theta, vehicle.rest_indices)
+
+
+def _layout_marker(layout: Layout, source: str) -> Path:
+    return layout_cache_folder(layout) / f"{source}-complete"
+
+
+def layout_cache_folder(layout: Layout) -> Path:
+    """Folder of the machine code for a layout of the state."""
+    return cache_folder(f"layout_{layout.key}")
+
+
+def _module_name(key: str, source: str) -> str:
+    return f"ompl_ext.{source}_{key.replace('-', '_')}"
 
 
 def _key(vehicle: Vehicle) -> str:
@@ -154,14 +242,17 @@ def _process_folder() -> Path:
 
 
 def _execute(vehicle: Vehicle, source: str) -> ModuleType:
+    return _execute_as(_module_name(_key(vehicle), source), source, _being_compiled, vehicle)
+
+
+def _execute_as(name: str, source: str, being_compiled: list[T], subject: T) -> ModuleType:
     """Execute a file as a separate module: numba's symbols of machine code contain the module's name."""
-    name = _module_name(vehicle, source)
     spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{source}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba imports the module by name when it loads cached code
-    _being_compiled.append(vehicle)
+    being_compiled.append(subject)
     try:
         with interrupts_between_passes():
             spec.loader.exec_module(module)
@@ -169,5 +260,5 @@ def _execute(vehicle: Vehicle, source: str) -> ModuleType:
         del sys.modules[name]
         raise
     finally:
-        _being_compiled.pop()
+        being_compiled.pop()
     return module

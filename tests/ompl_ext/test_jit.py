@@ -1,14 +1,19 @@
-"""Parts of kernels: which of them are compiled once for all vehicles."""
+"""Parts of kernels: which of them are compiled once for all vehicles, and calls by address."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from pathlib import Path
 
-from support.kernels import ROVER
+import numpy as np
+from numba import types
+from support.kernels import BENCHMARK, ROVER
 
-from ompl_ext.jit import cache_folder, inlined
+from ompl_ext.jit import cache_folder, callee, caller, compiled, inlined
 from ompl_ext.kernels import tree
-from ompl_ext.kernels.specialise import kernels
+from ompl_ext.kernels.functions import BRAKE, CHECK, PROPAGATE
+from ompl_ext.kernels.specialise import kernels, layout_module_of
 
 
 def shared(function: object) -> bool:
@@ -20,7 +25,7 @@ def test_only_what_is_the_same_for_every_vehicle_is_shared() -> None:
     kernels(ROVER)
     lanes = next(module for name, module in sys.modules.items() if name.startswith("ompl_ext.lanes_"))
     assert shared(tree.select)
-    assert not shared(lanes.propagate)
+    assert not shared(lanes.integrate_lanes)
     assert not shared(lanes.rk4_step)
     assert not shared(ROVER.derivative)
 
@@ -35,3 +40,30 @@ def test_a_function_from_elsewhere_is_not_shared() -> None:
         return 2.0 * x
 
     assert not shared(inlined(double))
+
+
+def test_a_kernel_calls_whichever_function_is_at_an_address(tmp_path: Path) -> None:
+    signature = types.float64(types.float64, types.float64[::1])
+    call = caller(signature)
+
+    def add(x, values):  # type: ignore[no-untyped-def]
+        return x + values[0]
+
+    def multiply(x, values):  # type: ignore[no-untyped-def]
+        return x * values[0]
+
+    def apply(address, x, values):  # type: ignore[no-untyped-def]
+        return call(address, (x, values))
+
+    kernel = compiled(apply, folder=tmp_path, signature=types.float64(types.int64, types.float64, types.float64[::1]))
+    addresses = [callee(function, tmp_path, signature) for function in (add, multiply)]
+    assert [kernel(address, 3.0, np.array([4.0])) for address in addresses] == [7.0, 12.0]
+
+
+def test_vehicles_with_the_same_layout_of_the_state_share_its_checks_and_nothing_else() -> None:
+    alike, other = replace(BENCHMARK, name="alike", stop=None, manoeuvres=("coast",)), ROVER
+    assert layout_module_of(BENCHMARK, "checks") is layout_module_of(alike, "checks")
+    assert layout_module_of(BENCHMARK, "checks") is not layout_module_of(other, "checks")
+    first, second, third = (kernels(vehicle).functions for vehicle in (BENCHMARK, alike, other))
+    assert first[CHECK] == second[CHECK] != third[CHECK]
+    assert len({f[number] for f in (first, second, third) for number in (PROPAGATE, BRAKE)}) == 6

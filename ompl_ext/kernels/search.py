@@ -1,0 +1,140 @@
+"""The planner's search and single edges, compiled once for all vehicles; see `functions` for what depends on them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+from numba import types
+
+from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix, int64
+from ompl_ext.jit import compiled, inlined, part
+from ompl_ext.kernels import dirt
+from ompl_ext.kernels import functions as at
+from ompl_ext.kernels.clearance import pose_slack
+from ompl_ext.kernels.functions import (  # fmt: skip
+    call_brake,
+    call_check,
+    call_cut,
+    call_cycle_end,
+    call_finish,
+    call_first_safe,
+    call_propagate,
+)
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    CUT_AT_GOAL,
+    FULL,
+    LANES,
+    PROBLEM,
+    RETAINED_EDGES,
+    TREE,
+    Lanes,
+    Maps,
+    Problem,
+    Retained,
+    Tree,
+)
+from ompl_ext.trigonometry import cos, sin
+
+
+@part
+def propagate(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None:
+    """Integrate `lanes` candidate edges from `source`, and compute configuration, cost-to-go and goal of their ends."""
+    call_propagate(problem.functions[at.PROPAGATE], (source, lanes, problem, work))
+    call_finish(problem.functions[at.FINISH], (lanes, problem, work))
+
+
+@part
+def propagate_to_goal(source: Floats, lanes: int, problem: Problem, work: Lanes) -> None:
+    """Integrate candidate edges as `propagate`; where that may matter, edges that pass through the goal end in it."""
+    propagate(source, lanes, problem, work)
+    if problem.option[CUT_AT_GOAL] == 1 and call_cut(problem.functions[at.CUT], (lanes, problem, work)):
+        propagate(source, lanes, problem, work)
+
+
+@inlined
+def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
+    """Smallest spare clearance (m) along an edge, negative if it may collide; within the cycle beyond delta(v)."""
+    if work.slack[lane] < 0.0:
+        return -1.0
+    slack: float = call_check(problem.functions[at.CHECK], (lane, start_time, problem, work))
+    return slack
+
+
+@part
+def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
+    """SAFETY (Alg. 2): number of the first contingency manoeuvre that is safe from `source`, -1 if there is none.
+
+    Afterwards `brake` has the manoeuvres' trajectories and, in its lane's slack, the spare clearance of the safe one.
+    """
+    steps = call_brake(problem.functions[at.BRAKE], (source, problem, brake))
+    number: int = call_first_safe(problem.functions[at.FIRST_SAFE], (steps, problem, brake))
+    return number
+
+
+@part
+def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lanes) -> int:
+    """SAFETY where edge `lane` crosses the end of the cycle."""
+    call_cycle_end(problem.functions[at.CYCLE_END], (lane, start_time, problem, work, brake.source))
+    return brake_from(brake.source, problem, brake)
+
+
+def _grow(
+    tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, retained: Retained, iterations: int
+) -> None:
+    dirt.retain(tree, problem, work, brake, retained, propagate, check, safe)
+    for _ in range(iterations):
+        dirt.visit(tree, problem, work, brake, q, propagate_to_goal, check, safe)
+        if tree.count[FULL] == 1:
+            return
+
+
+def _edge(problem: Problem, work: Lanes, start_time: float) -> None:
+    lane, lanes = int64(0), int64(1)
+    propagate(work.source, lanes, problem, work)
+    work.slack[lane] = check(lane, start_time, problem, work)
+
+
+def _brake(problem: Problem, work: Lanes, brake: Lanes, start_time: float) -> int:
+    if start_time < math.inf:
+        return safe(int64(0), start_time, problem, work, brake)
+    return brake_from(brake.source, problem, brake)
+
+
+def _pose(
+    field: Matrix32,
+    tile: IntMatrix32,
+    squares: Words16Matrix,
+    discs: Matrix,
+    scalar: Floats,
+    x: float,
+    y: float,
+    theta: float,
+) -> float:
+    maps = Maps(discs, field, tile, squares, scalar)  # passing few arrays from Python takes half the time of a Problem
+    return pose_slack(maps, x, y, cos(theta), sin(theta), 0.0)
+
+
+@dataclass(frozen=True)
+class Search:
+    """Compiled search: `grow` adds edges of an earlier plan and visits nodes; single edges, manoeuvres and poses."""
+
+    grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int], None]
+    edge: Callable[[Problem, Lanes, float], None]
+    brake: Callable[[Problem, Lanes, Lanes, float], int]
+    pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
+
+
+@cache
+def search() -> Search:
+    """Compiled search; compiled, or loaded from the cache, on the first call."""
+    floats, matrix, number = types.float64[::1], types.float64[:, ::1], types.float64
+    maps = types.float32[:, ::1], types.int32[:, ::1], types.uint16[:, ::1], matrix, floats
+    return Search(
+        compiled(_grow, signature=types.void(TREE, PROBLEM, LANES, LANES, floats, RETAINED_EDGES, types.int64)),
+        compiled(_edge, signature=types.void(PROBLEM, LANES, number)),
+        compiled(_brake, signature=types.int64(PROBLEM, LANES, LANES, number)),
+        compiled(_pose, signature=number(*maps, number, number, number)),
+    )
