@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -23,8 +23,11 @@ from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
 from ompl_ext.kernels.specialise import (
     are_steps_cached,
     is_cached,
+    is_layout_cached,
+    is_module_cached,
     is_polish_cached,
     kernels,
+    optional_module,
     polish_kernels,
     step_kernels,
 )
@@ -36,6 +39,7 @@ from ompl_ext.vehicle import Footprint, Vehicle
 POLL: Final = 0.05  # s, longest delay of an interrupt
 MAPS: Final = "maps"  # files that mark what is compiled
 HEADING: Final = "heading"
+OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
 
 
 def ensure_compiled(
@@ -45,20 +49,25 @@ def ensure_compiled(
     steps: bool = False,
     heading: bool = False,
     polish: bool = False,
+    modules: Sequence[str] = (),
 ) -> None:
     """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages.
 
     With `steps`, compile the steps of the model too, which identification and the LQR need; with `polish`, the local
-    optimisation of plans; with `heading`, all that goals with a heading need, that among it.
+    optimisation of plans; with `heading`, all that goals with a heading need, that among it.  `modules` names kernels
+    that few methods use, see `optional_module`.
     """
     planner = not is_cached(vehicle)
     maps = not planner and not _marker(MAPS).exists()  # otherwise compiled with the planner
     steps = steps and not are_steps_cached(vehicle)
     polish = (polish or heading) and not is_polish_cached(vehicle)
     heading = heading and not _marker(HEADING).exists()
-    missing = [(f"the planner and the model of {vehicle.name}", 20)] if planner else []
+    known = is_layout_cached(vehicle, "checks"), is_layout_cached(vehicle, "gauss_newton")
+    missing = [(f"the planner and the model of {vehicle.name}", 4 if known[0] else 16)] if planner else []
     missing += [(f"the steps of the model of {vehicle.name}", 2)] if steps else []
-    missing += [(f"the local optimisation for {vehicle.name}", 10)] if polish else []
+    missing += [(f"the local optimisation for {vehicle.name}", 1 if known[1] else 12)] if polish else []
+    others = [name for name in modules if not is_module_cached(vehicle, name)]
+    missing += [(f"{OPTIONAL[name]} for {vehicle.name}", 6) for name in others]
     missing += [("the planner for goals with a heading", 8)] if heading else []
     missing += [("the maps' kernels", 10)] if maps else []
     if not missing:
@@ -73,6 +82,8 @@ def ensure_compiled(
             step_kernels(vehicle)
         if polish:
             polish_kernels(vehicle)
+        for name in others:
+            optional_module(vehicle, name)
         if heading:
             compile_for_headings()
         if maps:

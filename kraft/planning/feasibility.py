@@ -128,23 +128,39 @@ def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[f
     return "is out of bounds"
 
 
-def check_reachable(task: Task, vehicle: Vehicle) -> None:
+def check_reachable(task: Task, vehicle: Vehicle) -> float:
     """Check that a path leads from the task's start to its goal; 15 ms for a map of 4 m by 10 m.
+
+    Returns:
+        Lower bound of the time to the goal: the shortest path of the disc inscribed in the footprint, at top speed (s).
 
     Raises:
         Unreachable: at the goal, if there is none.
     """
+    seconds = geodesic_time(task, vehicle)
+    if not math.isfinite(seconds):
+        expected = "expected a goal that the vehicle can get to"
+        raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected, code=Code.GEOMETRY)])
+    return seconds
+
+
+def geodesic_time(task: Task, vehicle: Vehicle) -> float:
+    """Time of the shortest path at top speed for the disc inscribed in the footprint, s; infinite if there is none."""
     problem = make_problem(
         vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task, vehicle)
     )
-    if not reachable(problem, task.start.x, task.start.y):
-        expected = "expected a goal that the vehicle can get to"
-        raise Unreachable([task.source.diagnostic("goal", UNREACHABLE, expected, code=Code.GEOMETRY)])
+    least = least_time(problem, task.start.x, task.start.y)
+    return least if least < costtogo.UNREACHABLE else math.inf
 
 
 def reachable(problem: Problem, x: float, y: float) -> bool:
     """Whether the disc inscribed in the footprint can move from a point (m) to the goal: necessary, not sufficient."""
+    return least_time(problem, x, y) < costtogo.UNREACHABLE
+
+
+def least_time(problem: Problem, x: float, y: float) -> float:
+    """Least time in which that disc gets from a point (m) to the goal at top speed, s, at the best cell around it."""
     scalar, togo = problem.scalar, problem.togo
     column = math.floor((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5)
     row = math.floor((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5)
-    return bool(togo[row : row + 2, column : column + 2].min() < costtogo.UNREACHABLE)
+    return float(togo[row : row + 2, column : column + 2].min())

@@ -103,7 +103,7 @@ def check_threads(planner: str, threads: int) -> None:
         raise InputError.of_argument("threads", problem, "expected 1, or the planner 'dirt'", Code.CONFLICT)
 
 
-def _dirt_search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
+def _tree_search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
     if previous is not None:
         dirt.retain(previous.plan, previous.elapsed)
     progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds)
@@ -131,5 +131,5 @@ def _ompl_search(name: str) -> Search:
 
 
 _SEARCHES: Final[dict[str, Search]] = {
-    name: _dirt_search if name == "dirt" else _ompl_search(name) for name in PLANNERS
+    name: _tree_search if name in ("dirt", "sst") else _ompl_search(name) for name in PLANNERS
 }

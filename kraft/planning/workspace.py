@@ -75,11 +75,13 @@ def settings_of(task: Task, vehicle: Vehicle) -> Settings:
     """Settings of the planner; those that a scenario does not have keep their defaults."""
     planning = task.planning
     shortest, longest = planning.edge_duration or edge_durations(vehicle)
+    planner = "sst" if planning.planner == "sst" else "dirt"
     return Settings(
+        planner=planner,
         blossom=planning.blossom,
         child_extension=planning.child_extension,
         pruning=planning.pruning,
-        polish=planning.polish,
+        polish=planning.polish and planner == "dirt",
         goal_bias=planning.goal_bias,
         shortest=shortest,
         longest=longest,
