@@ -208,7 +208,7 @@ class Cycle:
 
     `parameters` (np,) are those of the vehicle if they are estimated.  `commitment` is the message to the car,
     `delivered` whether it arrives.  `stopping` is the predicted motion of the contingency on board until standstill;
-    None if the car stays on the plan.
+    None if the car stays on the plan.  `proposed` is whether there was a plan to check.
     """
 
     number: int
@@ -235,6 +235,7 @@ class Cycle:
     stopping: PredictedMotion | None = None
     delivered: bool = True
     parameters: Floats | None = None
+    proposed: bool = True
 
     @property
     def commitment(self) -> Commitment:

@@ -6,8 +6,9 @@ Each file of `configs/methods/` is one row of a results table; a new method need
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 
@@ -76,6 +77,8 @@ class CalibratedBound(StrictModel):
         return self
 
 
+OF_CONTINGENCIES: Final = frozenset({"safety", "bound", "recover", "on_board", "contingencies", "watchdog"})
+"""Settings of a planner that a method without contingencies ignores."""
 RESERVE = 0.2
 """Share of a cycle that real-time planning leaves unused, as in the original system."""
 
@@ -83,6 +86,8 @@ RESERVE = 0.2
 class PlannerSettings(StrictModel):
     """When and how long to plan."""
 
+    type: Literal["dirt", "sst", "geodesic"] = "dirt"
+    """what plans: the tree planners `dirt` or `sst`, or nothing but the path of least cost-to-go, `geodesic`"""
     mode: Literal["one-shot", "replanning"]
     """`one-shot` plans once before it drives, `replanning` in every cycle"""
     cycle: Seconds = 1.0
@@ -113,6 +118,8 @@ class PlannerSettings(StrictModel):
     """a vehicle that rests nearer to an obstacle than `safety` allows may leave with the clearance that it has"""
     on_board: Literal["plan", "contingency"] = "plan"
     """what the car has on board beyond a cycle: the rest of the plan, or the contingency, tracked from its end on"""
+    contingency: bool = True
+    """whether there are contingencies; if not, `safety`, `bound`, `recover` and all about contingencies is ignored"""
     watchdog: Seconds | None = None
     """how old the newest observation may be, or how late a message, before the car itself stops; none: never, s"""
     contingencies: Literal["model", "tracked"] = "model"
@@ -140,8 +147,20 @@ class PlannerSettings(StrictModel):
         """Whether plans need a contingency."""
         return self.safety is not None or self.bound is not None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _without_contingency(cls, content: Any) -> Any:
+        """Leave out what a method without contingencies ignores."""
+        if isinstance(content, Mapping) and content.get("contingency") is False:
+            return {key: value for key, value in content.items() if key not in OF_CONTINGENCIES}
+        return content
+
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.type == "geodesic" and self.mode == "one-shot":
+            raise refuse(
+                "is a path for controllers that replan", "expected `mode: replanning`", ("type",), Code.CONFLICT
+            )
         if self.safety is not None and self.bound is not None:
             raise refuse("replaces `safety`, which is there too", "expected one of them", ("bound",), Code.CONFLICT)
         if self.bound is not None and self.mode == "one-shot":
@@ -223,7 +242,100 @@ class Lqr(StrictModel):
     """time after the end of a reference that errors at its end count for, s"""
 
 
-ControllerSettings = Annotated[OpenLoop | Geometric | Kinodynamic | Lqr, Field(discriminator="kind")]
+class Predictive(StrictModel):
+    """A controller that predicts the vehicle in the map."""
+
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    objective: Literal["goal", "plan"] = "goal"
+    """`goal` drives to the goal by the cost-to-go, `plan` tracks the plan"""
+
+
+class RolloutCost(Predictive):
+    """What controllers that roll out the model minimise."""
+
+    step: Annotated[Seconds, Field(ge=0.005, le=0.5)] = 0.05
+    """step of the rollouts, s"""
+    goal: Positive = 10.0
+    """weight of the time to the goal, 1/s"""
+    collision: Positive = 1000.0
+    """cost of a collision, and up to as much again for an early one"""
+    near: NonNegative = 5.0
+    """weight of being nearer to an obstacle than the margin, 1/s"""
+    margin: NonNegative = 0.05
+    """distance to obstacles, beyond the clearance of contingencies, below which it costs to be near, m"""
+    position: Positive = 0.1
+    """error of the position from the plan that weighs 1, m"""
+    heading_deg: Positive = 20.0
+    """error of the heading from the plan that weighs 1, degrees"""
+    speed: Positive = 0.3
+    """error of the speed from the plan that weighs 1, m/s"""
+
+
+class Mppi(RolloutCost):
+    """Model predictive path integral control: the mean of sampled controls, weighted by the costs of their rollouts."""
+
+    kind: Literal["mppi"]
+    """which controller"""
+    rollouts: Annotated[int, Field(ge=2, le=100_000)] = 1000
+    """number of rollouts of a command"""
+    steps: Annotated[int, Field(ge=1, le=1000)] = 56
+    """steps of a rollout"""
+    iterations: Annotated[int, Field(ge=1, le=100)] = 1
+    """updates of the controls before each command"""
+    temperature: Positive = 0.3
+    """cost by which a rollout is worse that has 1/e of the weight of the best one"""
+    gamma: NonNegative = 0.015
+    """weight of the controls themselves"""
+    spread: Annotated[float, Field(gt=0, le=2)] = 0.25
+    """standard deviation of the samples of a control, as a share of its range"""
+    hold: Annotated[int, Field(ge=1, le=1000)] = 8
+    """steps for which a sample of a control is held"""
+
+
+class Dwa(RolloutCost):
+    """Dynamic window: the best control of a grid, each held over the whole horizon."""
+
+    kind: Literal["dwa"]
+    """which controller"""
+    horizon: Annotated[Seconds, Field(ge=0.05, le=60)] = 2.0
+    """time for which a control is held, s"""
+    samples: Annotated[int, Field(ge=2, le=100)] = 15
+    """values of each control"""
+
+
+class Nmpc(Predictive):
+    """Nonlinear model predictive control with CasADi and IPOPT; its cost is that of errors over time and of changes."""
+
+    kind: Literal["nmpc"]
+    """which controller"""
+    steps: Annotated[int, Field(ge=1, le=200)] = 20
+    """steps of the prediction"""
+    step: Annotated[Seconds, Field(ge=0.01, le=0.5)] = 0.1
+    """step of the prediction, s"""
+    iterations: Annotated[int, Field(ge=1, le=1000)] = 30
+    """largest number of iterations of the optimiser for a command"""
+    discs: Annotated[int, Field(ge=1, le=20)] = 3
+    """number of discs that cover the footprint"""
+    margin: NonNegative = 0.03
+    """distance of the discs to obstacles, beyond the clearance of contingencies, m"""
+    penalty: Positive = 300.0
+    """cost of what is missing of that distance, 1/m"""
+    cruise: Annotated[float, Field(gt=0, le=1)] = 0.9
+    """speed along a path, as a share of the top speed"""
+    position: Positive = 0.1
+    """error of the position that weighs 1, m"""
+    heading_deg: Positive = 30.0
+    """error of the heading that weighs 1, degrees"""
+    speed: Positive = 0.3
+    """error of the speed that weighs 1, m/s"""
+    change: Positive = 1.0
+    """change of a control from step to step that weighs 1, as a share of its range"""
+
+
+ControllerSettings = Annotated[
+    OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc, Field(discriminator="kind")
+]
 
 
 class Latest(StrictModel):
@@ -340,6 +452,11 @@ class Method(StrictModel):
         if self.planner.bound is not None and not isinstance(self.estimator, Adaptive):
             problem = f"needs the uncertainty of the estimate, which the estimator {self.estimator.kind} does not state"
             raise refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
+        heads_for_goal = isinstance(self.controller, Predictive) and self.controller.objective == "goal"
+        if (self.planner.type == "geodesic") != heads_for_goal:
+            problem = "is a path that no vehicle can track" if not heads_for_goal else "plans what nothing tracks"
+            expected = "expected `geodesic` together with a controller that has `objective: goal`"
+            raise refuse(problem, expected, ("planner", "type"), Code.CONFLICT)
         return self
 
     @property

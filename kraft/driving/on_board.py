@@ -34,7 +34,11 @@ class OnBoard:
         """Take a message; a car that the watchdog stops refuses it if it is older than the stop, or poses are."""
         if self.is_stopping and (commitment.decided < self._stopped or self._is_blind(estimate)):
             return
-        self.commitment, self._arrived, self.is_stopping = commitment, estimate.time, False
+        self.mirror(commitment, estimate.time)
+
+    def mirror(self, commitment: Commitment, time: float) -> None:
+        """Have on board what another computer of the car has on board since `time` (s)."""
+        self.commitment, self._arrived, self.is_stopping = commitment, time, False
 
     def reference(self, estimate: Estimate) -> Reference:
         """Reference to track at the time of the estimate."""

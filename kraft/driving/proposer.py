@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kraft.driving.bound import DeviationBound
+from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.stopping import least_slack
@@ -77,7 +78,8 @@ class Solvers:
         goal = goal_of(task)
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
-        search = replace(settings_of(task, vehicle), polish=settings.polish)
+        planner = "sst" if settings.type == "sst" else "dirt"
+        search = replace(settings_of(task, vehicle), polish=settings.polish, planner=planner)
         checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
         clearance = settings.bound or settings.safety
         foresight = clearance.foresight if clearance else 0.0
@@ -145,6 +147,8 @@ class Proposer:
             previous: plan that is executed until then; its remainder is retained.
         """
         began, settings = clock.perf_counter(), self._settings
+        if settings.type == "geodesic":
+            return self._propose_geodesic(root, previous is not None, began)
         radius, rest = self._goal_radius(root), self._rest(previous)
         self._extra = settings.largest_budget - settings.iterations
         last, self._grown, proposal = self._grown, None, Proposal(None)
@@ -167,6 +171,24 @@ class Proposer:
             reason = f"planning took {seconds:.3f} s, longer than the cycle allows"
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
         return replace(proposal, seconds=seconds, missed=missed)
+
+    def _propose_geodesic(self, root: Floats, drives: bool, began: float) -> Proposal:
+        """Path of least cost-to-go; a vehicle that stopped (not `drives`) keeps less of the bound than before.
+
+        Whether the controller finds a safe way is known only when the replanner predicts it.
+        """
+        dirt = self.dirt
+        dirt.set_goal_radius(self._goal_radius(root))
+        if self._bound is not None:
+            self._steady = self._steady + 1 if drives else 0
+            if not drives:
+                self._kept = min(self._kept + 1, len(self._shares) - 1)
+            elif self._steady > STEADY:
+                self._kept, self._steady = max(self._kept - 1, 0), 0
+            self._require(self._bound)
+        plan = geodesic_plan(dirt, root)
+        reason = "" if plan is not None else "no path leads to the goal from the predicted start of the cycle"
+        return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=self._shares[self._kept])
 
     def _goal_radius(self, root: Floats) -> float:
         """Radius of the region to aim for (m), at most half the distance of the vehicle to the goal's centre.

@@ -8,25 +8,46 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control.geometric import GeometricController
 from kraft.driving.control.kinodynamic import KinodynamicController
 from kraft.driving.control.lqr import LqrController, check_controllable
+from kraft.driving.control.nmpc import NmpcController
+from kraft.driving.control.sampling import DwaController, MppiController
+from kraft.driving.control.symbolic import casadi_of
 from kraft.driving.messages import Estimate, Reference
-from kraft.driving.method import Adaptive, Geometric, Kinodynamic, Lqr, Method, OpenLoop
+from kraft.driving.method import (  # fmt: skip
+    Adaptive,
+    Dwa,
+    Geometric,
+    Kinodynamic,
+    Lqr,
+    Method,
+    Mppi,
+    Nmpc,
+    OpenLoop,
+    Predictive,
+)
 from kraft.driving.vehicle_model import VehicleModel
+from kraft.errors import Code, InputError
 from kraft.vehicles import is_car
 from ompl_ext.arrays import Floats
+from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 __all__ = [
     "Controller",
+    "DwaController",
     "GeometricController",
     "KinodynamicController",
     "LqrController",
+    "MppiController",
+    "NmpcController",
     "OpenLoopController",
+    "kernel_modules",
     "make_controller",
+    "needs_map",
     "needs_steps",
     "settings_for",
 ]
 
-Settings: TypeAlias = OpenLoop | Geometric | Kinodynamic | Lqr
+Settings: TypeAlias = OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc
 
 
 def settings_for(settings: Settings, vehicle: Vehicle) -> Settings:
@@ -38,24 +59,74 @@ def settings_for(settings: Settings, vehicle: Vehicle) -> Settings:
 
 def needs_steps(method: Method, vehicle: Vehicle) -> bool:
     """Whether a method identifies or regulates a vehicle by its model, which takes the compiled steps of the model."""
-    return isinstance(method.estimator, Adaptive) or isinstance(settings_for(method.controller, vehicle), Lqr)
+    law = contingency_law(method.controller) if needs_map(method) else method.controller
+    return isinstance(method.estimator, Adaptive) or isinstance(settings_for(law, vehicle), Lqr)
 
 
-def make_controller(settings: Settings, model: VehicleModel) -> Controller:
-    """Make the controller of a method for the vehicle of `model`, see `settings_for`.
+def needs_map(method: Method) -> bool:
+    """Whether the controller of a method predicts the vehicle in the map."""
+    return isinstance(method.controller, Predictive)
+
+
+def kernel_modules(method: Method) -> tuple[str, ...]:
+    """Kernels that a method uses beside those of every method, see `optional_module`."""
+    found = ["rollouts"] if isinstance(method.controller, Mppi | Dwa) else []
+    return (*found, *(["sst"] if method.planner.type == "sst" else []))
+
+
+def check_packages(method: Method) -> None:
+    """Check that the packages are installed that only the controller of this method needs.
 
     Raises:
-        InputError: if feedback from the linearised model cannot control the vehicle.
+        MissingDependency: if one is missing.
     """
-    match settings_for(settings, model.vehicle):
+    if isinstance(method.controller, Nmpc):
+        casadi_of()
+
+
+def contingency_law(settings: Settings) -> Kinodynamic:
+    """Law that tracks contingencies for a controller that has none."""
+    return Kinodynamic(kind="kinodynamic", rate_hz=settings.rate_hz, k_along=3.0)
+
+
+def make_controller(
+    settings: Settings, model: VehicleModel, dirt: DirtSolver | None = None, seed: int = 0
+) -> Controller:
+    """Make the controller of a method for the vehicle of `model`, see `settings_for`.
+
+    Args:
+        settings: of the controller.
+        model: of the vehicle.
+        dirt: solver with map, clearance and goal, for controllers that need them, see `needs_map`.
+        seed: of the samples of a controller that draws some.
+
+    Raises:
+        InputError: if feedback from the linearised model cannot control the vehicle, or a controller needs a map and
+            there is none.
+    """
+    chosen = settings_for(settings, model.vehicle)
+    if isinstance(chosen, Predictive):
+        if dirt is None:
+            problem = f"is {chosen.kind!r}, which needs the map"
+            raise InputError.of_argument(
+                "controller", problem, "expected a controller that tracks plans", Code.CONFLICT
+            )
+        law = make_controller(contingency_law(chosen), model)
+        if isinstance(chosen, Mppi):
+            return MppiController(chosen, model, dirt, law, seed)
+        if isinstance(chosen, Nmpc):
+            return NmpcController(chosen, model, dirt, law)
+        assert isinstance(chosen, Dwa), "the last one"
+        return DwaController(chosen, model, dirt, law)
+    match chosen:
         case OpenLoop():
             return OpenLoopController(model)
         case Lqr() as chosen:
             check_controllable(model)
             return LqrController(chosen, model)
-        case law:
+        case law_of_car:
             assert isinstance(model, CarModel), "laws for cars drive cars"
-            return _law(law, model)
+            return _law(law_of_car, model)
 
 
 def _law(settings: Geometric | Kinodynamic, model: CarModel) -> Controller:

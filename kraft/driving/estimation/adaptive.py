@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
+from scipy.optimize import nnls
 
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
@@ -24,7 +26,7 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.settings import Noise
-from kraft.vehicles.config import FORCE, GRAVITY
+from kraft.vehicles.config import FORCE, GRAVITY, load_vehicle_config
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -75,6 +77,7 @@ class AdaptiveEstimator:
         Raises:
             InputError: if the vehicle states no ranges of its parameters.
         """
+        settings = with_identified_drift(settings, model.vehicle)
         self._settings, self._model = settings, model
         parameters = online_parameters(model.vehicle, settings)
         self._noise = NoiseEstimate.of(settings)
@@ -184,6 +187,24 @@ class AdaptiveEstimator:
         covariance = identified.covariance[np.ix_(force, force)] / felt**2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
+
+
+def with_identified_drift(settings: Adaptive, vehicle: Vehicle) -> Adaptive:
+    """Settings with at least the drifts that the errors of held-out drives in the vehicle's file show.
+
+    A random walk of the position by `drift` and one of the speed by `speed_drift` lead to the variance
+    drift^2 t + speed_drift^2 t^3 / 3 along the vehicle.  The drives at the speed with the largest errors count.
+    """
+    record = load_vehicle_config(Path(vehicle.file)).identification if vehicle.file else None
+    drift, heading, speed = settings.drift, settings.heading_drift_deg, settings.speed_drift
+    for errors in record.by_speed if record is not None else ():
+        after, variance = np.array(errors.after), np.maximum(np.square(errors.along), np.square(errors.across))
+        terms = np.column_stack([after, after**3 / 3.0])
+        scale = 1.0 / np.maximum(variance, 1e-12)
+        position, moving = np.sqrt(nnls(terms * scale[:, None], variance * scale)[0])
+        drift, speed = max(drift, float(position)), max(speed, float(moving))
+        heading = max(heading, math.degrees(math.sqrt(float(np.mean(np.square(errors.yaw) / after)))))
+    return settings.model_copy(update={"drift": drift, "heading_drift_deg": heading, "speed_drift": speed})
 
 
 def stated_spread(vehicle: Vehicle) -> Matrix:

@@ -1,0 +1,222 @@
+"""Nonlinear model predictive control with CasADi and IPOPT: follows the path of least cost-to-go, or tracks a plan.
+
+Every command solves an optimal control problem by multiple shooting with the vehicle's own derivative.  Each disc of
+the footprint has to stay in a half-plane of free space at each step: the distance to obstacles, linearised along the
+last solution.  A contingency is tracked by the law of the other methods.
+
+Andersson, Gillis, Horn, Rawlings, Diehl: CasADi, 2019.  Waechter, Biegler: On the implementation of an interior-point
+filter line-search algorithm for large-scale nonlinear programming, 2006.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any, Final, Self
+
+import numpy as np
+
+from kraft.driving.control.sampling import Law, moved
+from kraft.driving.control.symbolic import casadi_of, symbolic_derivative
+from kraft.driving.geodesic import interpolated
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
+from kraft.driving.method import Nmpc
+from kraft.driving.vehicle_model import VehicleModel
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.clearance import cover
+from ompl_ext.solver import DirtSolver
+
+FAR: Final = 3.0
+"""Distance beyond which obstacles are not looked for, m."""
+TOLERANCE: Final = 1e-3
+"""Relative tolerance of the optimum."""
+
+
+class NmpcController:
+    """Solves a problem for each command and sends its first control."""
+
+    def __init__(self, settings: Nmpc, model: VehicleModel, dirt: DirtSolver, law: Law) -> None:
+        """Make the solver once; `law` tracks contingencies.
+
+        Raises:
+            MissingDependency: if CasADi is missing.
+            InputError: if the vehicle's derivative cannot be written as an expression.
+        """
+        self._settings, self._model, self._dirt, self._law = settings, model, dirt, law
+        self._discs = cover(model.vehicle.footprint, settings.discs).discs
+        self._problem = _Problem(settings, model, self._discs[:, :2])
+        self._states: Matrix | None = None
+        self._controls = np.tile(model.rest, (settings.steps, 1))
+        self._time = 0.0
+        self._arc_length = 0.0
+        self._reference: Reference | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Copy the last solution and the law; share the solver, the model and the map."""
+        result = copy.copy(self)
+        result._law = copy.deepcopy(self._law, memo)
+        return result
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) at the estimate's time."""
+        if reference.kind is ReferenceKind.CONTINGENCY:
+            self._states = None
+            return self._law.command(estimate, reference)
+        controls, _ = self.solve(estimate, reference)
+        return self._model.clamped(controls[0])
+
+    def solve(self, estimate: Estimate, reference: Reference) -> tuple[Matrix, float]:
+        """Controls (steps, nu) from the estimate on, and their cost."""
+        targets = self._targets(estimate, reference)
+        states, controls = self._guess(estimate)
+        planes = self._planes(states[1:])
+        states, controls, cost = self._problem.solve(
+            estimate.state, self._model.parameters, targets, planes, states, controls, self._controls[0]
+        )
+        self._states, self._controls, self._time = states, controls, estimate.time
+        return controls, cost
+
+    def _guess(self, estimate: Estimate) -> tuple[Matrix, Matrix]:
+        """States (steps + 1, nx) and controls (steps, nu) of the last solution, moved to the time of the estimate."""
+        settings, model = self._settings, self._model
+        if self._states is None or not self._time <= estimate.time < self._time + 1.0:
+            controls = np.tile(model.rest, (settings.steps, 1))
+        else:
+            controls = moved(self._controls, (estimate.time - self._time) / settings.step)
+        states = [np.asarray(estimate.state, dtype=float)]
+        for control in controls:
+            states.append(model.advance(states[-1], control, settings.step))
+        return np.array(states), controls
+
+    def _targets(self, estimate: Estimate, reference: Reference) -> Matrix:
+        """Targets (steps, 4) after each step: x, y, heading, speed.
+
+        A plan is tracked in time.  A path is followed from the point that is nearest to the vehicle on.
+        """
+        settings, model = self._settings, self._model
+        ahead = settings.step * np.arange(1, settings.steps + 1)
+        x, y, v = (reference.states[:, k] for k in (model.x, model.y, model.v))
+        theta = np.unwrap(reference.states[:, model.theta])
+        if settings.objective == "plan":
+            along, wanted = reference.times, estimate.time + ahead
+            speeds = np.where(wanted <= reference.end, np.interp(wanted, along, v), 0.0)
+        else:
+            along = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y)).cumsum()])
+            away = np.hypot(x - estimate.state[model.x], y - estimate.state[model.y])
+            cruise = settings.cruise * model.vehicle.top_speed
+            wanted = along[int(away.argmin())] + cruise * ahead
+            speeds = np.full(len(ahead), cruise)
+        return np.column_stack([*(np.interp(wanted, along, each) for each in (x, y, theta)), speeds])
+
+    def _planes(self, states: Matrix) -> Floats:
+        """Half-planes (steps, discs, 3) that the discs' centres stay in: normal and least distance along it."""
+        model, scalar = self._model, self._dirt.problem.scalar
+        c, s = np.cos(states[:, model.theta]), np.sin(states[:, model.theta])
+        ahead, aside, radius = self._discs[:, 0], self._discs[:, 1], self._discs[:, 2]
+        x = states[:, model.x, None] + ahead * c[:, None] - aside * s[:, None]
+        y = states[:, model.y, None] + ahead * s[:, None] + aside * c[:, None]
+        cell = 1.0 / float(scalar[at.GRID_INVERSE])
+        dx = (self._distance(x + cell, y) - self._distance(x - cell, y)) / (2.0 * cell)
+        dy = (self._distance(x, y + cell) - self._distance(x, y - cell)) / (2.0 * cell)
+        slope = np.maximum(np.hypot(dx, dy), 1e-6)
+        required = radius + self._settings.margin + float(scalar[at.DELTA])
+        spare = np.minimum(self._distance(x, y), FAR) - required
+        nx, ny = dx / slope, dy / slope
+        return np.stack([nx, ny, nx * x + ny * y - spare], axis=2)
+
+    def _distance(self, x: Floats, y: Floats) -> Floats:
+        """Lower bound of the distance of points to obstacles, interpolated (m)."""
+        problem = self._dirt.problem
+        return interpolated(problem, problem.field, x, y)
+
+
+class _Problem:
+    """Nonlinear program of one vehicle, with everything that changes between commands as its parameters."""
+
+    def __init__(self, settings: Nmpc, model: VehicleModel, centres: Matrix) -> None:
+        """`centres` (discs, 2) of the discs, in the frame of the body (m)."""
+        ca = casadi_of()
+        nx, nu, np_, n = len(model.vehicle.state), len(model.low), len(model.parameters), settings.steps
+        self._sizes, self._model = (nx, nu, n), model
+        step = _runge_kutta(ca, symbolic_derivative(model.vehicle), nx, nu, np_, settings.step)
+        states, controls, lack = ca.SX.sym("x", nx, n), ca.SX.sym("u", nu, n), ca.SX.sym("s", n)
+        start, parameters = ca.SX.sym("x0", nx), ca.SX.sym("p", np_)
+        targets, planes, last = ca.SX.sym("r", 4, n), ca.SX.sym("h", 3 * len(centres), n), ca.SX.sym("v", nu)
+        weights = np.array([settings.position, math.radians(settings.heading_deg), settings.speed]) ** -2.0
+        change = (settings.change * (model.high - model.low)) ** -2.0
+        cost, motion, free = 0.0, [], []
+        for k in range(n):
+            before = start if k == 0 else states[:, k - 1]
+            after, control = states[:, k], controls[:, k]
+            motion.append(after - step(before, control, parameters))
+            error = after[[model.x, model.y]] - targets[:2, k]
+            turned = after[model.theta] - targets[2, k]
+            cost += settings.step * weights[0] * ca.sumsqr(error)
+            cost += settings.step * weights[1] * (2.0 - 2.0 * ca.cos(turned))
+            cost += settings.step * weights[2] * (after[model.v] - targets[3, k]) ** 2
+            difference = control - (last if k == 0 else controls[:, k - 1])
+            cost += ca.sum1(change * difference**2)
+            cost += settings.penalty * (lack[k] + 10.0 * lack[k] ** 2)
+            c, s = ca.cos(after[model.theta]), ca.sin(after[model.theta])
+            for d, (ahead, aside) in enumerate(centres.tolist()):
+                x, y = after[model.x] + ahead * c - aside * s, after[model.y] + ahead * s + aside * c
+                free.append(planes[3 * d, k] * x + planes[3 * d + 1, k] * y - planes[3 * d + 2, k] + lack[k])
+        variables = ca.vertcat(ca.vec(states), ca.vec(controls), lack)
+        given = ca.vertcat(start, parameters, ca.vec(targets), ca.vec(planes), last)
+        options = {
+            "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE,
+            "ipopt.max_iter": settings.iterations, "ipopt.mu_init": 1e-2, "ipopt.acceptable_tol": 10.0 * TOLERANCE,
+            "ipopt.acceptable_iter": 3,
+        }  # fmt: skip
+        program = {"x": variables, "f": cost, "g": ca.vertcat(*motion, *free), "p": given}
+        self._solver = ca.nlpsol("nmpc", "ipopt", program, options)
+        low = np.concatenate([np.full(nx * n, -np.inf), np.tile(model.low, n), np.zeros(n)])
+        high = np.concatenate([np.full(nx * n, np.inf), np.tile(model.high, n), np.full(n, np.inf)])
+        zeros = np.zeros(nx * n)
+        self._bounds = {
+            "lbx": low, "ubx": high, "lbg": np.concatenate([zeros, np.zeros(len(free))]),
+            "ubg": np.concatenate([zeros, np.full(len(free), np.inf)]),
+        }  # fmt: skip
+
+    def solve(
+        self,
+        start: Floats,
+        parameters: Floats,
+        targets: Matrix,
+        planes: Floats,
+        states: Matrix,
+        controls: Matrix,
+        last: Floats,
+    ) -> tuple[Matrix, Matrix, float]:
+        """States (steps + 1, nx), controls (steps, nu) and cost of the optimum near the given ones.
+
+        The guess follows the model.  If the optimiser fails, its controls are kept.
+        """
+        nx, nu, n = self._sizes
+        found = self._solver(
+            x0=np.concatenate([states[1:].ravel(), controls.ravel(), np.zeros(n)]),
+            p=np.concatenate([start, parameters, targets.ravel(), planes.ravel(), last]),
+            **self._bounds,
+        )
+        values = np.asarray(found["x"]).ravel()
+        if not np.all(np.isfinite(values)):
+            return states, controls, math.inf
+        solved = values[: nx * n].reshape(n, nx)
+        chosen = values[nx * n : (nx + nu) * n].reshape(n, nu)
+        return np.vstack([states[:1], solved]), chosen, float(found["f"])
+
+
+def _runge_kutta(ca: Any, derivative: Any, nx: int, nu: int, np_: int, h: float) -> Any:
+    """CasADi function of state, control and parameters: state after a step of `h` s."""
+    x, u, p = ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", np_)
+
+    def rate(state: Any) -> Any:
+        return derivative(state, u, p)
+
+    one = rate(x)
+    two = rate(x + 0.5 * h * one)
+    three = rate(x + 0.5 * h * two)
+    four = rate(x + h * three)
+    after = x + h / 6.0 * (one + 2.0 * two + 2.0 * three + four)
+    return ca.Function("step", [x, u, p], [after])

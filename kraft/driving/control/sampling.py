@@ -1,0 +1,173 @@
+"""Controllers that choose a control by rollouts of the vehicle's model in the map: MPPI and the dynamic window.
+
+They drive while the reference is a plan; a contingency is tracked by the law of the other methods, so that all methods
+have the same one.  Model, clearance and cost-to-go are those of the planner.
+
+Williams, Drews, Goldfain, Rehg, Theodorou: Information-theoretic model predictive control, T-RO 2018.
+Fox, Burgard, Thrun: The dynamic window approach to collision avoidance, 1997.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
+from kraft.driving.method import Dwa, Mppi, RolloutCost
+from kraft.driving.vehicle_model import VehicleModel, stop_control
+from ompl_ext.arrays import Floats, Floats32Cube, Matrix
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.specialise import optional_module
+from ompl_ext.solver import DirtSolver
+
+
+class Law(Protocol):
+    """Controller that tracks contingencies."""
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) at the estimate's time."""
+
+
+class Rollouts:
+    """Costs of rollouts of a vehicle's model in the map of a solver."""
+
+    def __init__(self, dirt: DirtSolver, model: VehicleModel, cost: RolloutCost, precision: Floats) -> None:
+        """`precision` (nu,) is one over the variance of the noise on each control."""
+        module = optional_module(model.vehicle, "rollouts")
+        self._costs, self._block = module.roll_out_costs, np.zeros(module.BLOCK)
+        self._dirt, self._model, self._precision = dirt, model, precision
+        self._follows = cost.objective == "plan"
+        self._step = cost.step
+        self._weights = np.zeros(at.ROLLOUT_WEIGHTS)
+        self._weights[[at.ROLLOUT_STEP, at.ROLLOUT_COLLISION]] = cost.step, cost.collision
+        self._weights[[at.ROLLOUT_NEAR, at.ROLLOUT_MARGIN]] = cost.near, cost.margin
+        if self._follows:
+            errors = cost.position, math.radians(cost.heading_deg), cost.speed
+            self._weights[[at.ROLLOUT_POSITION, at.ROLLOUT_HEADING, at.ROLLOUT_SPEED]] = np.array(errors) ** -2.0
+        else:
+            self._weights[at.ROLLOUT_GOAL] = cost.goal
+
+    def costs(
+        self, estimate: Estimate, reference: Reference, nominal: Matrix, noise: Floats32Cube, gamma: float = 0.0
+    ) -> Floats:
+        """Costs (n,) of the controls `nominal` (steps, nu) + `noise` (steps, nu, n), which is cut to the bounds."""
+        self._weights[at.ROLLOUT_GAMMA] = gamma
+        found = np.empty(noise.shape[2])
+        problem, parameters = self._dirt.problem, self._model.parameters
+        followed = self._followed(estimate.time, reference, len(nominal)) if self._follows else np.zeros((0, 5))
+        self._costs(
+            np.ascontiguousarray(estimate.state, dtype=np.float64), nominal, noise, followed, self._weights,
+            self._precision, problem._replace(parameters=parameters), self._block, found,
+        )  # fmt: skip
+        return found
+
+    def _followed(self, time: float, reference: Reference, steps: int) -> Matrix:
+        """Reference (steps, 5) after each step: x, y, cosine and sine of the heading, speed."""
+        model, times = self._model, time + self._step * np.arange(1, steps + 1)
+        x, y, v = (np.interp(times, reference.times, reference.states[:, k]) for k in (model.x, model.y, model.v))
+        theta = np.interp(times, reference.times, np.unwrap(reference.states[:, model.theta]))
+        v[times > reference.end] = 0.0
+        return np.column_stack([x, y, np.cos(theta), np.sin(theta), v])
+
+
+class MppiController:
+    """Model predictive path integral control: the mean of sampled controls, weighted by the costs of their rollouts."""
+
+    def __init__(self, settings: Mppi, model: VehicleModel, dirt: DirtSolver, law: Law, seed: int) -> None:
+        """`law` tracks contingencies; the samples depend on `seed` alone."""
+        self._settings, self._model, self._law = settings, model, law
+        self._deviation = settings.spread * (model.high - model.low)
+        self._rollouts = Rollouts(dirt, model, settings, self._deviation**-2.0)
+        self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed % 2**63, 0x3991])))
+        self._nominal = self._at_rest()
+        self._time: float | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Copy the plan of controls, the random generator and the law; share the model and the map."""
+        result = copy.copy(self)
+        result._nominal, result._random = self._nominal.copy(), copy.deepcopy(self._random, memo)
+        result._law = copy.deepcopy(self._law, memo)
+        return result
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) at the estimate's time."""
+        if reference.kind is ReferenceKind.CONTINGENCY:
+            self._time = None
+            return self._law.command(estimate, reference)
+        settings = self._settings
+        self._shift(estimate.time)
+        for _ in range(settings.iterations):
+            noise = self._noise()
+            costs = self._rollouts.costs(estimate, reference, self._nominal, noise, settings.gamma)
+            self._nominal = self._model.clamped(updated(self._nominal, noise, costs, settings.temperature))
+        first: Floats = self._nominal[0].copy()
+        return first
+
+    def _noise(self) -> Floats32Cube:
+        """Samples (steps, nu, rollouts) of what is added to the controls, each held for some steps."""
+        settings = self._settings
+        size = (-(-settings.steps // settings.hold), len(self._deviation), settings.rollouts)
+        drawn = self._random.standard_normal(size, dtype=np.float32)
+        drawn *= self._deviation.astype(np.float32)[None, :, None]
+        noise: Floats32Cube = np.repeat(drawn, settings.hold, axis=0)[: settings.steps]
+        return np.ascontiguousarray(noise)
+
+    def _at_rest(self) -> Matrix:
+        return np.tile(self._model.rest, (self._settings.steps, 1))
+
+    def _shift(self, time: float) -> None:
+        """Move the controls to `time` (s), with the last one held; begin with those at rest after a contingency."""
+        if self._time is None or time < self._time - 1e-9:
+            self._nominal = self._at_rest()
+        else:
+            self._nominal = moved(self._nominal, (time - self._time) / self._settings.step)
+        self._time = time
+
+
+def moved(controls: Matrix, steps: float) -> Matrix:
+    """Controls (n, nu) after some steps, between samples interpolated; the last one is held."""
+    rows = np.arange(len(controls))
+    return np.column_stack([np.interp(rows + steps, rows, column) for column in controls.T])
+
+
+def updated(nominal: Matrix, noise: Floats32Cube, costs: Floats, temperature: float) -> Matrix:
+    """Controls (steps, nu) plus the mean of `noise` (steps, nu, n), weighted by the costs (n,) of its rollouts."""
+    weights = np.exp((costs.min() - costs) / temperature)
+    result: Matrix = nominal + noise @ (weights / weights.sum()).astype(np.float32)
+    return result
+
+
+class DwaController:
+    """Dynamic window: the best of the controls that are held over the whole horizon, each checked for collisions."""
+
+    def __init__(self, settings: Dwa, model: VehicleModel, dirt: DirtSolver, law: Law) -> None:
+        """`law` tracks contingencies."""
+        self._model, self._law = model, law
+        self._rollouts = Rollouts(dirt, model, settings, np.ones(len(model.low)))
+        self._collision = settings.collision
+        samples = [np.linspace(low, high, settings.samples) for low, high in zip(model.low, model.high, strict=True)]
+        self._controls = np.array(list(itertools.product(*samples)))
+        steps = max(1, round(settings.horizon / settings.step))
+        self._nominal = np.zeros((steps, len(model.low)))
+        self._arcs = np.repeat(self._controls.T[None].astype(np.float32), steps, axis=0)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Copy the law; the arcs never change."""
+        result = copy.copy(self)
+        result._law = copy.deepcopy(self._law, memo)
+        return result
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) at the estimate's time; if every arc collides, that of the first stopping manoeuvre."""
+        if reference.kind is ReferenceKind.CONTINGENCY:
+            return self._law.command(estimate, reference)
+        costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs.copy())
+        best = int(costs.argmin())
+        if costs[best] >= self._collision:
+            return self._model.clamped(stop_control(self._model.vehicle, estimate.state, 0))
+        chosen: Floats = self._controls[best].copy()
+        return chosen

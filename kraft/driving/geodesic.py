@@ -1,0 +1,98 @@
+"""Path of least cost-to-go as a plan, for controllers that make their own way: no vehicle model, nothing is checked."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from kraft.planning.workspace import pose_of
+from ompl_ext.arrays import Floats, Matrix, Matrix32
+from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.costtogo import UNREACHABLE
+from ompl_ext.kernels.kernel_types import Problem
+from ompl_ext.plan import Plan
+from ompl_ext.solver import DirtSolver
+
+STRIDE: Final = 3.0
+"""Length of a step of the descent, cells."""
+DIRECTIONS: Final = 48
+"""Directions that a step of the descent tries."""
+SMOOTHED: Final = 9
+"""Samples of the path that its smoothed positions are the means of."""
+
+
+def geodesic_plan(dirt: DirtSolver, root: Floats) -> Plan | None:
+    """Path from `root` (nx,) down the cost-to-go to the goal at top speed; None if no path leads there.
+
+    Its controls are those at rest: a path has none.
+    """
+    points = descended(dirt, *pose_of(root, dirt.vehicle)[:2])
+    if points is None:
+        return None
+    vehicle = dirt.vehicle
+    steps = np.diff(points, axis=0)
+    lengths = np.hypot(*steps.T)
+    durations = lengths / vehicle.top_speed
+    times: Floats = np.concatenate([[0.0], durations.cumsum()])
+    states = np.zeros((len(points), len(vehicle.state)))
+    states[:, [vehicle.index("x"), vehicle.index("y")]] = points
+    if vehicle.index("theta") >= 0 and len(steps):
+        heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+        states[:, vehicle.index("theta")] = np.append(heading, heading[-1])
+    if vehicle.rest_indices:
+        states[:, vehicle.rest_indices[0]] = vehicle.top_speed
+    states[0] = root
+    controls = np.zeros((len(durations), len(vehicle.controls)))
+    return Plan(
+        states=states, controls=controls, durations=durations, times=times, trajectory=states,
+        cost=float(times[-1]), cost_to_go=0.0, reaches_goal=True, contingency=None,
+    )  # fmt: skip
+
+
+def descended(dirt: DirtSolver, x: float, y: float) -> Matrix | None:
+    """Points (n, 2) from (x, y) to the goal region down the cost-to-go; None if it is infinite there."""
+    scalar = dirt.problem.scalar
+    stride, angles = STRIDE / float(scalar[at.GRID_INVERSE]), np.arange(DIRECTIONS) * math.tau / DIRECTIONS
+    around = stride * np.column_stack([np.cos(angles), np.sin(angles)])
+    goal, radius = scalar[[at.GOAL_X, at.GOAL_Y]], float(scalar[at.GOAL_RADIUS])
+    point, points = np.array([x, y]), [np.array([x, y])]
+    left = _seconds(dirt, point[None])[0]
+    if left >= UNREACHABLE:
+        return None
+    while math.dist(point, goal) > radius + stride:
+        candidates = point + around
+        seconds = _seconds(dirt, candidates)
+        best = int(seconds.argmin())
+        if seconds[best] >= left:
+            break  # within a cell of the goal region as the cost-to-go knows it
+        point, left = candidates[best], float(seconds[best])
+        points.append(point)
+    points.append(np.array(goal))
+    return _smoothed(np.array(points))
+
+
+def _smoothed(points: Matrix) -> Matrix:
+    """Points with each inner one the mean of its neighbours, both ends where they are."""
+    reach = SMOOTHED // 2
+    rows = [np.minimum(reach, np.minimum(k, len(points) - 1 - k)) for k in range(len(points))]
+    return np.array([points[k - r : k + r + 1].mean(axis=0) for k, r in enumerate(rows)])
+
+
+def interpolated(problem: Problem, grid: Matrix32, x: Floats, y: Floats) -> Floats:
+    """Values of a grid with the cells of a problem's field at points, bilinear; that of the border beyond it."""
+    scalar = problem.scalar
+    u = ((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5).clip(0.0, grid.shape[1] - 2.0)
+    v = ((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5).clip(0.0, grid.shape[0] - 2.0)
+    column, row = u.astype(int), v.astype(int)
+    u, v = u - column, v - row
+    low = grid[row, column] * (1.0 - u) + grid[row, column + 1] * u
+    high = grid[row + 1, column] * (1.0 - u) + grid[row + 1, column + 1] * u
+    found: Floats = low * (1.0 - v) + high * v
+    return found
+
+
+def _seconds(dirt: DirtSolver, points: Matrix) -> Floats:
+    """Cost-to-go (n,) at points (n, 2) (s)."""
+    return interpolated(dirt.problem, dirt.problem.togo, points[:, 0], points[:, 1])

@@ -1,0 +1,185 @@
+"""NMPC: expressions equal the derivatives they were made from, and its optimum is that of a search over all controls."""
+
+from __future__ import annotations
+
+import builtins
+import copy
+import functools
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.diagnostics import raised
+from support.replanner import mushr, start, turns
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.control import make_controller
+from kraft.driving.control.nmpc import NmpcController
+from kraft.driving.control.symbolic import symbolic_derivative
+from kraft.driving.geodesic import geodesic_plan
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
+from kraft.driving.method import Kinodynamic, Nmpc, PlannerSettings
+from kraft.driving.proposer import Solvers
+from kraft.driving.stopping import contingency_reference, plan_reference
+from kraft.errors import Code, MissingDependency
+from kraft.planning.workspace import pose_of
+from kraft.vehicles.benchmark import BENCHMARK
+from kraft.vehicles.car import CAR, CAR_LAG
+from kraft.vehicles.f1tenth import F1TENTH
+from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.mushr import MUSHR, MUSHR_FORCE
+from kraft.vehicles.unicycle2 import JACKAL, UNICYCLE2
+from ompl_ext.kernels.specialise import step_kernels
+from ompl_ext.vehicle import Vehicle
+
+casadi = pytest.importorskip("casadi")
+
+
+@functools.cache
+def solvers() -> Solvers:
+    return Solvers.of(turns(), mushr(), PlannerSettings(mode="replanning", type="geodesic"))
+
+
+@functools.cache
+def model() -> CarModel:
+    return CarModel(mushr())
+
+
+def nmpc(settings: Nmpc) -> NmpcController:
+    controller = make_controller(settings, model(), solvers().checking)
+    assert isinstance(controller, NmpcController)
+    return controller
+
+
+MODELS = (MUSHR, MUSHR_FORCE, F1TENTH, JACKAL, UNICYCLE2, BENCHMARK, CAR, CAR_LAG)
+
+
+@pytest.mark.parametrize("vehicle", MODELS, ids=lambda each: each.name)
+def test_the_expression_of_every_bundled_model_is_its_derivative(vehicle: Vehicle) -> None:
+    random = np.random.default_rng(1)
+    x, u, p = (casadi.SX.sym(*of) for of in (
+        ("x", len(vehicle.state)), ("u", len(vehicle.controls)), ("p", len(vehicle.parameter_array)),
+    ))  # fmt: skip
+    expression = casadi.Function("f", [x, u, p], [symbolic_derivative(vehicle)(x, u, p)])
+    low, high = vehicle.control_bounds.T
+    for _ in range(10):
+        state, control = random.normal(size=len(vehicle.state)), random.uniform(low, high)
+        parameters = tuple(vehicle.parameter_array.tolist())
+        inputs: Any = tuple(control.tolist())
+        if vehicle.actuation is not None:
+            inputs = vehicle.actuation.py_func(inputs, parameters)  # type: ignore[attr-defined]
+        expected = vehicle.derivative.py_func(tuple(state.tolist()), inputs, parameters)  # type: ignore[attr-defined]
+        found = np.asarray(expression(state, control, vehicle.parameter_array)).ravel()
+        assert found == pytest.approx(np.array(expected), abs=1e-9)
+
+
+BRANCHING = """from ompl_ext import Footprint, Vehicle, cos, derivative, sin
+
+
+@derivative
+def motion(x, u, p):
+    push = u[0]
+    if x[3] > 0.5:
+        push = 0.0
+    return x[3] * cos(x[2]), x[3] * sin(x[2]), u[1], push - x[3]
+
+
+BRANCHING = Vehicle(
+    name="branching", derivative=motion, state=("x", "y", "theta", "v"), top_speed=1.0,
+    controls={"throttle": (0.0, 1.0), "steering": (-1.0, 1.0)}, footprint=Footprint(0.4, 0.2),
+)
+"""
+
+
+def test_a_derivative_that_branches_by_statements_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "branching.py").write_text(BRANCHING)
+    vehicle = load_vehicle(f"{tmp_path / 'branching.py'}:BRANCHING")
+    (problem,) = raised(lambda: symbolic_derivative(vehicle))
+    assert problem.code is Code.MISMATCH
+
+
+def test_without_casadi_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    imported = builtins.__import__
+
+    def refused(name: str, *arguments: Any, **named: Any) -> Any:
+        if name == "casadi":
+            raise ImportError(name)
+        return imported(name, *arguments, **named)
+
+    monkeypatch.setattr(builtins, "__import__", refused)
+    with pytest.raises(MissingDependency, match=r"kraft\[mpc\]"):
+        nmpc(Nmpc(kind="nmpc"))
+
+
+def straight(speed: float) -> Reference:
+    """Plan that turns left a little in free space, at a constant speed."""
+    times = np.linspace(0.0, 2.0, 41)
+    theta = math.pi / 2 + 0.3 * times
+    x = 1.2 + speed / 0.3 * (np.sin(theta) - 1.0)
+    y = -0.3 - speed / 0.3 * np.cos(theta)
+    states = np.column_stack([x, y, theta, np.full(41, speed)])
+    return Reference(ReferenceKind.PLAN, times, states, np.zeros((40, 2)), np.zeros(2))
+
+
+def test_the_optimum_is_that_of_a_search_over_all_controls() -> None:
+    """Two steps of 0.2 s: each of the two controls takes 15 values in each step."""
+    settings = Nmpc(kind="nmpc", objective="plan", steps=2, step=0.2, iterations=100, margin=0.0)
+    plan, state = straight(0.4), np.array([1.25, -0.32, math.pi / 2, 0.3])
+    controls, cost = nmpc(settings).solve(Estimate(0.0, state, 0.0), plan)
+    grids = [np.linspace(low, high, 15) for low, high in zip(model().low, model().high, strict=True)]
+    tried = np.array(list(itertools.product(*grids, *grids))).reshape(-1, 2, 2)
+    searched = costs_of(settings, plan, state, tried)
+    own = costs_of(settings, plan, state, controls[None])
+    assert own[0] == pytest.approx(cost, abs=2e-3)
+    assert cost <= searched.min() + 1e-6
+    assert cost == pytest.approx(searched.min(), abs=0.03 * np.median(searched))
+    best = tried[searched.argmin()]
+    assert np.all(np.abs(controls - best) <= 1.5 * (model().high - model().low) / 14)
+
+
+def costs_of(settings: Nmpc, plan: Reference, state: Any, controls: Any) -> Any:
+    """Costs (n,) of controls (n, steps, nu) in free space, from the definition."""
+    kernels, count = step_kernels(mushr()), len(controls)
+    states = np.empty((settings.steps + 1, count, 4))
+    kernels.simulate(
+        np.tile(state, (count, 1)), np.ascontiguousarray(controls.transpose(1, 0, 2)),
+        np.tile(model().parameters, (count, 1)), np.full(count, settings.step), np.zeros(kernels.block), states,
+    )  # fmt: skip
+    total, last = np.zeros(count), np.tile(model().rest, (count, 1))
+    for k in range(settings.steps):
+        after, wanted = states[k + 1], plan.state_at(settings.step * (k + 1))
+        total += settings.step * ((after[:, :2] - wanted[:2]) ** 2).sum(axis=1) / settings.position**2
+        turned = 2.0 - 2.0 * np.cos(after[:, 2] - wanted[2])
+        total += settings.step * turned / math.radians(settings.heading_deg) ** 2
+        total += settings.step * (after[:, 3] - wanted[3]) ** 2 / settings.speed**2
+        total += (((controls[:, k] - last) / (settings.change * (model().high - model().low))) ** 2).sum(axis=1)
+        last = controls[:, k]
+    return total
+
+
+def test_it_follows_the_path_around_the_first_obstacle_and_copies_send_the_same() -> None:
+    controller, state = nmpc(Nmpc(kind="nmpc")), start()
+    plan = geodesic_plan(solvers().checking, state)
+    assert plan is not None
+    path = plan_reference(mushr(), plan, 0.0)
+    for k in range(45):
+        now = Estimate(k / 7.5, state, 0.0)
+        foreseen = copy.deepcopy(controller).command(now, path)
+        command = controller.command(now, path)
+        assert np.array_equal(foreseen, command)
+        state = model().advance(state, command, 1 / 7.5)
+        assert solvers().checking.exact.distance(*pose_of(state, mushr())) > 0.0
+    assert state[1] > 2.0
+
+
+def test_a_contingency_is_tracked_by_the_law_of_the_other_methods() -> None:
+    moving = np.array([1.0, 0.2, math.pi / 2, 0.5])
+    safe = solvers().checking.contingency(moving, 0.0)
+    assert safe is not None
+    stop = contingency_reference(mushr(), safe)
+    law = make_controller(Kinodynamic(kind="kinodynamic", k_along=3.0), model())
+    now = Estimate(0.2, moving + np.array([0.02, 0.1, 0.05, 0.0]), 0.0)
+    assert np.array_equal(nmpc(Nmpc(kind="nmpc")).command(now, stop), law.command(now, stop))

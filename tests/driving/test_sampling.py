@@ -1,0 +1,224 @@
+"""MPPI and the dynamic window: costs are those of the model in the map, updates are the published ones."""
+
+from __future__ import annotations
+
+import copy
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.diagnostics import raised
+from support.replanner import drive, mushr, start, turns
+
+from kraft.driving.car_model import CarModel
+from kraft.driving.control import make_controller
+from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, updated
+from kraft.driving.geodesic import geodesic_plan
+from kraft.driving.messages import Estimate, Reference, ReferenceKind
+from kraft.driving.method import Clearance, Dwa, Kinodynamic, Mppi, PlannerSettings, load_method
+from kraft.driving.proposer import Solvers
+from kraft.driving.replanner import Replanner
+from kraft.driving.stopping import contingency_reference, plan_reference
+from kraft.errors import Code, InputError
+from kraft.planning.workspace import pose_of
+from ompl_ext.arrays import Floats
+
+GEODESIC = PlannerSettings(mode="replanning", type="geodesic")
+SMALL = Mppi(kind="mppi", rollouts=64, steps=20)
+MOVING = np.array([1.0037, 0.2041, 1.56, 0.5])  # not on the border of cells
+
+
+@cache
+def solvers() -> Solvers:
+    return Solvers.of(turns(), mushr(), GEODESIC)
+
+
+@cache
+def model() -> CarModel:
+    return CarModel(mushr())
+
+
+def way(state: Floats) -> Reference:
+    plan = geodesic_plan(solvers().checking, state)
+    assert plan is not None
+    return plan_reference(mushr(), plan, 0.0)
+
+
+def mppi(settings: Mppi = SMALL, seed: int = 1) -> MppiController:
+    controller = make_controller(settings, model(), solvers().checking, seed)
+    assert isinstance(controller, MppiController)
+    return controller
+
+
+def test_the_update_is_that_of_pytorch_mppi() -> None:
+    """Two steps, two controls, four samples on fixed noise, cut to bounds of [-0.3, 0.5] and [-0.3, 0.4].
+
+    The costs and the expected controls were computed with pytorch-mppi 0.9.1 and torch 2.15.0: dynamics x + 0.1 u from
+    (0, 0), running cost |x - (1, 0.5)|^2, noise_sigma diag(0.25, 0.09), lambda_ 0.5.  Its weight of the controls in the
+    costs is lambda_, which is gamma here.
+    """
+    nominal, low, high = np.array([[0.1, -0.2], [0.3, 0.0]]), np.array([-0.3, -0.3]), np.array([0.5, 0.4])
+    noise = np.array(
+        [[[0.5, -0.5, 0.25, 0.0], [0.1, 0.2, -0.3, 0.0]], [[-0.25, 0.5, 0.0, 0.75], [0.4, -0.1, 0.2, -0.2]]]
+    )
+    bounded = np.clip(nominal[:, :, None] + noise, low[None, :, None], high[None, :, None]) - nominal[:, :, None]
+    costs = np.zeros(4)
+    for k in range(4):
+        x = np.zeros(2)
+        for t in range(2):
+            x = x + 0.1 * (nominal[t] + bounded[t, :, k])
+            costs[k] += ((x - [1.0, 0.5]) ** 2).sum() + 0.5 * (nominal[t] * bounded[t, :, k] / [0.25, 0.09]).sum()
+    assert costs == pytest.approx([2.095413888888889, 2.3491777777777774, 2.507561111111111, 2.5457], abs=1e-12)
+    expected = [[0.20987261929007056, -0.12784968375231587], [0.2802456522375464, 0.1415049380442719]]
+    assert updated(nominal, bounded.astype(np.float32), costs, 0.5) == pytest.approx(np.array(expected), abs=1e-7)
+
+
+def rolled_out(settings: Mppi, start: Floats, nominal: Floats, noise: Floats, precision: Floats) -> float:
+    """Cost of one rollout, from the definition: the model step by step, clearances in the map, the cost-to-go."""
+    car, dirt, cost, state = model(), solvers().checking, 0.0, start.copy()
+    assert dirt.goal is not None
+    for t in range(len(nominal)):
+        control = car.clamped(nominal[t] + noise[t])
+        cost += settings.gamma * float((precision * nominal[t] * (control - nominal[t])).sum())
+        state = car.advance(state, control, settings.step)
+        x, y, theta = pose_of(state, mushr())
+        row, column = (int(v) for v in (np.array([y, x]) - dirt.problem.scalar[[14, 13]]) * dirt.problem.scalar[15])
+        whole = float(dirt.problem.field[row, column]) - mushr().footprint.reach  # of the disc around the body
+        clear = max(float(dirt.clearances(np.array([[x, y, theta]]))[0]), whole)
+        if clear < 0.0:
+            return cost + settings.collision * (1.0 + (len(nominal) - t) / len(nominal))
+        cost += settings.near * settings.step * max(1.0 - clear / settings.margin, 0.0) ** 2
+        cost += settings.goal * settings.step
+        if math.dist((x, y), dirt.goal.center) < dirt.problem.scalar[24]:
+            return cost
+    dirt.start(state)
+    togo: float = dirt.tree_arrays.value[0, 7]
+    return cost + settings.goal * togo
+
+
+def test_costs_are_those_of_the_model_in_the_map() -> None:
+    settings, precision = Mppi(kind="mppi", steps=30), np.array([4.0, 9.0])
+    random = np.random.default_rng(5)
+    nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
+    noise = np.repeat(random.normal(0.0, 0.3, (1, 2, 50)), 30, axis=0).astype(np.float32)
+    given = noise.astype(float)
+    found = Rollouts(solvers().checking, model(), settings, precision).costs(
+        Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, noise, settings.gamma
+    )
+    expected = [rolled_out(settings, MOVING, nominal, given[:, :, k], precision) for k in range(50)]
+    assert found == pytest.approx(expected, rel=1e-3)
+    assert max(found) > settings.collision > min(found)
+    assert np.all(nominal[:, 0, None] + noise[:, 0] <= 1.0 + 1e-6)
+
+
+def test_a_copy_sends_the_same_commands_and_leaves_the_controller_as_it_is() -> None:
+    one, two = mppi(), mppi()
+    commands = []
+    for controller in (one, two):
+        state, sent = MOVING.copy(), []
+        for k in range(4):
+            if controller is one:
+                ahead = copy.deepcopy(one)
+                foreseen = ahead.command(Estimate(k / 30, state, 0.0), way(MOVING))
+            sent.append(controller.command(Estimate(k / 30, state, 0.0), way(MOVING)))
+            if controller is one:
+                assert np.array_equal(foreseen, sent[-1])
+            state = model().advance(state, sent[-1], 1 / 30)
+        commands.append(np.array(sent))
+    assert np.array_equal(*commands)
+    assert not np.array_equal(commands[0][0], mppi(seed=2).command(Estimate(0.0, MOVING, 0.0), way(MOVING)))
+
+
+@pytest.mark.parametrize("settings", [Mppi(kind="mppi", rollouts=200), Dwa(kind="dwa")], ids=lambda each: each.kind)
+def test_it_drives_around_the_first_obstacle(settings: Mppi | Dwa) -> None:
+    controller, state = make_controller(settings, model(), solvers().checking), start()
+    reference = way(state)
+    for k in range(8 * 15):
+        state = model().advance(state, controller.command(Estimate(k / 15, state, 0.0), reference), 1 / 15)
+        assert solvers().checking.exact.distance(*pose_of(state, mushr())) > 0.0
+    assert state[1] > 2.2
+
+
+def test_the_window_stops_where_every_arc_collides() -> None:
+    controller = make_controller(Dwa(kind="dwa"), model(), solvers().checking)
+    assert isinstance(controller, DwaController)
+    facing = np.array([0.5, 0.75, math.pi / 2, 0.6])  # 5 cm from the box
+    assert controller.command(Estimate(0.0, facing, 0.0), way(start()))[0] == 0.0
+
+
+@pytest.mark.parametrize("settings", [SMALL, Dwa(kind="dwa")], ids=lambda each: each.kind)
+def test_a_contingency_is_tracked_by_the_law_of_the_other_methods(settings: Mppi | Dwa) -> None:
+    safe = solvers().checking.contingency(MOVING, 0.0)
+    assert safe is not None
+    stop = contingency_reference(mushr(), safe)
+    law = make_controller(Kinodynamic(kind="kinodynamic", k_along=3.0), model())
+    controller = make_controller(settings, model(), solvers().checking)
+    off = Estimate(0.2, MOVING + np.array([0.02, 0.1, 0.05, 0.0]), 0.0)
+    assert np.array_equal(controller.command(off, stop), law.command(off, stop))
+
+
+def test_without_a_map_it_is_refused() -> None:
+    (problem,) = raised(lambda: make_controller(SMALL, model()))
+    assert problem.code is Code.CONFLICT
+
+
+SAFE = Clearance(delta=0.05, delta_per_speed=0.25)
+
+
+@pytest.mark.parametrize("kind", ["goal", "plan"])
+def test_what_is_committed_keeps_the_clearance_and_has_a_way_to_stop(kind: str) -> None:
+    planner = PlannerSettings(
+        mode="replanning", type="geodesic" if kind == "goal" else "dirt", iterations=300, safety=SAFE
+    )
+    solvers = Solvers.of(turns(), mushr(), planner)
+    settings = Mppi(kind="mppi", rollouts=64, objective=kind)  # type: ignore[arg-type]
+    controller = make_controller(settings, model(), solvers.checking)
+    subject = Replanner(solvers, planner, controller, 0, period=1 / 30)
+    cycles = drive(subject, 5)
+    assert cycles[0].kind == ReferenceKind.PLAN
+    for cycle in cycles:
+        assert cycle.contingency is not None
+        if cycle.kind == ReferenceKind.PLAN:
+            assert cycle.predicted.slack >= 0.0
+
+
+METHOD = """name: mine
+title: Mine
+planner: {mode: replanning, type: geodesic, safety: {delta: 0.05}, recover: true, on_board: contingency}
+controller: {kind: mppi}
+"""
+
+
+def test_contingencies_are_switched_off_by_one_key(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(METHOD.replace("mode:", "contingency: false, mode:"))
+    planner = load_method(tmp_path / "m.yaml").planner
+    assert (planner.is_safe, planner.safety, planner.recover, planner.on_board) == (False, None, False, "plan")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("kind: mppi", "kind: kinodynamic", "planner.type"),
+        ("type: geodesic, ", "", "planner.type"),
+        ("kind: mppi", "kind: mppi, objective: plan", "planner.type"),
+        ("mode: replanning", "mode: one-shot", "planner.type"),
+        ("kind: mppi", "kind: mppi, rollouts: 1", "controller.rollouts"),
+    ],
+)
+def test_a_planner_and_a_controller_that_do_not_fit_are_refused(old: str, new: str, place: str, tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(METHOD.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        load_method(tmp_path / "m.yaml")
+    assert place in [each.path for each in caught.value.diagnostics]
+
+
+def test_the_geodesic_leads_to_the_goal_and_keeps_the_inscribed_disc_free() -> None:
+    plan = geodesic_plan(solvers().checking, start())
+    assert plan is not None
+    goal = solvers().checking.goal
+    assert goal is not None
+    assert plan.trajectory[-1][:2] == pytest.approx(goal.center)
+    assert plan.cost * mushr().top_speed == pytest.approx(9.25 * 0.6228, abs=0.3)
+    assert not solvers().checking.is_occupied(plan.trajectory[:, :2]).any()
