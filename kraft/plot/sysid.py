@@ -17,7 +17,9 @@ from kraft.plot.sysid_panels import (
     draw_correlation,
     draw_error_over_time,
     draw_histogram,
+    draw_models,
     draw_parameters,
+    draw_trials,
     draw_windows,
     fit_panels,
     median_error_log,
@@ -35,18 +37,22 @@ from kraft.plot.sysid_style import (
 )
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit
-from kraft.sysid.result import Identification
+from kraft.sysid.result import Identification, PartFit
 from kraft.text import counted
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from kraft.logs.log import Log
+    from kraft.logs.log import Log, Part
 
 WIDTH: Final = 11.5
 SIDE: Final = 3.1  # width of the parts at the left and at the right
 MATRIX: Final = 2.1
 GAP: Final = 0.75
 ROWS: Final = (2.9, 3.3, 2.7)
+CHOICE: Final = 1.7
+"""Height of the choice of the model; below it are the names of terms."""
+NAMES: Final = 0.8
+"""Height of the names of terms, which are turned."""
 
 
 def plot_identification(
@@ -82,6 +88,9 @@ def compose(
     for height in ROWS:
         tops.append(top)
         top += height + GAP
+    if result.trials or result.models:
+        tops.append(top)
+        top += CHOICE + NAMES
     floor = Rectangle(LEFT, tops[0], SIDE - 0.5, ROWS[0])
     page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
     figure = Figure(figsize=(page.width, page.height))
@@ -90,6 +99,8 @@ def compose(
     _draw_data(figure, page, floor, split, result, tops[0])
     _draw_fit(figure, page, tops[1], vehicle, split, result)
     _draw_prediction(figure, page, tops[2], evaluation)
+    if result.trials or result.models:
+        _draw_choice(figure, page, tops[3], result)
     return figure
 
 
@@ -137,11 +148,9 @@ def _draw_fit(
 ) -> None:
     log = most_excited_log(split.fitted)
     fit = next(found for found in result.logs if found.name == log.name)
-    number = int(np.argmax([len(part.pose_times) for part in fit.parts]))
-    shown = fit.parts[number]
-    part = next(
-        p for p in log.parts if p.pose_times[0] <= shown.pose_times[0] and p.pose_times[-1] >= shown.pose_times[-1]
-    )
+    longest = max(fit.parts, key=lambda part: len(part.pose_times))
+    part = next(p for p in log.parts if _within(longest, p))
+    shown = _joined(sorted((f for f in fit.parts if _within(f, part)), key=lambda f: float(f.times[0])))
     left = Rectangle(LEFT, top + 0.1, WIDTH - LEFT - RIGHT - SIDE - 0.6, ROWS[1] - 0.1)
     caption(figure, page, Rectangle(LEFT, top - 0.07, 1, 1), ((f"Fit of {log.name}", INK),))
     draw_stack(figure, page, left, fit_panels(vehicle, result, part, shown))
@@ -155,6 +164,39 @@ def _draw_fit(
         draw_histogram(page.axes(figure, part_of_page), values, sigma, unit)
         words = ((f"Residuals, {title}", INK), ("all fitted logs", DATA), ("as their noise", INK))
         caption(figure, page, part_of_page, words)
+
+
+def _within(fit: PartFit, part: Part) -> bool:
+    """Whether a fit is of some poses of a part."""
+    return bool(part.pose_times[0] <= fit.pose_times[0] and part.pose_times[-1] >= fit.pose_times[-1])
+
+
+def _joined(fits: Sequence[PartFit]) -> PartFit:
+    """Fits of the windows of a part as one."""
+    held = [np.vstack([fit.controls, fit.controls[-1:]]) for fit in fits]
+    names = ("times", "states", "pose_times", "poses", "fitted", "weights")
+    return PartFit(
+        controls=np.concatenate(held)[:-1],
+        **{name: np.concatenate([getattr(fit, name) for fit in fits]) for name in names},
+    )
+
+
+def _draw_choice(figure: Figure, page: Page, top: float, result: Identification) -> None:
+    """Draw the errors of structures and of models on logs that they were not fitted to."""
+    width = WIDTH - LEFT - RIGHT - SIDE - 1.1 if result.models else WIDTH - LEFT - RIGHT
+    if result.trials:
+        part = Rectangle(LEFT, top, width, CHOICE)
+        colours = draw_trials(page.axes(figure, part), result.trials)
+        words = [
+            (f"Choice of terms of {result.trials[0].model}: error on logs not fitted, without one after another", INK),
+            *colours,
+        ]
+        caption(figure, page, part, words)
+    if result.models:
+        part = Rectangle(WIDTH - RIGHT - SIDE, top, SIDE, 0.28 * len(result.models))
+        draw_models(page.axes(figure, part), result.models)
+        after = max(result.models[0].errors)
+        caption(figure, page, part, (("Choice of the model", INK), (f"error after {after:g} s, cm", INK)))
 
 
 def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: PredictionEvaluation) -> None:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from kraft.plot.page import DOTS, HELD, Curve, Page, Panel, Rectangle
+from kraft.plot.page import DOTS, HELD, ColouredText, Curve, Page, Panel, Rectangle
 from kraft.plot.style import GREY, INK, LABEL, RULE, SMALL, WARNING, Style, plain_number, text_width
 from kraft.plot.sysid_logs import held_command, speeds
 from kraft.plot.sysid_style import DATA, IDENTIFIED, INITIAL, draw_message, draw_paths, plain_axes, set_floor_limits
-from kraft.sysid.result import Identification, ParameterEstimate, PartFit
+from kraft.sysid.result import Identification, ModelTrial, ParameterEstimate, PartFit
+from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
@@ -160,6 +162,63 @@ def draw_histogram(axes: Axes, residuals: Floats, sigma: float, unit: str) -> No
     axes.set_yticks([])
     axes.set_xlim(-edge, edge)
     axes.set_xlabel(unit, labelpad=1)
+
+
+def draw_trials(axes: Axes, trials: Sequence[ModelTrial]) -> list[ColouredText]:
+    """Draw the errors by time of each structure, in the order in which they were tried; return the key of the times."""
+    at, found = np.arange(len(trials)), list[ColouredText]()
+    for share, after in enumerate(sorted(trials[0].errors)):
+        colour = (DATA, INK, IDENTIFIED)[min(share, 2)]
+        errors = 100.0 * np.array([trial.errors[after] for trial in trials])
+        for model in {trial.model: None for trial in trials}:
+            own = [k for k, trial in enumerate(trials) if trial.model == model]
+            axes.plot(at[own], errors[own], ".-", color=colour, linewidth=1.2, markersize=4.0)
+        chosen = [k for k, trial in enumerate(trials) if trial.chosen]
+        axes.plot(at[chosen], errors[chosen], "o", color=colour, markersize=8.0, markerfacecolor="none")
+        found.append((f"{after:g} s", colour))
+    found.append(("ring: chosen", INK))
+    plain_axes(axes)
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(10.0, (1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_xticks(
+        at,
+        [_tried(trials, k) for k in range(len(trials))],
+        rotation=35,
+        ha="right",
+        rotation_mode="anchor",
+        fontsize=SMALL,
+    )
+    axes.set_xlim(-0.5, len(trials) - 0.5)
+    axes.grid(color=RULE, linewidth=0.4)
+    axes.set_ylabel("cm", labelpad=1)
+    return found
+
+
+def _tried(trials: Sequence[ModelTrial], k: int) -> str:
+    """What tells a structure from the one before."""
+    if k == 0:
+        return counted(len(trials[k].terms), "term")
+    if trials[k].model != trials[0].model:
+        return trials[k].model
+    names = trials[k].without.split(", ")
+    return names[0] if len(names) == 1 else f"{len(names)} idle ones"
+
+
+def draw_models(axes: Axes, models: Sequence[ModelTrial]) -> None:
+    """Draw the errors of models at the longest time."""
+    after = max(models[0].errors)
+    errors = [100.0 * model.errors[after] for model in models]
+    colours = [IDENTIFIED if model.chosen else DATA for model in models]
+    axes.barh(range(len(models)), errors, height=0.6, color=colours)
+    for k, error in enumerate(errors):
+        axes.text(error, k, f" {plain_number(float(f'{error:.3g}'))}", va="center", fontsize=SMALL)
+    axes.set_yticks(range(len(models)), [model.model for model in models], fontsize=SMALL)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.2 * max(errors))
+    axes.set_xticks([])
+    axes.spines[["top", "right", "bottom"]].set_visible(False)
 
 
 def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -> None:

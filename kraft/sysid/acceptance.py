@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kraft.sysid.prediction import Window, constant_windows, predict_windows, window_errors
+from kraft.sysid.prediction import HORIZONS, Window, constant_windows, predict_windows, window_errors
 from kraft.sysid.result import CORRELATION_INDISTINGUISHABLE
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
 
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -23,6 +24,7 @@ from kraft.sysid.result import Identification, PredictionErrors, correlations
 from kraft.sysid.settings import Settings
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
+from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 SIMILAR_ERROR_RATIO: Final = 1.01
@@ -33,6 +35,10 @@ EXCESSIVE_ERROR_RATIO: Final = 1.5
 """Ratio of position errors from which the identified values are rejected.  Values from five logs of the bundled car,
 beside initial values from forty, are up to 1.2 times worse by chance.  A test of the scatter between windows would also
 reject small but steady differences, and needs more windows than a few held-out logs have."""
+
+
+SPEED_CLASSES, CLASS_WINDOWS_MIN = 3, 10
+"""Most classes of speeds for prediction errors, and the least number of windows in one of several."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,58 @@ class PredictionEvaluation:
     fitted: PredictionPair
     held_out: PredictionPair | None
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SpeedErrors:
+    """Root mean square prediction errors (horizons,) of windows with similar speeds, along the vehicle and across."""
+
+    speeds: tuple[float, float]
+    """lowest and highest mean speed of the windows, m/s"""
+    windows: int
+    after: tuple[float, ...]
+    """s"""
+    along: tuple[float, ...]
+    """m"""
+    across: tuple[float, ...]
+    """m"""
+    yaw: tuple[float, ...]
+    """rad"""
+
+
+def errors_by_speed(windows: Sequence[Window]) -> tuple[SpeedErrors, ...]:
+    """Errors of windows of a second or more, in classes of equally many from slow to fast; in one if there are few."""
+    long = [w for w in windows if _reached(w, HORIZONS[0]) is not None]
+    if not long:
+        return ()
+    paths = np.array([np.hypot(*np.diff(w.poses[:, :2], axis=0).T).sum() for w in long])
+    speeds: Floats = paths / np.array([w.times[-1] - w.times[0] for w in long])
+    order = np.argsort(speeds, kind="stable")
+    classes = np.array_split(order, min(SPEED_CLASSES, max(1, len(long) // CLASS_WINDOWS_MIN)))
+    return tuple(_speed_errors([long[k] for k in own], speeds[own]) for own in classes)
+
+
+def _reached(window: Window, after: float) -> int | None:
+    """Index of the pose `after` s after the beginning of a window; None if there is none."""
+    since = np.abs(window.times - window.times[0] - after)
+    k = int(np.argmin(since))
+    return k if since[k] <= 0.75 * float(np.median(np.diff(window.times))) else None
+
+
+def _speed_errors(windows: Sequence[Window], speeds: Floats) -> SpeedErrors:
+    """Errors of windows with similar speeds (windows,), as far as they reach."""
+    errors = {}
+    for after in HORIZONS:
+        found = [(w, k) for w in windows if (k := _reached(w, after)) is not None]
+        off = np.array([w.predicted[k] - w.poses[k] for w, k in found]).reshape(-1, 3)
+        yaw = np.array([w.poses[k, 2] for w, k in found])
+        along = off[:, 0] * np.cos(yaw) + off[:, 1] * np.sin(yaw)
+        across = off[:, 1] * np.cos(yaw) - off[:, 0] * np.sin(yaw)
+        if found:
+            errors[after] = np.sqrt(np.mean(np.square([along, across, off[:, 2]]), axis=1))
+    along, across, turned = (tuple(map(float, each)) for each in zip(*errors.values(), strict=True))
+    extremes = float(speeds.min()), float(speeds.max())
+    return SpeedErrors(extremes, len(windows), tuple(errors), along, across, turned)
 
 
 def evaluate_predictions(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -18,6 +19,10 @@ from scipy.linalg import solve_banded
 from kraft.sysid.chains import Segment
 from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Ints, Matrix
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Part
+
 
 LAG_MIN = 1e-6
 """Lag below which a control counts as immediate, s."""
@@ -36,6 +41,7 @@ class ActuatorModel:
             [k for name in ("delay", f"delay_{control}") if (k := parameters.auxiliary_index(name)) >= 0]
             for control in self._controls
         ]
+        self._drives = _drives(segments)
         self._last: tuple[bytes, Matrix, Floats] | None = None
         self._lags = [parameters.auxiliary_index(f"lag_{control}") for control in self._controls]
         self._dead_bands = [parameters.auxiliary_index(f"dead_band_{control}") for control in self._controls]
@@ -53,36 +59,76 @@ class ActuatorModel:
     def _mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         total = sum(s.steps for s in self._stretches)
         means, slopes = np.empty((total, len(self._controls))), np.zeros((total, len(self._controls), self._size))
-        at = 0
-        for segment in self._stretches:
-            rows = slice(at, at + segment.steps)
+        for drive in self._drives:
             for k in range(len(self._controls)):
-                means[rows, k] = self._one(segment, k, rho, slopes[rows, k])
-            at += segment.steps
+                found = self._one(drive, k, rho)
+                means[drive.rows, k] = found.values
+                for j, slope in found.slopes.items():
+                    slopes[drive.rows, k, j] = slope
         return means, slopes
 
-    def _one(self, segment: Segment, k: int, rho: Floats, slopes: Floats) -> Floats:
-        """Means of one control of one segment; the derivatives are written to `slopes` (steps, np)."""
-        times, values = segment.part.command_times, segment.part.commands[:, k]
-        before = self._rest[k] if segment.resting else values[0]
-        values = np.concatenate([[before], values])
+    def _one(self, drive: _Drive, k: int, rho: Floats) -> _Acting:
+        """Means of one control in the steps of all segments of a drive."""
+        times, values = drive.part.command_times, drive.part.commands[:, k]
+        before = self._rest[k] if drive.resting else values[0]
+        values, slopes = np.concatenate([[before], values]), {}
         if (j := self._dead_bands[k]) >= 0:
             signs = np.where(np.abs(values) > rho[j], np.sign(values), 0.0)
-            slopes[:, j] = -self._means(segment, times, signs, k, rho).values
+            slopes[j] = -self._means(drive, times, signs, k, rho).values
             values = signs * (np.abs(values) - rho[j])
-        means = self._means(segment, times, values, k, rho)
-        slopes[:, self._delays[k]] = -means.by_time[:, None]
+        means = self._means(drive, times, values, k, rho)
+        slopes |= dict.fromkeys(self._delays[k], -means.by_time)
         if (j := self._lags[k]) >= 0:
-            slopes[:, j] = means.by_lag
-        return means.values
+            slopes[j] = means.by_lag
+        return _Acting(means.values, slopes)
 
-    def _means(self, segment: Segment, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
-        """Means over the steps of a segment of control k, delayed and lagged, with derivatives."""
+    def _means(self, drive: _Drive, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
+        """Means of control k over the steps of a drive, delayed and lagged, with derivatives."""
         delays, lag = self._delays[k], self._lags[k]
-        at = segment.times - sum(float(rho[j]) for j in delays)
+        begin = drive.begin - sum(float(rho[j]) for j in delays)
         if not delays and lag < 0:
-            return box_means(times, values, at, segment.h)
-        return hat_means(times, values, at, segment.h, float(rho[lag]) if lag >= 0 else 0.0)
+            return box_means(times, values, begin, drive.h)
+        return hat_means(times, values, begin, drive.h, float(rho[lag]) if lag >= 0 else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """The n steps of all segments of one part that begin alike: their signals are integrated together."""
+
+    part: Part
+    resting: bool
+    rows: Ints
+    """(n,) indices of the steps among all"""
+    begin: Floats
+    """(n,) s"""
+    h: Floats
+    """(n,) durations, s"""
+
+
+def _drives(segments: Sequence[Segment]) -> list[_Drive]:
+    """Steps of some segments by part, and by whether no control acted before its first command."""
+    first = np.concatenate([[0], np.cumsum([s.steps for s in segments])])
+    alike: dict[tuple[int, bool], list[int]] = {}
+    for i, segment in enumerate(segments):
+        alike.setdefault((id(segment.part), segment.resting), []).append(i)
+    return [
+        _Drive(
+            segments[own[0]].part,
+            resting,
+            np.concatenate([np.arange(first[i], first[i + 1]) for i in own]),
+            np.concatenate([segments[i].times[:-1] for i in own]),
+            np.concatenate([np.full(segments[i].steps, segments[i].h) for i in own]),
+        )
+        for (_, resting), own in alike.items()
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Acting:
+    """Means (n,) of one control in the steps of a drive, and their derivatives by index of rho."""
+
+    values: Floats
+    slopes: dict[int, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,17 +153,17 @@ class _Integrals:
     twice_by_lag: Floats
 
 
-def box_means(times: Floats, values: Floats, at: Floats, h: float) -> Means:
-    """Means between neighbouring times `at`, `h` apart, of a signal without lag that has values[i] before times[i]."""
-    found = _integrals(times, values, at, 0.0)
-    return Means(*(np.diff(each) / h for each in (found.once, found.now, found.once_by_lag)))
+def box_means(times: Floats, values: Floats, begin: Floats, h: Floats) -> Means:
+    """Means over steps of h (n,) s from `begin` (n,), of a signal without lag that has values[i] before times[i]."""
+    found = _integrals(times, values, np.concatenate([begin, begin + h]), 0.0)
+    return Means(*(np.diff(each.reshape(2, -1), axis=0)[0] / h for each in (found.once, found.now, found.once_by_lag)))
 
 
-def hat_means(times: Floats, values: Floats, at: Floats, h: float, lag: float) -> Means:
-    """Means weighted with a hat function that reaches half a step beyond the interval; `lag` is in s."""
-    middle = at[0] + h * (np.arange(len(at) + 1) - 0.5)
-    found = _integrals(times, values, middle, lag)
-    return Means(*(np.diff(each, 2) / h**2 for each in (found.twice, found.once, found.twice_by_lag)))
+def hat_means(times: Floats, values: Floats, begin: Floats, h: Floats, lag: float) -> Means:
+    """Means weighted with a hat function that reaches half a step beyond each step; `lag` is in s."""
+    found = _integrals(times, values, np.concatenate([begin - 0.5 * h, begin + 0.5 * h, begin + 1.5 * h]), lag)
+    signals = (found.twice, found.once, found.twice_by_lag)
+    return Means(*(np.diff(each.reshape(3, -1), 2, axis=0)[0] / h**2 for each in signals))
 
 
 def _integrals(times: Floats, values: Floats, at: Floats, lag: float) -> _Integrals:

@@ -22,6 +22,7 @@ from kraft.vehicles.config import (
 )
 from kraft.vehicles.load import configured
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -98,7 +99,8 @@ def load_base_vehicle(reference: str) -> BaseVehicle:
         if split_file(model) is not None:
             model = resolve_vehicle(model, Path(config.source.file).parent)
         base = BaseVehicle(reference, config, configured(config), model)
-    check_functions(base.vehicle, reference)
+    if not (base.vehicle.source and are_steps_cached(base.vehicle)):  # they were checked before they were compiled
+        check_functions(base.vehicle, reference)
     return base
 
 

@@ -148,14 +148,13 @@ class DiscreteModel:
     def __init__(self, vehicle: Vehicle) -> None:
         """Load or compile the steps."""
         self._kernels = step_kernels(vehicle)
-        self._block = np.zeros(self._kernels.block)
         self.nx, self.nu, self.np = len(vehicle.state), len(vehicle.controls), len(vehicle.parameter_array)
         self._control_change = DIFFERENCE_STEP * np.ptp(vehicle.control_bounds, axis=1)
 
     def step(self, x: Matrix, u: Matrix, p: Floats, h: Floats) -> Matrix:
         """States (n, nx) after steps of `h` (n,) s from `x` (n, nx) with controls `u` (n, nu) held."""
         after = np.empty_like(x)
-        self._kernels.linearise(x, u, p, h, np.empty(0), self._block, after, np.empty((0, 0, 0)))
+        self._kernels.linearise(x, u, p, h, np.empty(0), self._block(), after, np.empty((0, 0, 0)))
         return after
 
     def linearise(self, x: Matrix, u: Matrix, p: Floats, h: Floats) -> tuple[Matrix, Floats]:
@@ -164,11 +163,15 @@ class DiscreteModel:
             [np.full(self.nx, DIFFERENCE_STEP), self._control_change, DIFFERENCE_STEP * np.maximum(np.abs(p), 0.05)]
         )
         after, jacobian = np.empty_like(x), np.zeros((len(x), self.nx, len(change)))
-        self._kernels.linearise(x, u, p, h, change, self._block, after, jacobian)
+        self._kernels.linearise(x, u, p, h, change, self._block(), after, jacobian)
         return after, jacobian
 
     def simulate(self, start: Matrix, u: Floats, p: Matrix, h: Floats) -> Floats:
         """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu), `p` (m, np), `h` (m,)."""
         states = np.empty((len(u) + 1, *start.shape))
-        self._kernels.simulate(start, u, p, h, self._block, states)
+        self._kernels.simulate(start, u, p, h, self._block(), states)
         return states
+
+    def _block(self) -> Floats:
+        """Working block of a call: threads may call at the same time."""
+        return np.zeros(self._kernels.block)

@@ -28,6 +28,12 @@ CARS: Final = ("car-lag", "car")
 """The car with terms, and the same with fewer states."""
 KNOWN: Final = ("mushr-drive", "mushr-lag")
 """Models that are compared with it, the simplest last."""
+SCREENING_LOGS: Final = 2
+"""Least number of logs that a known model is first fitted to, and number of others that it then predicts."""
+SCREENING_TIME: Final = 60.0
+"""Least duration of the logs that it is first fitted to, s."""
+SCREENING_FACTOR: Final = 4.0
+"""Error of these predictions over that of the car with terms from which a known model is not fitted to all logs."""
 KNOWN_ITERATIONS: Final = 25
 """Iterations within which a model converges on logs of a car that it describes."""
 
@@ -72,17 +78,52 @@ def identify_car(
         InputError: if the logs cannot be used, or a command never changes in them.
     """
     settings = settings or Settings()
-    found = [_with_terms(logs, settings, on_iteration)]
+    car = _with_terms(logs, settings, on_iteration)
+    judged, refused = [_judged(car, logs, settings)], []
     for name in KNOWN:
-        known = _known(name, logs, settings, on_iteration)
-        found += [known] if known is not None else []
-    judged = [_judged(model, logs, settings) for model in found]
+        screened = _screened(name, judged[0], logs, settings, on_iteration)
+        if screened is not None and screened.scores.mean() > SCREENING_FACTOR * judged[0].scores[_tests(logs)].mean():
+            refused.append(screened)
+        elif (known := _known(name, logs, settings, on_iteration)) is not None and known.identification.converged:
+            judged.append(_judged(known, logs, settings))
     best = judged[0]
     for other in judged[1:]:
         if other.scores.mean() < best.scores.mean():
             best = other
-    models = tuple(_trial(candidate, chosen=candidate is best) for candidate in judged)
+    models = tuple(_trial(candidate, chosen=candidate is best) for candidate in (*judged, *refused))
     return replace(best.model, identification=replace(best.model.identification, models=models))
+
+
+def _by_variety(logs: Sequence[Log]) -> list[int]:
+    """Indices of the logs, those first whose commands vary most: straight drives show nothing of the steering."""
+    joined = [np.concatenate([part.commands for part in log.parts]) for log in logs]
+    full = np.maximum(np.std(np.concatenate(joined), axis=0), 1e-9)
+    variety = [float(np.min(np.std(commands, axis=0) / full)) for commands in joined]
+    return sorted(range(len(logs)), key=lambda k: -variety[k])
+
+
+def _fits(logs: Sequence[Log]) -> list[int]:
+    """Indices of the logs that known models are first fitted to; none if they would be more than a third of all."""
+    order, time = _by_variety(logs), np.cumsum([logs[k].duration for k in _by_variety(logs)])
+    count = max(SCREENING_LOGS, int(np.searchsorted(time, SCREENING_TIME)) + 1)
+    return order[:count] if 3 * count <= len(logs) else []
+
+
+def _tests(logs: Sequence[Log]) -> list[int]:
+    """Indices of the logs that they then predict."""
+    first = len(_fits(logs))
+    return _by_variety(logs)[first : first + SCREENING_LOGS]
+
+
+def _screened(
+    name: str, car: _Candidate, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration
+) -> _Candidate | None:
+    """A known model fitted to few logs, and its errors on others; None if there are few, or if it does not fit."""
+    known = _known(name, [logs[k] for k in _fits(logs)], settings, on_iteration) if _fits(logs) else None
+    if known is None or len(car.errors) != len(logs):
+        return None
+    identification = replace(known.identification, without_log=())
+    return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
 
 
 def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> CarModel:
@@ -95,7 +136,7 @@ def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIterati
 
 
 def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> CarModel | None:
-    """A known model; None if it does not describe the logs, or has other parameters than the settings name."""
+    """A known model, fitted; None if that is impossible, or if it has other parameters than the settings name."""
     base = load_base_vehicle(name)
     if not {*settings.values, *settings.frozen} <= set(base.vehicle.parameters):
         return None
@@ -104,7 +145,7 @@ def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnI
         found = identify(base.definition, less, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
     except (InputError, NegativeResult):  # a singular fit: the commands are not in this model's units
         return None
-    return CarModel(base, found) if found.converged else None
+    return CarModel(base, found)
 
 
 def _judged(model: CarModel, logs: Sequence[Log], settings: Settings) -> _Candidate:

@@ -10,10 +10,13 @@ lacks an effect is fitted to predict over the whole window instead of being bent
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import os
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -51,6 +54,10 @@ MISFIT_FREEDOM = 3.0
 model does not explain (a start against stiction, a hand on the car) counts little as a whole."""
 COMMANDS_KEPT = 8
 """Number of actuator parameters whose commands are kept."""
+EXPECTED_KEPT = 3
+"""Number of points whose expected initial states are kept."""
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,10 +181,9 @@ class MultiStep:
         self._varying = [parameters.index(name) for name in variation.names]
         self.variation = variation
         self._within, self._between = variation.within**-2.0, np.maximum(variation.between, 1e-9) ** -2.0
-        self._kernel = self.problem.dynamics.discrete_model
         self._free = np.flatnonzero(parameters.free)
         self._commands: dict[bytes, Floats] = {}
-        self._expected: tuple[bytes, Matrix] | None = None
+        self._expected: dict[bytes, Matrix] = {}
         acts = ("delay", "lag_", "dead_band_")
         self._acting = [
             k for k, name in enumerate(parameters.names) if k >= parameters.model_size and name.startswith(acts)
@@ -210,18 +216,22 @@ class MultiStep:
     def prior_states(self, rho: Floats) -> Matrix:
         """(W, nx + nv) expected initial states: smoothed poses and rates, and what the first command leads to.
 
-        Those of the last rho are kept: the cost of a point, its derivatives and the step from it all need them.
+        Those of the last few are kept: the cost of a point, its derivatives and the step from it all need them.
         """
         key = rho.tobytes()
-        if self._expected is None or self._expected[0] != key:
-            self._expected = (key, self._expect(rho))
-        return self._expected[1].copy()
+        found = self._expected.pop(key, None)
+        if found is None:
+            found = self._expect(rho, self._controls(rho))
+            if len(self._expected) >= EXPECTED_KEPT:
+                del self._expected[next(iter(self._expected))]
+        self._expected[key] = found  # the last one is the newest
+        return found.copy()
 
-    def _expect(self, rho: Floats) -> Matrix:
+    def _expect(self, rho: Floats, acting: Floats) -> Matrix:
         states = self._shown_alike(self._observed[0], np.zeros(len(rho)), rho)
         if self._hidden:
             steps = round(SETTLING / float(self.windows.h.min()))
-            controls = np.repeat(self._controls(rho)[:1], steps, axis=0)
+            controls = np.repeat(acting[:1], steps, axis=0)
             settled = self.problem.dynamics.simulate(states, controls, rho, self.windows.h)[-1]
             states[:, self._hidden] = settled[:, self._hidden]
         return np.hstack([states, np.zeros((len(states), len(self._varying)))])
@@ -235,10 +245,12 @@ class MultiStep:
 
     def shifted(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
         """Initial states for `rho` that differ from the expected ones as those for `before` do, with the same poses."""
+        return self._shifted(states, before, rho, self.prior_states(rho))
+
+    def _shifted(self, states: Matrix, before: Floats, rho: Floats, expected: Matrix) -> Matrix:
         moved = self._shown_alike(states, before, rho)
-        if self._hidden and not np.array_equal(before, rho):
-            change = self._expect(rho)[:, self._hidden] - self.prior_states(before)[:, self._hidden]
-            moved[:, self._hidden] += change
+        if self._hidden:
+            moved[:, self._hidden] += (expected - self.prior_states(before))[:, self._hidden]
         return moved
 
     def _shown_alike(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
@@ -256,36 +268,28 @@ class MultiStep:
 
     def predict(self, starts: Sequence[Matrix], rhos: Sequence[Floats]) -> Floats:
         """Poses (m, W, n, 3) of all windows, m times: from the states starts[i] (W, nx + nv) with rhos[i] (np,)."""
-        w, count = self.windows, len(self.windows.segments)
-        states = self._simulated(starts, rhos).reshape(w.steps + 1, len(rhos), count, self._nx)
-        at, share = np.arange(count)[:, None], w.share[..., None]
+        w, observation = self.windows, self.problem.observation
         poses = np.empty((len(rhos), *w.since.shape, 3))
-        for i, rho in enumerate(rhos):
-            own = states[:, i]
-            between = (1.0 - share) * own[w.step, at] + share * own[w.step + 1, at]
-            shown = self.problem.observation.predict(between.reshape(-1, self._nx), rho)
-            poses[i] = shown.reshape(*w.since.shape, 3)
+        controls = [self._controls(rho) for rho in rhos]
+
+        def predict_one(i: int) -> None:
+            states = self._simulated(starts[i], rhos[i], controls[i])
+            observation.of_windows(states, w.step, w.share, rhos[i], poses[i])
+
+        in_parallel(predict_one, range(len(rhos)))
         return poses
 
-    def _simulated(self, starts: Sequence[Matrix], rhos: Sequence[Floats]) -> Floats:
-        """States (steps + 1, m W, nx) of all windows, m times."""
-        values = np.repeat([self.problem.parameters.model_values(rho) for rho in rhos], len(self.windows.h), axis=0)
-        unknowns = np.concatenate(starts)
-        values[:, self._varying] += unknowns[:, self._nx :]
-        states = np.ascontiguousarray(unknowns[:, : self._nx])
-        if self.problem.parameters.auxiliary_index("friction") < 0:
-            controls = np.concatenate([self._controls(rho) for rho in rhos], axis=1)
-            return self._kernel.simulate(states, controls, values, np.tile(self.windows.h, len(rhos)))
-        count, dynamics = len(self.windows.h), self.problem.dynamics
-        pieces = [
-            dynamics.simulate(states[own], self._controls(rho), rho, self.windows.h, values[own])
-            for rho, own in ((rho, slice(i * count, (i + 1) * count)) for i, rho in enumerate(rhos))
-        ]
-        return np.concatenate(pieces, axis=1)
+    def _simulated(self, start: Matrix, rho: Floats, controls: Floats) -> Floats:
+        """States (steps + 1, W, nx) of all windows from their unknowns (W, nx + nv)."""
+        values = np.tile(self.problem.parameters.model_values(rho), (len(start), 1))
+        values[:, self._varying] += start[:, self._nx :]
+        states = np.ascontiguousarray(start[:, : self._nx])
+        return self.problem.dynamics.simulate(states, controls, rho, self.windows.h, values)
 
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""
-        return stacked(self._simulated([point.states], [point.rho]), self.problem.chains)
+        states = self._simulated(point.states, point.rho, self._controls(point.rho))
+        return stacked(states, self.problem.chains)
 
     def _controls(self, rho: Floats) -> Floats:
         """(steps, W, nu) controls that act; those of the last few actuator parameters are kept."""
@@ -341,10 +345,12 @@ class MultiStep:
         changes = np.where(point.rho + changes > p.high, -changes, changes)
         pose = [p.vehicle.index(name) for name in ("x", "y", "theta") if name in p.vehicle.state]
         others = [k for k in range(nx) if k not in pose]
-        starts, rhos = [point.states], [point.rho]
-        for k in self._free.tolist():
-            rhos.append(point.rho + changes * (np.arange(len(changes)) == k))
-            starts.append(self.shifted(point.states, point.rho, rhos[-1]))  # a lever turns about the tracked point
+        changed = [point.rho + changes * (np.arange(len(changes)) == k) for k in self._free.tolist()]
+        controls = [self._controls(rho) for rho in changed]
+        expected = in_parallel(lambda i: self._expect(changed[i], controls[i]), range(len(changed)))
+        starts = [point.states]  # a lever turns about the tracked point
+        starts += [self._shifted(point.states, point.rho, *each) for each in zip(changed, expected, strict=True)]
+        rhos = [point.rho, *changed]
         for k in others:
             rhos.append(point.rho)
             starts.append(point.states + DIFFERENCE_STEP * (np.arange(nx) == k))
@@ -446,6 +452,34 @@ class MultiStep:
         step -= np.einsum("wxv,wv->wx", self._solved[..., known:-1], means[self.windows.fold])
         states = self.shifted(self._point.states, self._point.rho, rho) + step
         return replace(self._point, states=states, rho=rho)
+
+
+def in_parallel(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found]:
+    """Results of a function of each item, on all cores; in turn if this is one of the threads that do so already.
+
+    Compiled kernels and large arrays release Python's global lock.
+    """
+    if getattr(_thread, "working", False):
+        return [function(item) for item in items]
+
+    def work(item: Item) -> Found:
+        _thread.working = True
+        return function(item)
+
+    return list(_pool().map(work, items))
+
+
+_thread = threading.local()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return ThreadPoolExecutor(cores, "sysid")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked process has no threads
 
 
 def process_noise(vehicle: Vehicle, growth: Floats, horizon: float) -> dict[str, float]:

@@ -6,15 +6,18 @@ the reference point of the model.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2, norm
 
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.settings import Noise, Settings
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.jit import cache_folder, compiled
 from ompl_ext.vehicle import Vehicle
 
 PROCESS_POSITION = 0.001
@@ -53,6 +56,12 @@ class Observation:
             poses[:, 1] += lever * s + side * c
         return poses
 
+    def of_windows(self, states: Floats, step: Ints, share: Matrix, rho: Floats, out: Floats) -> None:
+        """Write the poses `out` (W, n, 3) of the states (steps + 1, W, nx), at steps (W, n) and shares of them."""
+        shown = np.array([self._x, self._y, self._theta], dtype=np.int64)
+        parts = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
+        poses_of_windows(states, step, share, shown, np.array([*parts], dtype=np.float64), out)
+
     def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
         """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
         by_state, by_rho = np.zeros((len(states), 3, states.shape[1])), np.zeros((len(states), 3, self._np))
@@ -84,6 +93,30 @@ class Observation:
         if not self.turns:
             difference[:, 2] = 0.0
         return difference
+
+
+def _poses_of_windows(states: Floats, step: Ints, share: Matrix, shown: Ints, offset: Floats, out: Floats) -> None:
+    for w in range(step.shape[0]):
+        for j in range(step.shape[1]):
+            k, e = step[w, j], share[w, j]
+            x = (1.0 - e) * states[k, w, shown[0]] + e * states[k + 1, w, shown[0]]
+            y = (1.0 - e) * states[k, w, shown[1]] + e * states[k + 1, w, shown[1]]
+            yaw = 0.0
+            if shown[2] >= 0:
+                yaw = (1.0 - e) * states[k, w, shown[2]] + e * states[k + 1, w, shown[2]]
+                if offset[0] != 0.0 or offset[1] != 0.0:
+                    c, s = math.cos(yaw), math.sin(yaw)
+                    x += offset[0] * c - offset[1] * s
+                    y += offset[0] * s + offset[1] * c
+                yaw += offset[2]
+            out[w, j, 0], out[w, j, 1], out[w, j, 2] = x, y, yaw
+
+
+poses_of_windows = compiled(
+    _poses_of_windows, folder=cache_folder(f"poses-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")
+)
+"""poses_of_windows(states, step, share, shown, offset, out): see `Observation.of_windows`; `shown` (3,) are the indices
+of x, y and yaw in the state, `offset` (3,) lever, side and yaw offset."""
 
 
 @dataclass(frozen=True, eq=False)

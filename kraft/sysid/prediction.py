@@ -8,6 +8,7 @@ state, and with their deviations, that fit the poses of these 3 s best without p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -101,10 +102,7 @@ def _with_deviations(
 ) -> Sequence[Matrix]:
     """Predicted poses of each window, with the deviations of the parameters that its history shows."""
     model = parameters.vehicle
-    noise = settings.noise or measured_noise(
-        [p.segment.part.pose_times[p.ahead] for p in pieces], [p.segment.part.poses[p.ahead] for p in pieces]
-    )
-    known = noise_model(model, settings, noise)
+    known = _noise([_between(p, p.ahead.start, p.ahead.stop, settings.step) for p in pieces], model, settings)
     growth = HISTORY_PROCESS_FACTOR * error_growth(model, known.process, WINDOW_LENGTH)
     predictor = Predictor(pieces, parameters, known, growth, varying)
     return [row[own] for row, own in zip(predictor.poses(parameters.nominal), predictor.ahead, strict=True)]
@@ -148,10 +146,12 @@ class Predictor:
         """Prepare the prediction; `variation` is the standard deviation of each parameter that varies."""
         seen = [_until(p.part, p.segment.begin + p.known) for p in pieces]
         known = np.array([p.known for p in pieces])
-        segments = [p.segment for p in pieces]
-        windows = windows_of(segments, seen, np.zeros(len(pieces), dtype=np.int64), known)
-        frozen = replace(parameters, frozen=frozenset(parameters.names))
-        self.graph = MultiStep(windows, frozen, noise, growth, Variation.independent(variation))
+        segments, fold = [p.segment for p in pieces], np.zeros(len(pieces), dtype=np.int64)
+        frozen, varying = replace(parameters, frozen=frozenset(parameters.names)), Variation.independent(variation)
+        windows = windows_of(segments, seen, fold, known)
+        before = windows_of([_history(p) for p in pieces], seen, fold, known)
+        self._windows = MultiStep(windows, frozen, noise, growth, varying)
+        self.graph = MultiStep(before, frozen, noise, growth, varying)
         self._resting: Bools = known == 0.0
         counts = np.array([len(s.part.pose_times[s.poses]) for s in segments])[:, None]
         self.since: Floats = windows.since - known[:, None]
@@ -177,8 +177,15 @@ class Predictor:
             states[w, : self.graph.problem.dynamics.nx] = _at_rest(
                 self.graph.problem.parameters, rho, self.observed[w, 0]
             )
-        found: Floats = self.graph.predict([states], [rho])[0]
+        found: Floats = self._windows.predict([states], [rho])[0]
         return found
+
+
+def _history(piece: Piece) -> Segment:
+    """The segment of a piece up to its window, on the same steps."""
+    segment = piece.segment
+    steps = max(1, math.ceil(piece.known / segment.h - 1e-9))
+    return replace(segment, steps=steps, poses=slice(segment.poses.start, piece.ahead.start + 1))
 
 
 def _until(part: Part, time: float) -> Part:
@@ -284,10 +291,15 @@ def _pieces(whole: Part, part: Part, log: int, step: float, length: float) -> It
 
 
 def _problem(segments: list[Segment], logs: int, parameters: Parameters, settings: Settings) -> Problem:
+    return assemble(segments, logs, parameters, _noise(segments, parameters.vehicle, settings))
+
+
+def _noise(segments: list[Segment], model: Vehicle, settings: Settings) -> NoiseModel:
+    """Noise that the settings state, that of the poses measured from them if they do not."""
     noise = settings.noise or measured_noise(
         [s.part.pose_times[s.poses] for s in segments], [s.part.poses[s.poses] for s in segments]
     )
-    return assemble(segments, logs, parameters, noise_model(parameters.vehicle, settings, noise))
+    return noise_model(model, settings, noise)
 
 
 def _starts(

@@ -7,7 +7,8 @@ and one that lacks an effect is fitted to predict well over the horizon instead 
 From the model with all terms, the term whose removal costs least is switched off, and so on.  Every structure is
 judged on logs that it was not fitted to (cross-validation over logs, or over parts of a single one); of those whose
 error is within one standard error of the best, the simplest is taken (Hastie, Tibshirani, Friedman: The Elements of
-Statistical Learning, 2009, Sec. 7.10).
+Statistical Learning, 2009, Sec. 7.10).  So are those that are hardly worse: of many logs the standard error is so small
+that effects of the discrete steps would be taken for terms.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numpy as np
 
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
-from kraft.sysid.multistep import MultiStep, Variation, fit, windows_of
+from kraft.sysid.multistep import MultiStep, Variation, fit, in_parallel, windows_of
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import (
     OnIteration,
@@ -63,9 +64,13 @@ FOLDS_MIN: Final = 5
 FIRST_ITERATIONS: Final = 20
 """Most iterations of a fit whose weights are not final."""
 WORSE_MAX: Final = 3
-"""Structures in a row that predict worse than the best by more than one standard error, after which the search ends."""
+"""Structures in a row that are not as good as the best, after which the search ends."""
+NEGLIGIBLE: Final = 0.05
+"""Share by which a simpler structure may predict worse."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
+DIVERGED: Final = 1e6
+"""Error of a prediction that diverges, m: the structure is judged by it, and not by the other predictions alone."""
 HORIZON_SHARES: Final = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Times in a window at which errors are compared, as shares of the horizon."""
 
@@ -230,9 +235,12 @@ class StructureSearch:
             for fold in range(windows.folds)
         ]
         errors = np.full((windows.folds, len(HORIZON_SHARES)), np.nan)
-        for fold, (predictor, rho) in enumerate(zip(self._predictors_of_folds(), rhos, strict=True)):
-            off = predictor.poses(rho) - predictor.observed
-            square = off[..., 0] ** 2 + off[..., 1] ** 2
+        predictors = self._predictors_of_folds()
+        predicted = in_parallel(lambda fold: predictors[fold].poses(rhos[fold]), range(windows.folds))
+        for fold, predictor in enumerate(predictors):
+            off = predicted[fold] - predictor.observed
+            size = np.nan_to_num(np.hypot(off[..., 0], off[..., 1]), nan=DIVERGED)
+            square = np.minimum(size, DIVERGED) ** 2
             for i, share in enumerate(HORIZON_SHARES):
                 after = share * self.settings.horizon
                 at = predictor.ahead & (np.abs(predictor.since - after) <= 0.75 * self.settings.step)
@@ -276,7 +284,7 @@ class StructureSearch:
     @staticmethod
     def _too_few(path: Sequence[Structure]) -> bool:
         best = min(path, key=lambda s: float(s.scores.mean()))
-        return len(path) > WORSE_MAX and all(excess(s, best) > 0.0 for s in path[-WORSE_MAX:])
+        return len(path) > WORSE_MAX and not any(as_good(s, best) for s in path[-WORSE_MAX:])
 
     def alike(self, other: Structure) -> Structure:
         """The structure with the terms of one of another model, as far as this model has them."""
@@ -290,16 +298,16 @@ class StructureSearch:
 
 
 def chosen(path: Sequence[Structure]) -> Structure:
-    """The simplest structure whose error is within one standard error of the best."""
+    """The simplest structure that is as good as the best."""
     best = min(path, key=lambda s: float(s.scores.mean()))
-    near = [s for s in path if excess(s, best) <= 0.0]
+    near = [s for s in path if as_good(s, best)]
     return min(near, key=lambda s: (len(s.terms), float(s.scores.mean())))
 
 
-def excess(structure: Structure, best: Structure) -> float:
-    """Mean difference of the errors from those of the best, beyond one standard error of that mean."""
-    difference = structure.scores - best.scores
-    return float(difference.mean() - difference.std(ddof=1) / math.sqrt(len(difference)))
+def as_good(structure: Structure, best: Structure) -> bool:
+    """Whether the mean error is within one standard error of the best one, or nearly the same."""
+    difference, nearly = structure.scores - best.scores, NEGLIGIBLE * float(best.scores.mean())
+    return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
 
 
 def _cheapest(structure: Structure) -> str:

@@ -237,6 +237,8 @@ class IdentificationRecord(StrictModel):
     """prediction errors on logs that were held out"""
     held_out_before: Prediction | None = None
     """the same with the values before the identification"""
+    by_speed: tuple[SpeedPrediction, ...] = ()
+    """prediction errors on logs that were held out, from slow to fast drives; `adaptive-kraft` starts from them"""
     warnings: tuple[str, ...] = ()
     """what the identification warned of"""
     logs: tuple[Logged, ...]
@@ -307,6 +309,31 @@ class Prediction(StrictModel):
     """position over all poses of all windows, m"""
     overall_yaw: NonNegative
     """yaw over all poses of all windows, rad"""
+
+
+class SpeedPrediction(StrictModel):
+    """Root mean square errors of open-loop prediction at similar speeds, along the vehicle and across it."""
+
+    speeds: tuple[NonNegative, NonNegative]
+    """lowest and highest mean speed of the windows, m/s"""
+    windows: Annotated[int, Field(ge=1)]
+    """number of windows"""
+    after: tuple[Positive, ...]
+    """times since the beginning of a window, s"""
+    along: tuple[NonNegative, ...]
+    """position along the vehicle after these times, m"""
+    across: tuple[NonNegative, ...]
+    """position across it, m"""
+    yaw: tuple[NonNegative, ...]
+    """yaw, rad"""
+
+    @model_validator(mode="after")
+    def _lengths(self) -> Self:
+        for name in ("along", "across", "yaw"):
+            if len(getattr(self, name)) != len(self.after):
+                expected = f"expected one for each of the {len(self.after)} times"
+                raise refuse("has another length than after", expected, (name,), Code.MISMATCH)
+        return self
 
 
 class PoseNoise(StrictModel):

@@ -16,7 +16,7 @@ from kraft.plot.sysid import compose, plot_identification
 from kraft.plot.sysid_logs import compose_logs, most_excited_log, plot_logs, speeds
 from kraft.plot.sysid_panels import error_over_time, median_error_log
 from kraft.sysid.data import LogSplit
-from kraft.sysid.result import Identification
+from kraft.sysid.result import Identification, LogFit, ModelTrial, PartFit
 from kraft.vehicles.load import load_vehicle
 
 MUSHR = load_vehicle("mushr")
@@ -49,6 +49,41 @@ def test_parameters_fit_residuals_prediction_and_correlation_are_on_the_page() -
                  "Prediction of run_4, 3 s at a time", "Position, held-out logs", "Correlation", "held out"):  # fmt: skip
         assert said in seen
     assert "not identified" not in seen
+
+
+def test_the_choice_of_terms_and_models_is_on_the_page() -> None:
+    def tried(model: str, terms: tuple[str, ...], without: str, error: float, *, chosen: bool) -> ModelTrial:
+        return ModelTrial(model, terms, without, {1.0: error, 2.0: 2.0 * error, 3.0: 3.0 * error}, chosen)
+
+    names = ("drag", "slip", "lever")
+    trials = [tried("car-lag", names, "", 0.02, chosen=False), tried("car-lag", names[1:], "drag", 0.02, chosen=True),
+              tried("car-lag", names[2:], "slip", 0.1, chosen=False)]  # fmt: skip
+    models = [trials[1], tried("mushr-lag", (), "", 0.05, chosen=False)]
+    seen = page(SPLIT, replace(RESULT, trials=tuple(trials), models=tuple(models)))
+    assert "Choice of the model" in texts(seen)
+    labels = {label.get_text() for axes in seen.axes for label in axes.get_xticklabels()}
+    assert {"3 terms", "drag", "slip"} <= labels
+    assert "mushr-lag" in texts(seen)
+    assert "Choice of" not in texts(page(SPLIT, RESULT))
+
+
+def test_all_windows_of_a_drive_are_in_the_picture_of_its_fit() -> None:
+    def halves(log: LogFit) -> LogFit:
+        (whole,) = log.parts
+        k, n = len(whole.times) // 2, len(whole.pose_times) // 2
+        cut = {name: getattr(whole, name) for name in ("times", "states", "pose_times", "poses", "fitted", "weights")}
+        ends = {"times": k + 1, "states": k + 1}
+        first = PartFit(**{name: v[: ends.get(name, n)] for name, v in cut.items()}, controls=whole.controls[:k])
+        begins = {"times": k, "states": k}
+        last = PartFit(**{name: v[begins.get(name, n) :] for name, v in cut.items()}, controls=whole.controls[k:])
+        return replace(log, parts=(last, first))
+
+    def residuals(result: Identification) -> list[int]:
+        return [len(line.get_xdata()) for axes in page(SPLIT, result).axes for line in axes.lines]  # type: ignore[arg-type]
+
+    cut = replace(RESULT, logs=tuple(map(halves, RESULT.logs)))
+    poses = len(RESULT.logs[0].parts[0].pose_times)
+    assert residuals(cut).count(poses) == residuals(RESULT).count(poses) > 0
 
 
 def test_without_held_out_logs_the_fitted_ones_are_predicted() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
-from kraft.sysid import Settings, prediction_errors
+from kraft.sysid import Settings, identify, prediction_errors
 from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.identify import identify_terms
@@ -31,10 +31,12 @@ def car(**values: float) -> Vehicle:
     return load_vehicle("car", parameters={**TRUTH, **values})
 
 
-def drive(model: Vehicle, seed: int, seconds: float = 15.0) -> Log:
-    """Random levels of throttle and steering, observed with 1 mm and 3 mrad at a tracked point ahead of the axle."""
+def drive(
+    model: Vehicle, seed: int, seconds: float = 15.0, low: tuple[float, float] = (0.15, -1.0), high: float = 1.0
+) -> Log:
+    """Random levels of both commands, observed with 1 mm and 3 mrad at a tracked point ahead of the model's."""
     rng, steps = np.random.default_rng(seed), round(seconds / STEP)
-    levels = np.repeat(rng.uniform([0.15, -1.0], [1.0, 1.0], (steps // 40 + 1, 2)), 40, axis=0)[:steps]
+    levels = np.repeat(rng.uniform(low, high, (steps // 40 + 1, 2)), 40, axis=0)[:steps]
     start = np.zeros((1, len(model.state)))
     controls = np.ascontiguousarray(levels[:, None, :])
     states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([STEP]))[:, 0]
@@ -42,7 +44,7 @@ def drive(model: Vehicle, seed: int, seconds: float = 15.0) -> Log:
     poses = states[:, :3] + rng.normal(0.0, [0.001, 0.001, 0.003], (len(states), 3))
     poses[:, :2] += LEVER * np.column_stack([np.cos(states[:, 2]), np.sin(states[:, 2])])
     part = Part(STEP * np.arange(steps), levels, STEP * EVERY * np.arange(len(states)), poses)
-    return Log(f"drive_{seed}", (), ("throttle", "steering"), (part,))
+    return Log(f"drive_{seed}", (), tuple(model.controls), (part,))
 
 
 def car_file() -> VehicleConfig:
@@ -141,6 +143,15 @@ def test_flipped_steering_is_a_negative_gain() -> None:
     ]
     found = identify_terms(car_file(), flipped).identification
     assert found.values["steer"] == pytest.approx(-TRUTH["steer"], rel=0.05)
+
+
+def test_the_terms_of_a_robot_with_two_sides_are_chosen() -> None:
+    truth = {"track": 0.5, "gain": 0.9, "imbalance": 0.06, "slip": 0.1, "slide": 0.0, "effort": 0.0, "effort_turn": 0.0}
+    model = load_vehicle("differential", parameters=truth)
+    logs = [drive(model, seed, 10.0, low=(0.2, 0.2), high=1.6) for seed in range(5)]
+    found = identify("differential", logs)
+    assert set(next(trial.terms for trial in found.trials if trial.chosen)) == {"imbalance", "slip", "lever"}
+    assert found.values == pytest.approx({**found.values, **truth, "lever": LEVER}, rel=0.02, abs=0.002)
 
 
 def test_a_control_that_never_changes_is_refused() -> None:

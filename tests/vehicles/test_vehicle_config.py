@@ -32,6 +32,7 @@ VEHICLES = (
     "benchmark",
     "car",
     "car-lag",
+    "differential",
     "f1tenth",
     "jackal",
     "mushr",
