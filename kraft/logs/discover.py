@@ -26,6 +26,8 @@ COMPRESSED: Final = ".zstd"
 """Suffix of a compressed file in the folder of a bag."""
 TRUTH: Final = "truth.csv"
 """Ground truth of a recorded run, which is never read."""
+GUARD: Final = "guard.csv"
+"""Commands that the brake guard of a drive sent instead of the controller."""
 FORMATS: Final = (
     "expected CSV files, ROS bags (.bag, .mcap, .db3 or their folders), or folders of kraft record or kraft run"
 )
@@ -131,7 +133,8 @@ def _scan(folder: Path, root: Path, controls: Sequence[str], mapping: Mapping, d
     if "metadata.yaml" in names and any(path.suffix in BAGS or path.suffix == COMPRESSED for path in entries):
         return [Candidate(name, "bag", (folder,))]
     if {"steps.csv", "observations.csv"} <= names:
-        return [Candidate(name, "run", (folder / "steps.csv", folder / "observations.csv"))]
+        tables = ["steps.csv", "observations.csv", *({GUARD} & names)]
+        return [Candidate(name, "run", tuple(folder / table for table in tables))]
     files = [path for path in entries if path.is_file() and path.suffix.lower() in (".csv", ".tsv", *BAGS)]
     found = _logs_of(files, root, controls, mapping)
     if len(found) == 1 and len(found[0].files) > 1:  # the only log of a folder has its name

@@ -10,7 +10,9 @@ from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_vali
 from kraft.config.schema import NonNegative, Positive, StrictModel, refuse
 from kraft.config.source import KeyPath, Source
 from kraft.config.validation import read_model
-from kraft.logs.names import ALLOWED, Quantity, Unit
+from kraft.errors import Code
+from kraft.logs.names import ALLOWED, SYNONYMS, Quantity, Unit
+from kraft.text import suggestion
 
 Scale = Annotated[float, Field(ge=-1e9, le=1e9)]
 _SHORT: Final[dict[str, Any]] = {"type": "string", "description": "its name alone"}
@@ -181,6 +183,18 @@ class Mapping(StrictModel):
     """what is a gap and what is a teleport"""
 
     _source: Source = PrivateAttr(default_factory=Source)
+
+    @model_validator(mode="after")
+    def _check_masks(self) -> Self:
+        """Refuse a masked control without a column, if the file names columns of controls: it is misspelt."""
+        named = self.commands.controls
+        known = [*named, *(name for name in SYNONYMS if name not in named)]
+        masks = self.dead_man.masks if self.dead_man is not None and named else None
+        for i, name in enumerate(masks or ()):
+            if name not in known:
+                at = ("dead_man", "masks", i)
+                raise refuse(f"{name!r} is not a control of this file", suggestion(name, known), at, Code.UNKNOWN)
+        return self
 
     @property
     def source(self) -> Source:

@@ -102,7 +102,7 @@ def _tables(candidate: Candidate, mapping: Mapping) -> tuple[list[Source], list[
     if candidate.kind == "bag":
         return _bag(candidate.files[0], mapping)
     sources, tables = _csv_files(candidate.files)
-    return sources, [_without_truth(table) for table in tables] if candidate.kind == "run" else tables
+    return sources, _of_run(tables) if candidate.kind == "run" else tables
 
 
 def _read(
@@ -134,12 +134,38 @@ def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:
     return sources, tables
 
 
-def _without_truth(table: Table) -> Table:
-    """The commands in the steps of a run, without its true states; its observations are in another file."""
-    if not table.file.endswith("steps.csv"):
-        return table
+def _of_run(tables: Sequence[Table]) -> list[Table]:
+    """Commands and observations of a run, without the states in its steps; the guard's commands are among them."""
+    steps, observations, *guard = tables
+    commands = _commands(steps)
+    for each in guard:
+        commands = _merged(commands, _commands(each))
+    return [commands, observations]
+
+
+def _commands(table: Table) -> Table:
     kept = {name: values for name, values in table.columns.items() if name == "time" or name.startswith("command_")}
     return replace(table, columns=kept)
+
+
+def _merged(commands: Table, guard: Table) -> Table:
+    """Rows of both tables by their time; a row of the guard has the line of the command before it."""
+    if "time" not in commands.columns or set(commands.columns) != set(guard.columns):
+        problem = f"has other columns than {commands.name}: {_listed(list(guard.columns))}"
+        raise InputError([guard.diagnostic(problem, f"expected {_listed(list(commands.columns))}")])
+    columns = {
+        name: np.concatenate([values, guard.columns[name]]) for name, values in commands.columns.items()
+    }
+    order = np.argsort(columns["time"], kind="stable")
+    before = np.searchsorted(commands.columns["time"], guard.columns["time"], side="right") - 1
+    rows = np.concatenate([commands.rows, commands.rows[np.maximum(before, 0)]])
+    blank = {
+        name: np.concatenate([commands.blank.get(name, np.zeros(len(commands), bool)),
+                              guard.blank.get(name, np.zeros(len(guard), bool))])[order]
+        for name in {*commands.blank, *guard.blank} & set(columns)
+    }  # fmt: skip
+    return Table(commands.file, "", {name: values[order] for name, values in columns.items()}, rows[order], blank,
+                 commands.broken)  # fmt: skip
 
 
 def _bag(path: Path, mapping: Mapping) -> tuple[list[Source], list[Table]]:

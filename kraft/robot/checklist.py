@@ -152,14 +152,17 @@ class Checklist:
 
     def _check_clock(self, poses: list[Received]) -> list[Check]:
         """Whether stamps fit to this machine's clock; the usual latency is kept for the drive."""
-        robot = self._robot
+        robot, timebase = self._robot, self._inputs.clock
+        if robot.clock is not None and not timebase.is_running:
+            return [Check("clock", "problem", f"no time on {robot.clock.topic}: is the simulation running?")]
         if not poses or robot.pose.stamp == "arrival":
             return []
-        offset = clock.time_ns() - clock.monotonic_ns()
+        offset = timebase.stamp() - timebase.now()
         latency = float(np.median([1e-9 * (pose.arrival + offset - pose.stamp) for pose in poses]))
         self._inputs.latency = latency
         if abs(latency) > robot.watchdog.clock:
-            problem = f"the stamps are {latency:.2f} s from this machine's clock"
+            whose = "this machine's clock" if robot.clock is None else f"the clock on {robot.clock.topic}"
+            problem = f"the stamps are {latency:.2f} s from {whose}"
             return [Check("clock", "problem", f"{problem}: set the clocks, or pose.stamp: arrival")]
         state = "ok" if FUTURE < latency < LATENCY else "warning"
         return [Check("clock", state, f"poses arrive {1000 * latency:.0f} ms after their stamps")]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from kraft.errors import Code, InputError
 from kraft.robot.robot_file import Robot, Ros2, Rosbridge
 from kraft.robot.transport import LOOPBACK, Transport
 
 
-def open_transport(robot: Robot) -> Transport:
-    """Connect to a robot.
+def open_transport(robot: Robot, end: Literal["kraft", "robot"] = "kraft") -> Transport:
+    """Connect to a robot, or be the simulated one; over rosbridge the robot's end is the server.
 
     Raises:
         MissingDependency: if a package of the transport is missing.
-        InputError: if no connection is possible.
+        InputError: if no connection is possible, or the server's port is taken.
     """
     settings = robot.transport
     if isinstance(settings, Ros2):
@@ -20,10 +22,10 @@ def open_transport(robot: Robot) -> Transport:
 
         return Ros2Transport(settings)
     if isinstance(settings, Rosbridge):
-        from kraft.robot.rosbridge import RosbridgeClient
+        from kraft.robot.rosbridge import RosbridgeClient, RosbridgeServer
 
-        return RosbridgeClient(settings)
-    return LOOPBACK.node("kraft")
+        return RosbridgeClient(settings) if end == "kraft" else RosbridgeServer(settings)
+    return LOOPBACK.node(end)
 
 
 def check_transport(robot: Robot) -> None:
@@ -45,22 +47,3 @@ def check_transport(robot: Robot) -> None:
     else:
         problem, expected = "is loopback, which does not leave the process", "expected ros2 or rosbridge"
         raise InputError([robot.source.diagnostic("transport.kind", problem, expected, code=Code.CONFLICT)])
-
-
-def open_robot(robot: Robot) -> Transport:
-    """Transport of a simulated robot, to which `open_transport` connects in another process.
-
-    Raises:
-        MissingDependency: if a package of the transport is missing.
-        InputError: if the port is taken.
-    """
-    settings = robot.transport
-    if isinstance(settings, Ros2):
-        from kraft.robot.ros2 import Ros2Transport
-
-        return Ros2Transport(settings)
-    if isinstance(settings, Rosbridge):
-        from kraft.robot.rosbridge import RosbridgeServer
-
-        return RosbridgeServer(settings)
-    return LOOPBACK.node("robot")

@@ -2,16 +2,14 @@
 
 It waits for nobody.  Poses and messages of the planner are taken when they are there; without them it drives the plan
 that it has to its end and stops with the contingency, or the watchdog stops it.  If the planner's process ends it does
-the same, and the process ends when the vehicle stands.
+the same, and the process ends when the vehicle stands.  If this process itself falls silent, the brake guard
+(`kraft.robot.guard`) does so.
 """
 
 from __future__ import annotations
 
-import csv
 import gc
 import math
-import os
-import queue
 import signal
 import sys
 import threading
@@ -20,31 +18,40 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import model_of
-from kraft.driving.control import make_controller
-from kraft.driving.estimation import make_estimator
-from kraft.driving.estimation.adaptive import AdaptiveEstimator
+from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
-from kraft.driving.method import Oracle
-from kraft.driving.on_board import OnBoard
 from kraft.planning.workspace import pose_of
 from kraft.robot.checklist import Checklist
-from kraft.robot.command import CommandCodec
 from kraft.robot.connect import open_transport
+from kraft.robot.guard import SILENCE
 from kraft.robot.inputs import Inputs
-from kraft.robot.messages import to_cdr
-from kraft.robot.poses import Clocks, PoseGuard
-from kraft.robot.priority import prefer_this_process
-from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop
+from kraft.robot.journal import Journal
+from kraft.robot.poses import Clocks
+from kraft.robot.priority import name_this_process, prefer_this_process
+from kraft.robot.protocol import (
+    Beat,
+    Begin,
+    DriveSpec,
+    Ended,
+    Guarded,
+    Guarding,
+    Mailbox,
+    Planned,
+    PlanRequest,
+    Ready,
+    Released,
+    Sense,
+    Status,
+    Stop,
+)
+from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
 from kraft.scenario import Goal
 from ompl_ext.arrays import Floats
-from ompl_ext.query import Safety
 from ompl_ext.vehicle import Vehicle
 
 LEAD_IN: Final = 0.6
@@ -71,12 +78,26 @@ GOAL_MARGIN: Final = 0.05
 """Distance by which the estimate is inside the goal region then, m."""
 
 
-def run_control(spec: DriveSpec, connection: Connection) -> None:
-    """Main function of the process: check, drive, and write what is driven as it is driven."""
+GUARD_TIME: Final = 10.0
+"""Longest time to wait until the brake guard can send commands, s."""
+MAIL_TIME: Final = 0.005
+"""Time in which the messages are there that the brake guard has sent during a pause, s."""
+UNSENT: Final = 60
+"""Number of messages from which on the brake guard counts as held up."""
+
+
+def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others: Sequence[Connection]) -> None:
+    """Main function of the process: check, drive, and write what is driven as it is driven.
+
+    `planner` and `guard` lead to the other processes; `others` are ends that this one does not need.
+    """
+    for each in others:
+        each.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
+    name_this_process("kraft control")
     sys.setswitchinterval(0.0005)
     prefer_this_process()
-    mailbox = Mailbox(connection)
+    mailbox, guard_mail = Mailbox(planner, "the planner's process"), Mailbox(guard, "the brake guard")
     transport = open_transport(spec.robot)
     try:
         inputs = Inputs(spec.robot, transport)
@@ -84,139 +105,49 @@ def run_control(spec: DriveSpec, connection: Connection) -> None:
         mailbox.send(found)
         order = mailbox.wait()
         if isinstance(order, Begin) and found.passed:
-            with Journal(spec.folder, spec) as journal:
-                mailbox.send(Control(spec, transport, inputs, mailbox, journal, order, found).run())
+            guard_mail.send(order)
+            warm_up(spec)
+            tracker = Tracker(spec, order, transport, inputs)
+            _wait_for_guard(spec, transport, guard_mail)
+            with Journal(spec.folder, headings(spec.vehicle)) as journal:
+                drive = Control(spec, transport, inputs, mailbox, guard_mail, journal, tracker)
+                mailbox.send(drive.run())
+            guard_mail.send(Released()).wait(1.0)
     finally:
         transport.close()
 
 
-class Mailbox:
-    """Messages of the planner's process, taken without waiting; `closed` when it has ended."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._outgoing: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self.closed = False
-        for task in (self._receive, self._send):
-            threading.Thread(target=task, name="planner's messages", daemon=True).start()
-
-    def _receive(self) -> None:
-        while True:
-            try:
-                self._arrived.put(self._connection.recv())
-            except (EOFError, OSError):
-                self.closed = True
-                self._arrived.put(Stop("the planner's process has ended"))
-                return
-
-    def _send(self) -> None:
-        while True:
-            message, sent = self._outgoing.get()
-            try:
-                self._connection.send(message)
-            except OSError:
-                self.closed = True
-            sent.set()
-
-    def send(self, message: Any) -> threading.Event:
-        """Hand over a message; the event is set when it is sent."""
-        sent = threading.Event()
-        self._outgoing.put((message, sent))
-        return sent
-
-    def take(self) -> list[Any]:
-        """Messages that have arrived."""
-        found = []
-        while not self._arrived.empty():
-            found.append(self._arrived.get())
-        return found
-
-    def wait(self) -> Any:
-        """The next message."""
-        return self._arrived.get()
+def _wait_for_guard(spec: DriveSpec, transport: Transport, guard: Mailbox) -> None:
+    """Wait until the brake guard is ready, and seen as a publisher where the transport can tell."""
+    until = clock.monotonic() + GUARD_TIME
+    if not isinstance(guard.wait(GUARD_TIME), Ready):
+        raise RuntimeError("the brake guard has not started")
+    while clock.monotonic() < until and transport.peers(spec.robot.command.topic).publishers == frozenset():
+        clock.sleep(0.05)
 
 
-class Journal:
-    """Files of a drive that are complete up to the last moments, whatever ends the process."""
-
-    def __init__(self, folder: Path | None, spec: DriveSpec) -> None:
-        self._folder, self._spec = folder, spec
-        self._rows: queue.SimpleQueue[tuple[str, Sequence[Any]] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._write, name="journal", daemon=True)
-
-    def __enter__(self) -> Journal:
-        """Open the files."""
-        if self._folder is not None:
-            self._folder.mkdir(parents=True, exist_ok=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Write what waits and close the files."""
-        self._rows.put(None)
-        self._thread.join()
-
-    def row(self, name: str, *values: Any) -> None:
-        """Write a row of a table: steps, observations, events."""
-        self._rows.put((name, values))
-
-    def _write(self) -> None:
-        vehicle = self._spec.vehicle
-        headings = {
-            "steps": ["time", *(f"estimate_{name}" for name in vehicle.state),
-                      *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age",
-                      "late", "work"],
-            "observations": ["time", "arrival", "x", "y", "theta"],
-            "events": ["time", "event"],
-        }  # fmt: skip
-        if self._folder is None:
-            while self._rows.get() is not None:
-                pass
-            return
-        writers, files = {}, {}
-        for name, heading in headings.items():
-            files[name] = (self._folder / f"{name}.csv").open("w", encoding="utf-8", newline="")
-            writers[name] = csv.writer(files[name], lineterminator="\n")
-            writers[name].writerow(heading)
-        while (row := self._rows.get()) is not None:
-            writers[row[0]].writerow(row[1])
-            files[row[0]].flush()
-        for file in files.values():
-            os.fsync(file.fileno())
-            file.close()
+def headings(vehicle: Vehicle) -> dict[str, list[str]]:
+    """Headings of the tables that the controller writes."""
+    return {
+        "steps": ["time", *(f"estimate_{name}" for name in vehicle.state),
+                  *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age",
+                  "late", "work"],
+        "observations": ["time", "arrival", "x", "y", "theta"],
+        "events": ["time", "event"],
+    }  # fmt: skip
 
 
 class Control:
     """One drive of the controller."""
 
     def __init__(
-        self, spec: DriveSpec, transport: Transport, inputs: Inputs, mailbox: Mailbox, journal: Journal,
-        begin: Begin, found: Checked,
+        self, spec: DriveSpec, transport: Transport, inputs: Inputs, mailbox: Mailbox, guard: Mailbox,
+        journal: Journal, tracker: Tracker,
     ) -> None:  # fmt: skip
-        robot, method, vehicle = spec.robot, spec.method, spec.vehicle
-        assert not isinstance(method.estimator, Oracle), "no robot has it"
-        self._spec, self._transport, self._inputs, self._mailbox, self._journal = (
-            spec,
-            transport,
-            inputs,
-            mailbox,
-            journal,
-        )
-        self._codec = CommandCodec(robot, vehicle)
-        self._model = model_of(vehicle)
-        self._controller = make_controller(method.controller, self._model)
-        self._estimator = make_estimator(method.estimator, self._model, begin.state, spec.camera)
-        settings = method.planner.model_copy(
-            update={"watchdog": min(robot.watchdog.pose_age, method.planner.watchdog or math.inf)}
-        )
-        self._on_board = OnBoard(settings, Safety(cycle=settings.cycle), self._model, begin.commitment)
-        self._settings, self._lead = settings, settings.lead
-        self.period = 1.0 / (robot.rate_hz or method.controller.rate_hz)
-        self._warm_up(begin)
-        self._clocks = Clocks(0, 0)  # until the drive begins
-        self._guard = PoseGuard(robot, self._clocks)
-        self._open_loop = np.array(begin.state, dtype=float)
+        self._spec, self._transport, self._inputs = spec, transport, inputs
+        self._mailbox, self._guard, self._journal, self._tracker = mailbox, guard, journal, tracker
+        self._model, self._on_board, self._settings = tracker.model, tracker.on_board, tracker.settings
+        self._lead, self.period = tracker.settings.lead, spec.period
         self._cycle, self._waiting = 0, False
         self._planned: deque[Planned] = deque()
         self._observations: list[Observation] = []
@@ -224,17 +155,17 @@ class Control:
         self._in_goal, self._goal = 0, spec.task.goal
         self._ending: tuple[str, str] | None = None
         self._rested = 0.0
-        self._lateness: list[float] = []
-        self._late = self._missed = self._ticks = 0
+        self._late = self._missed = self._ticks = self._guarded = 0
         self._worst_late = 0.0
         self._reply_delays: deque[float] = deque(maxlen=1000)
-        self._last_tick = self._last_sent = -LEAD_IN
+        self._last_tick = -LEAD_IN
         self._requested = self._ended_at = 0.0
         self._next = 0
-        self._last_command = self._model.rest.copy()
         self._next_status = 0.0
         self._foreign = self._why = ""
         self._since_stop: float | None = None
+        self._told: Commitment | None = None  # what the brake guard knows to be on board
+        self._learned: Learned | None = None
         self._alive = True
 
     def run(self) -> Ended:
@@ -242,9 +173,9 @@ class Control:
         gc.collect()
         gc.freeze()  # so that a collection looks at little
         lead_in = round(1e9 * LEAD_IN)
-        self._clocks = Clocks(clock.time_ns() + lead_in, clock.monotonic_ns() + lead_in, self._inputs.latency)
-        self._guard = PoseGuard(self._spec.robot, self._clocks)
-        self._inputs.take_poses()  # those of the check list
+        timebase = self._inputs.clock
+        self._tracker.start(Clocks(timebase.stamp() + lead_in, timebase.now() + lead_in, self._inputs.latency))
+        self._guard.send(Guarding(self._tracker.clocks))
         threading.Thread(target=self._watch_peers, name="peers", daemon=True).start()
         number = math.ceil(-LEAD_IN / self.period) + 1
         while True:
@@ -259,57 +190,37 @@ class Control:
         outcome, reason = self._ending
         measures = {
             "ticks": self._ticks, "late_ticks": self._late, "worst_late_ms": 1000 * self._worst_late,
-            "missed_commitments": self._missed,
+            "missed_commitments": self._missed, "guard_commands": self._guarded,
             "decision_ms": 1000 * float(np.median(self._reply_delays)) if self._reply_delays else math.nan,
         }  # fmt: skip
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
-        refused, stops = dict(self._guard.refused), self._on_board.stops
+        refused, stops = dict(self._tracker.poses.refused), self._on_board.stops
         return Ended(outcome, reason, self._ended_at, measures, refused, stops, self._sensed())
-
-    def _warm_up(self, begin: Begin) -> None:
-        """Do once what a tick does: the first time takes a second, because compiled functions are loaded."""
-        spec, model, state = self._spec, self._model, np.array(begin.state, dtype=float)
-        assert not isinstance(spec.method.estimator, Oracle), "no robot has it"
-        estimator = make_estimator(spec.method.estimator, model, state, spec.camera)
-        controller = make_controller(spec.method.controller, model)
-        x, y, theta = pose_of(state, model.vehicle)
-        for k in range(1, 4):
-            estimator.observe(Observation(0.1 * k, 0.1 * k, x, y, theta))
-            moving = estimator.estimate(0.1 * k).state
-            moving[model.v] = 0.5 * model.vehicle.top_speed
-            estimate = Estimate(0.1 * k, moving, 0.0)
-            board = OnBoard(self._settings, Safety(cycle=self._settings.cycle), model, begin.commitment)
-            board.receive(Commitment(replace(begin.commitment.reference, kind=ReferenceKind.PLAN)), estimate)
-            board.stop(estimate)
-            command = controller.command(estimate, board.reference(estimate))
-            estimator.commanded(0.1 * k, command)
-            to_cdr(self._codec.message(0, command))
 
     @property
     def _now(self) -> float:
-        return 1e-9 * (clock.monotonic_ns() - self._clocks.monotonic)
+        return self._tracker.now
 
     def _sleep_until(self, due: float) -> None:
         left = due - self._now
         if left > 0.0:
-            clock.sleep(left)
+            clock.sleep(self._tracker.wall(left))
 
     def _tick(self, now: float, late: float) -> bool:
         """One tick of the controller; True if the drive is over."""
         self._measure(late)
         self._hold_up(now)
         self._take_messages(now)
-        self._take_poses(now)
+        observations = self._take_poses(now)
         self._adopt(now)
-        estimate = self._estimator.estimate(now)
+        estimate = self._tracker.estimate(now)
         self._check_faults(now, estimate)
-        reference = self._on_board.reference(estimate)
+        command, reference = self._tracker.command(now, estimate)
         if self._on_board.is_stopping and self._since_stop is None and self._ending is None:
             self._stopped(now, self._why_blind(estimate))
-        command = self._model.clamped(self._controller.command(estimate, reference))
-        if now < 0.0 or (self._is_blind(estimate) and now >= reference.end):
-            command = self._model.rest.copy()  # what holds a vehicle on a slope is not known any more
-        self._send(now, command, estimate)
+        self._tracker.publish(now, command)
+        self._command(now, command, estimate)
+        self._tell_guard(now, command, observations)
         if now >= 0.0:
             self._journal.row(
                 "steps", f"{now:.6f}", *map(float, estimate.state), *map(float, command), self._cycle,
@@ -320,23 +231,47 @@ class Control:
         self._report(now, estimate)
         return self._is_over(now, estimate, reference)
 
-    def _is_blind(self, estimate: Estimate) -> bool:
-        return min(estimate.age, estimate.time) > (self._settings.watchdog or math.inf)
-
     def _measure(self, late: float) -> None:
         self._ticks += 1
         self._late += late > LATE
         self._worst_late = max(self._worst_late, late)
 
     def _hold_up(self, now: float) -> None:
-        """After a pause of this process: the robot's multiplexer has stopped the vehicle meanwhile."""
+        """After a pause of this process: meanwhile the brake guard drove, or the robot's multiplexer stopped."""
         gap, timeout = now - self._last_tick, self._spec.robot.command.timeout
+        if gap > self.period + SILENCE:
+            clock.sleep(MAIL_TIME)
+        driven = self._take_guarded(now)
         if gap > timeout + self.period:
-            halted = self._last_tick + timeout
-            self._command(halted, self._model.rest.copy(), self._estimator.estimate(max(halted, 0.0)))
-            self._on_board.stop(self._estimator.estimate(now))
-            self._stopped(now, f"the controller was held up for {gap:.2f} s")
+            if not driven:
+                halted = self._last_tick + timeout
+                self._command(halted, self._model.rest.copy(), self._tracker.estimate(max(halted, 0.0)))
+            self._on_board.stop(self._tracker.estimate(now))
+            who = "the brake guard" if driven else "the robot's multiplexer"
+            self._stopped(now, f"the controller was held up for {gap:.2f} s, {who} took over")
         self._last_tick = now
+
+    def _take_guarded(self, now: float) -> int:
+        """Take note of the commands that the brake guard sent, and tell their number."""
+        count = 0
+        for message in self._guard.take():
+            if isinstance(message, Guarded):
+                count += 1
+                time = min(message.time, now)  # it may have sent one since this tick began
+                if time > self._tracker.last_sent:
+                    self._command(time, message.command, Estimate(time, self._tracker.estimate(time).state, 0.0))
+            elif isinstance(message, Stop):
+                self._end(now, "stopped", message.reason)
+        self._guarded += count
+        return count
+
+    def _tell_guard(self, now: float, command: Floats, observations: Sequence[Observation]) -> None:
+        if self._guard.unsent > UNSENT:
+            return  # it is held up itself; what it misses then it gets with the next commitment
+        commitment = self._on_board.commitment
+        new, self._told = None if commitment is self._told else commitment, commitment
+        learned, self._learned = self._learned, None
+        self._guard.send(Beat(now, command, tuple(observations), new, learned))
 
     def _take_messages(self, now: float) -> None:
         for message in self._mailbox.take():
@@ -349,30 +284,20 @@ class Control:
             elif isinstance(message, Stop):
                 self._end(now, "interrupted" if not self._mailbox.closed else "stopped", message.reason)
 
-    def _take_poses(self, now: float) -> None:
-        for pose in self._inputs.take_poses():
-            estimate = self._estimator.estimate(now)
-            predicted = pose_of(estimate.state, self._model.vehicle)
-            observation = self._guard.observation(
-                pose, predicted, float(self._open_loop[self._model.v]), min(estimate.age, now + LEAD_IN)
-            )
-            if observation is not None:
-                self._estimator.observe(observation)
-                self._observations.append(observation)
-                self._journal.row(
-                    "observations",
-                    *map(
-                        float, (observation.time, observation.arrival, observation.x, observation.y, observation.theta)
-                    ),
-                )
+    def _take_poses(self, now: float) -> list[Observation]:
+        found = self._tracker.take_poses(now)
+        self._observations += found
+        for each in found:
+            self._journal.row("observations", *map(float, (each.time, each.arrival, each.x, each.y, each.theta)))
+        return found
 
     def _adopt(self, now: float) -> None:
         """Take on board what the planner committed, when its cycle begins; what arrives later than that is lost."""
         while self._planned:
-            planned, horizon = self._planned[0], self._estimator.horizon
-            estimator, learned = self._estimator, planned.learned
-            if isinstance(estimator, AdaptiveEstimator) and learned is not None and learned is not estimator.learned:
-                estimator.learn(learned)
+            planned = self._planned[0]
+            if self._tracker.learn(planned.learned):
+                self._learned = planned.learned
+            horizon = self._tracker.horizon
             cycle = planned.cycle
             if cycle.time > now + horizon + 1e-9:
                 return
@@ -383,7 +308,7 @@ class Control:
                 self._event(now, f"the commitment of cycle {cycle.number} came {now + horizon - cycle.time:.2f} s late")
                 continue
             if self._ending is None and not self._trouble:
-                self._on_board.receive(cycle.commitment, self._estimator.estimate(now))
+                self._on_board.receive(cycle.commitment, self._tracker.estimate(now))
                 if not self._on_board.is_stopping:
                     self._since_stop = None
 
@@ -402,22 +327,16 @@ class Control:
             self._stopped(now, trouble)
 
     def _why_blind(self, estimate: Estimate) -> str:
-        if self._guard.reason:
-            return f"the watchdog stopped the vehicle: {self._guard.reason}"
-        if self._is_blind(estimate):
+        if self._tracker.poses.reason:
+            return f"the watchdog stopped the vehicle: {self._tracker.poses.reason}"
+        if self._tracker.is_blind(estimate):
             return f"the watchdog stopped the vehicle: no pose for {estimate.age:.2f} s"
         return "the watchdog stopped the vehicle: no message of the planner"
 
-    def _send(self, now: float, command: Floats, estimate: Estimate) -> None:
-        self._transport.publish(self._spec.robot.command.topic, self._codec.message(self._clocks.stamp(now), command))
-        self._command(now, command, estimate)
-
     def _command(self, time: float, command: Floats, estimate: Estimate) -> None:
         """Tell estimators and the model what the vehicle is commanded from `time` (s) on."""
-        self._open_loop = self._model.advance(self._open_loop, self._last_command, max(0.0, time - self._last_sent))
-        self._last_command, self._last_sent = command, time
+        self._tracker.commanded(time, command)
         if time >= 0.0:
-            self._estimator.commanded(time, command)
             self._commands.append((time, command, estimate.state))
 
     def _request(self, now: float) -> None:
@@ -436,7 +355,7 @@ class Control:
 
     def _sensed(self) -> Sense:
         """What was sensed since the last call."""
-        sense = Sense(self._clocks.wall, tuple(self._observations), tuple(self._commands))
+        sense = Sense(self._tracker.clocks.wall, tuple(self._observations), tuple(self._commands))
         self._observations, self._commands = [], []
         return sense
 
@@ -471,7 +390,7 @@ class Control:
         if self._ending is None:
             self._ending, self._ended_at = (outcome, reason), max(now, 0.0)
             if now >= 0.0 and not self._mailbox.closed:
-                self._on_board.stop(self._estimator.estimate(now))
+                self._on_board.stop(self._tracker.estimate(now))
 
     def _stopped(self, now: float, why: str) -> None:
         """Note since when and why the vehicle stops by itself."""
@@ -486,7 +405,7 @@ class Control:
     def _watch_peers(self) -> None:
         """Look for a second publisher of commands now and then."""
         topic = self._spec.robot.command.topic
-        usual = self._transport.peers(topic).publishers or frozenset()
+        usual = self._transport.peers(topic).publishers or frozenset()  # the brake guard
         while self._alive:
             clock.sleep(PEERS_PERIOD)
             there = self._transport.peers(topic).publishers

@@ -1,4 +1,4 @@
-"""A drive on the wall clock: this process plans, another one controls (`kraft.robot.control`).
+"""A drive on the wall clock: this process plans, another one controls, and a third one guards the controller.
 
 The planner's process has a mirror of the controller's estimator, so that the identification, which takes tens of
 milliseconds, does not hold up the controller.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 import os
 import signal
 import threading
@@ -19,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
 from kraft.driving.car_model import model_of
-from kraft.driving.control import make_controller
+from kraft.driving.control import make_controller, needs_map
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.messages import Cycle, Estimate
@@ -27,11 +26,12 @@ from kraft.driving.method import Method, Oracle
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.planning.workspace import start_state
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
-from kraft.robot.priority import preferred_planner
+from kraft.robot.guard import run_guard
+from kraft.robot.priority import preferred_planner, process_context
 from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop
+from kraft.robot.tracker import warm_up
 from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
 from ompl_ext.arrays import Floats
@@ -40,6 +40,8 @@ LEAD: Final = 0.3
 """Time before a cycle at which it is decided, s: the decision takes a part of it, and travels to the controller."""
 JOIN_TIME: Final = 5.0
 """Time to wait for the end of the controller's process, s."""
+GUARD_JOIN_TIME: Final = 12.0
+"""Time to wait for the end of the brake guard, which stops the vehicle if the controller has ended before, s."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ def check_method(method: Method) -> None:
 
     if isinstance(method.estimator, Oracle):
         wrong("estimator.kind", "is the truth, which no robot has", "expected another estimator")
+    if needs_map(method):
+        wrong("controller.kind", f"is {method.controller.kind}, which needs the map", "expected one that tracks plans")
     if planner.mode != "replanning" or planner.on_board != "contingency":
         problem = "leaves the vehicle without a contingency on board"
         wrong(
@@ -108,11 +112,17 @@ def drive(
         MissingDependency: if a package of the transport is missing.
     """
     check_transport(spec.robot)
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=run_control, args=(spec, there), name="kraft controller")
-    process.start()
-    there.close()
+    warm_up(spec)  # for all processes, where they are forks
+    context = process_context()
+    (here, there), (to_guard, to_control) = context.Pipe(), context.Pipe()
+    guard = context.Process(target=run_guard, args=(spec, to_control, (here, there, to_guard)), name="kraft guard")
+    process = context.Process(
+        target=run_control, args=(spec, there, to_guard, (here, to_control)), name="kraft controller"
+    )
+    for each in (guard, process):
+        each.start()
+    for end in (there, to_guard, to_control):
+        end.close()
     lock = threading.Lock()
 
     def send(message: Any) -> None:
@@ -124,9 +134,10 @@ def drive(
             return _drive(spec, here, process, send, (on_check, on_cycle, on_status, on_sense), keep_trees)
     finally:
         here.close()
-        process.join(JOIN_TIME)
-        if process.is_alive():
-            process.kill()
+        for each, patience in ((process, JOIN_TIME), (guard, GUARD_JOIN_TIME)):
+            each.join(patience)
+            if each.is_alive():
+                each.kill()
 
 
 def _drive(
@@ -200,7 +211,7 @@ class Planner:
         self._task = changed(self._task, None, grid)
         method, vehicle = spec.method, spec.vehicle
         assert not isinstance(method.estimator, Oracle), "it was checked"
-        state = at_pose(spec, pose)
+        state = spec.at_rest(pose)
         self._model = model_of(vehicle)
         self._estimator = make_estimator(method.estimator, self._model, state, spec.camera)
         self._solvers = Solvers.of(self._task, vehicle, method.planner)
@@ -219,10 +230,9 @@ class Planner:
     def _new_replanner(self) -> Replanner:
         spec = self._spec
         method = spec.method
-        period = 1.0 / (spec.robot.rate_hz or method.controller.rate_hz)
         return Replanner(
             self._solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
-            period=period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
+            period=spec.period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
         )  # fmt: skip
 
     def decide(self, request: PlanRequest) -> tuple[Planned, Any]:
@@ -260,17 +270,6 @@ def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | N
         kept = tuple(each for each in task.obstacles if each.name != grid.name)
         task = replace(task, obstacles=(*kept, grid))
     return task
-
-
-def at_pose(spec: DriveSpec, pose: tuple[float, float, float]) -> Floats:
-    """State (nx,) at rest at a measured pose."""
-    vehicle = spec.vehicle
-    state = start_state(spec.task, vehicle)
-    state[list(vehicle.rest_indices)] = 0.0
-    for name, value in zip(("x", "y", "theta"), pose, strict=True):
-        if vehicle.index(name) >= 0:
-            state[vehicle.index(name)] = value
-    return state
 
 
 @contextlib.contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import time as clock
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from kraft.robot.messages import BOOL, GRID, POSE, yaw_of
 from kraft.robot.poses import Received, received
 from kraft.robot.protocol import Check
 from kraft.robot.robot_file import Robot
+from kraft.robot.timebase import clock_of
 from kraft.robot.transport import Transport
 from kraft.scenario import OccupancyMap
 
@@ -20,10 +20,11 @@ OCCUPIED = 50
 
 
 class Inputs:
-    """Subscriptions of a robot's topics."""
+    """Subscriptions of a robot's topics; `clock` is the one by which their arrivals count."""
 
     def __init__(self, robot: Robot, transport: Transport) -> None:
         self._robot = robot
+        self.clock = clock_of(robot, transport)
         self._poses: queue.SimpleQueue[Received] = queue.SimpleQueue()
         self._held: tuple[bool, float] | None = None
         self._goal: tuple[float, float] | None = None
@@ -41,7 +42,8 @@ class Inputs:
             transport.subscribe(robot.map.topic, GRID, self._take_map, latched=True)
 
     def _take_pose(self, message: Any, arrival: int) -> None:
-        self._poses.put(received(self._robot, message, arrival))
+        if self.clock.is_running:
+            self._poses.put(received(self._robot, message, self.clock.at(arrival)))
 
     def _take_dead_man(self, message: Any, arrival: int) -> None:
         switch = self._robot.dead_man
@@ -51,7 +53,7 @@ class Inputs:
         else:
             button = switch.button or 0
             held = button < len(message.buttons) and bool(message.buttons[button])
-        self._held = held, 1e-9 * arrival
+        self._held = held, 1e-9 * self.clock.at(arrival)
 
     def _take_goal(self, message: Any, arrival: int) -> None:
         place = message.pose.position
@@ -102,7 +104,7 @@ class Inputs:
         if self._held is None:
             return f"no message of the dead man on {switch.topic}"
         held, since = self._held
-        if clock.monotonic() - since > switch.timeout:
+        if 1e-9 * self.clock.now() - since > switch.timeout:
             return f"the dead man on {switch.topic} is silent"
         return "" if held else "the dead man is released"
 

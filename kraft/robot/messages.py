@@ -20,6 +20,7 @@ from ompl_ext.arrays import Floats, Matrix
 
 ACKERMANN: Final = "ackermann_msgs/msg/AckermannDriveStamped"
 BOOL: Final = "std_msgs/msg/Bool"
+CLOCK: Final = "rosgraph_msgs/msg/Clock"
 GRID: Final = "nav_msgs/msg/OccupancyGrid"
 JOINTS: Final = "sensor_msgs/msg/JointState"
 JOY: Final = "sensor_msgs/msg/Joy"

@@ -1,16 +1,36 @@
-"""Priority of processes that must keep to the clock, as far as the operating system permits it."""
+"""Processes of a drive: how they start, and their names and priorities as far as the operating system permits them."""
 
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
+import sys
 from collections.abc import Iterator
+from multiprocessing.context import ForkContext, SpawnContext
+from pathlib import Path
 from typing import Final
 
 REAL_TIME: Final = 20
 """Priority among real-time processes."""
 PLANNER: Final = -10
 """Niceness of the planner."""
+
+
+def process_context() -> ForkContext | SpawnContext:
+    """How a drive starts its processes: as forks, which have everything imported, where that is safe.
+
+    They are started while this process has a single thread and no transport.
+    """
+    if sys.platform.startswith("linux"):
+        return multiprocessing.get_context("fork")
+    return multiprocessing.get_context("spawn")
+
+
+def name_this_process(name: str) -> None:
+    """Give this process a name of up to 15 letters in the lists of the operating system, where it permits it."""
+    with contextlib.suppress(OSError):  # only Linux has it, and it is for people alone
+        Path("/proc/self/comm").write_text(name, encoding="ascii")
 
 
 def prefer_this_process() -> bool:

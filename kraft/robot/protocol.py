@@ -1,14 +1,20 @@
-"""What the two processes of a drive tell each other: the planner's, and that of the controller on its clock."""
+"""What the processes of a drive tell each other: the planner's, the controller's and that of the brake guard."""
 
 from __future__ import annotations
 
+import queue
+import threading
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 from kraft.driving.estimation import LevelCamera
 from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Cycle, Observation
 from kraft.driving.method import Method
+from kraft.planning.workspace import start_state
+from kraft.robot.poses import Clocks, Pose
 from kraft.robot.robot_file import Robot
 from kraft.scenario import OccupancyMap, Task
 from ompl_ext.arrays import Floats
@@ -28,6 +34,20 @@ class DriveSpec:
     folder: Path | None = None
     camera: LevelCamera | None = None
 
+    @property
+    def period(self) -> float:
+        """Time from one command to the next, s."""
+        return 1.0 / (self.robot.rate_hz or self.method.controller.rate_hz)
+
+    def at_rest(self, pose: Pose) -> Floats:
+        """State (nx,) of the vehicle that stands at a pose."""
+        state = start_state(self.task, self.vehicle)
+        state[list(self.vehicle.rest_indices)] = 0.0
+        for name, value in zip(("x", "y", "theta"), pose, strict=True):
+            if self.vehicle.index(name) >= 0:
+                state[self.vehicle.index(name)] = value
+        return state
+
 
 @dataclass(frozen=True)
 class Check:
@@ -43,7 +63,7 @@ class Checked:
     """All checks, the pose (x, y, theta) at which the vehicle stands (None without poses), and the robot's map."""
 
     checks: tuple[Check, ...]
-    pose: tuple[float, float, float] | None
+    pose: Pose | None
     map: OccupancyMap | None = None
 
     @property
@@ -123,3 +143,98 @@ class Ended:
     refused: dict[str, int] = field(default_factory=dict)
     stops: int = 0
     sense: Sense | None = None
+
+
+@dataclass(frozen=True)
+class Beat:
+    """What the controller did in a tick at `time` (s), for the brake guard: its command (nu,) and its observations.
+
+    `commitment` is what is on board, and `learned` what was identified, if that has changed since the last beat.
+    """
+
+    time: float
+    command: Floats
+    observations: tuple[Observation, ...]
+    commitment: Commitment | None = None
+    learned: Learned | None = None
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The brake guard can send commands."""
+
+
+@dataclass(frozen=True)
+class Guarding:
+    """The drive begins: from now on the brake guard watches the controller, by the clocks of the drive."""
+
+    clocks: Clocks
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """A command (nu,) that the brake guard sent at `time` (s) instead of the controller."""
+
+    time: float
+    command: Floats
+
+
+@dataclass(frozen=True)
+class Released:
+    """The controller has ended the drive, and the vehicle stands: the brake guard may end."""
+
+
+class Mailbox:
+    """Messages of another process, taken without waiting; `closed` when it has ended."""
+
+    def __init__(self, connection: Connection, peer: str) -> None:
+        """Exchange messages with `peer`; its end arrives as a `Stop`."""
+        self._connection, self._peer = connection, peer
+        self._arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._outgoing: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.closed = False
+        for task in (self._receive, self._send):
+            threading.Thread(target=task, name=f"messages of {peer}", daemon=True).start()
+
+    def _receive(self) -> None:
+        while True:
+            try:
+                self._arrived.put(self._connection.recv())
+            except (EOFError, OSError):
+                self.closed = True
+                self._arrived.put(Stop(f"{self._peer} has ended"))
+                return
+
+    def _send(self) -> None:
+        while True:
+            message, sent = self._outgoing.get()
+            try:
+                self._connection.send(message)
+            except OSError:
+                self.closed = True
+            sent.set()
+
+    @property
+    def unsent(self) -> int:
+        """Number of messages that wait to be sent: the other process does not take them."""
+        return self._outgoing.qsize()
+
+    def send(self, message: Any) -> threading.Event:
+        """Hand over a message; the event is set when it is sent."""
+        sent = threading.Event()
+        self._outgoing.put((message, sent))
+        return sent
+
+    def take(self) -> list[Any]:
+        """Messages that have arrived."""
+        found = []
+        while not self._arrived.empty():
+            found.append(self._arrived.get())
+        return found
+
+    def wait(self, seconds: float | None = None) -> Any:
+        """The next message; None if none arrives in a time (s)."""
+        try:
+            return self._arrived.get(timeout=seconds)
+        except queue.Empty:
+            return None

@@ -231,6 +231,8 @@ class Robot(StrictModel):
     """{topic} of goals as PoseStamped, which replace the scenario's"""
     map: TopicInput | None = None
     """{topic} of an OccupancyGrid, which is added to the scenario's obstacles"""
+    clock: TopicInput | None = None
+    """{topic} of the time of a simulation (rosgraph_msgs/Clock), as `use_sim_time` of ROS; the machine's if left out"""
     display: Annotated[str, StringConstraints(pattern=r"^((/[A-Za-z_][A-Za-z0-9_]*)+)?$")] = "/kraft"
     """topic under which plan, contingency, footprint and markers are sent; empty for none"""
     limits: Limits = Limits()
@@ -244,7 +246,7 @@ class Robot(StrictModel):
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Topics that are named twice, and a rate that the multiplexer does not wait for."""
         places: dict[object, str] = {}
-        for part in ("pose", "command", "dead_man", "goal", "map"):
+        for part in ("pose", "command", "dead_man", "goal", "map", "clock"):
             section = content.get(part)
             topic = section.get("topic") if isinstance(section, Mapping) else None
             if topic is not None and topic in places:

@@ -6,7 +6,6 @@ It has a process of its own, because making these messages takes as long as a pa
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import queue
 import signal
 import threading
@@ -34,6 +33,7 @@ from kraft.robot.messages import (
     stamped_pose,
     transform,
 )
+from kraft.robot.priority import name_this_process, process_context
 from kraft.robot.protocol import DriveSpec, Sense
 from kraft.robot.transport import Transport
 
@@ -45,11 +45,13 @@ class Display:
 
     def __init__(self, spec: DriveSpec, bag: Path | None) -> None:
         self._is_wanted = bool(spec.robot.display) or bag is not None
-        context = multiprocessing.get_context("spawn")
+        context = process_context()
         self._theirs, self._ours = context.Pipe(duplex=False)
-        self._process = context.Process(target=run_display, args=(spec, bag, self._theirs), name="kraft display")
+        self._process = context.Process(
+            target=run_display, args=(spec, bag, self._theirs, self._ours), name="kraft display"
+        )
         self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._feeder = threading.Thread(target=self._feed, name="display", daemon=True)
+        self._feeder = threading.Thread(target=self._send, name="display", daemon=True)
 
     @property
     def draws_trees(self) -> bool:
@@ -61,19 +63,26 @@ class Display:
         if self._is_wanted:
             self._process.start()
             self._theirs.close()  # so that each end sees when the other process ends
-            self._feeder.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         """Wait until everything is written."""
         if self._is_wanted:
-            self._waiting.put(None)
+            self._feed(None)
             self._feeder.join()
             self._ours.close()
             self._process.join()
 
-    def _feed(self) -> None:
-        """Hand over what waits; the planner does not wait for the display."""
+    def _feed(self, message: Any) -> None:
+        """Hand over a message, in a thread: the planner does not wait for the display.
+
+        The thread starts with the first message, when all processes of the drive have been started.
+        """
+        self._waiting.put(message)
+        if self._feeder.ident is None:
+            self._feeder.start()
+
+    def _send(self) -> None:
         while (message := self._waiting.get()) is not None:
             try:
                 self._ours.send(message)
@@ -83,16 +92,18 @@ class Display:
     def sensed(self, sense: Sense) -> None:
         """Write what the controller sensed and sent into the bag."""
         if self._is_wanted:
-            self._waiting.put(sense)
+            self._feed(sense)
 
     def show(self, cycle: Cycle) -> None:
-        """Show a cycle, which was decided now."""
+        """Show a cycle; what was sensed before it tells the time."""
         if self._is_wanted:
-            self._waiting.put((clock.time_ns(), cycle))
+            self._feed(cycle)
 
 
-def run_display(spec: DriveSpec, bag: Path | None, arrived: Connection) -> None:
-    """Main function of the display's process, until the planner's process closes its end or ends."""
+def run_display(spec: DriveSpec, bag: Path | None, arrived: Connection, other: Connection) -> None:
+    """Main function of the display's process, until `other`, the end of the planner's process, is closed everywhere."""
+    other.close()
+    name_this_process("kraft display")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
     with _Sender(spec, bag) as sender:
         while True:
@@ -103,7 +114,7 @@ def run_display(spec: DriveSpec, bag: Path | None, arrived: Connection) -> None:
             if isinstance(message, Sense):
                 sender.sensed(message)
             else:
-                sender.show(*message)
+                sender.show(message)
 
 
 class _Sender:
@@ -117,6 +128,7 @@ class _Sender:
         self._bag: BagWriter | None = None
         self._stack = contextlib.ExitStack()
         self._codec = CommandCodec(spec.robot, spec.vehicle)
+        self._epoch = 0  # time 0 of the drive, which the first message tells
 
     def __enter__(self) -> Self:
         """Open the bag; the transport is opened with the first cycle."""
@@ -134,6 +146,7 @@ class _Sender:
 
     def sensed(self, sense: Sense) -> None:
         """Write what the controller sensed and sent into the bag."""
+        self._epoch = sense.epoch
         if self._bag is None:
             return
         frames, vehicle, epoch = self._frames, self._spec.vehicle, sense.epoch
@@ -147,9 +160,10 @@ class _Sender:
             self._bag.write("/odometry/filtered", now, odometry(now, frames.map, frames.body, pose, speed))
             self._bag.write("/tf", now, make(TF, transforms=[transform(now, frames.map, frames.body, pose)]))
 
-    def show(self, now: int, cycle: Cycle) -> None:
-        """Send a cycle that was decided `now` (ns since 1970)."""
-        epoch = now - round(1e9 * cycle.decided)
+    def show(self, cycle: Cycle) -> None:
+        """Send a cycle."""
+        epoch = self._epoch
+        now = epoch + round(1e9 * cycle.decided)
         transport = self._open()
         for name, message in cycle_messages(cycle, self._spec.vehicle, now, epoch, self._frames):
             if transport is not None:

@@ -19,7 +19,7 @@ from kraft.driving.vehicle_model import stop_control
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.display import occupancy_grid
-from kraft.robot.messages import BOOL, GRID, ODOMETRY, POSE, TRANSFORM, header, make, pose_fields, transform
+from kraft.robot.messages import BOOL, CLOCK, GRID, ODOMETRY, POSE, TRANSFORM, header, make, pose_fields, transform
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import Scenario
@@ -36,6 +36,10 @@ CHUNK: Final = 2
 """Physics steps between two looks at the clock and the commands."""
 RECORD_RATE: Final = 30.0
 """Rate at which the clearance is measured and callbacks are called, 1/s."""
+CLOCK_RATE: Final = 50.0
+"""Rate of the messages of the simulation's time, 1/s of the machine's clock."""
+EPOCH: Final = 10**18
+"""Time at which a simulation begins that sends its time, ns."""
 DEAD_MAN_RATE: Final = 20.0
 """Rate of the messages of the simulated dead man, 1/s."""
 MOVES: Final = 0.02
@@ -98,7 +102,7 @@ class RobotWorld:
         self._held = np.zeros(len(vehicle.controls))
         self._last_command: int | None = None
         self._stopped = True
-        self._commands = self._mux_stops = 0
+        self._commands = self.mux_stops = 0
         self._lag = 0.0
         self._began = False
         self.cancelled = False
@@ -106,6 +110,8 @@ class RobotWorld:
         transport.advertise(robot.pose.topic, robot.pose.type)
         if robot.dead_man is not None:
             transport.advertise(robot.dead_man.topic, robot.dead_man.type)
+        if robot.clock is not None:
+            transport.advertise(robot.clock.topic, CLOCK)
         if robot.map is not None:
             transport.advertise(robot.map.topic, GRID, latched=True)
             grid = occupancy_grid(scenario.task(), clock.time_ns(), robot.pose.frame)
@@ -116,7 +122,12 @@ class RobotWorld:
         if control is not None:
             self._arrived.put((control, arrival))
 
-    def run(self, on_step: Callable[[TrueWorld, Step], None] | None = None, patience: float = math.inf) -> WorldResult:
+    def run(
+        self,
+        on_step: Callable[[TrueWorld, Step], None] | None = None,
+        patience: float = math.inf,
+        speed: float = 1.0,
+    ) -> WorldResult:
         """Simulate in real time until the goal, a collision or the time limit of the scenario.
 
         The world stands still until the first command that moves the car; its camera does not.
@@ -124,15 +135,22 @@ class RobotWorld:
         Args:
             on_step: called with the world 30 times a second.
             patience: time to wait for that command, s.
+            speed: seconds of the simulation in a second of the clock; others than 1 take a robot with a `clock`.
         """
         world, dt = self.world, self.world.dt
-        frames, records, switch = (
-            Ticks(rate, dt) for rate in (self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE)
+        assert speed == 1.0 or self._robot.clock is not None, "others must know the time"
+        frames, records, switch, times = (
+            Ticks(rate, dt) for rate in (self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / speed)
         )
+        self._speed = speed
         self._opened = clock.monotonic_ns()
         steps, ended, outcome = 0, None, None
         while True:
             self._wait(steps * dt)
+            self._stamp = EPOCH + round(1e9 * steps * dt) if self._robot.clock is not None else clock.time_ns()
+            if self._robot.clock is not None and steps >= times.due:
+                times.number += 1
+                self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
             self._mux(steps)
             if steps >= frames.due:
                 frames.number += 1
@@ -162,12 +180,12 @@ class RobotWorld:
         obstacle = world.collision.obstacle if world.collision and result is Outcome.COLLISION else None
         return WorldResult(
             self._scenario.name, self._seed, result, obstacle, world.time if ended is None else ended,
-            self._approach.least(), self._commands, self._mux_stops, self._lag, abs(world.speed) < STANDS,
+            self._approach.least(), self._commands, self.mux_stops, self._lag, abs(world.speed) < STANDS,
         )  # fmt: skip
 
     def _wait(self, due: float) -> None:
         """Sleep until a time of the simulation (s); a simulation that is far behind goes on from now."""
-        left = due - 1e-9 * (clock.monotonic_ns() - self._opened)
+        left = due / self._speed - 1e-9 * (clock.monotonic_ns() - self._opened)
         if left > 0.0:
             clock.sleep(left)
             return
@@ -199,7 +217,7 @@ class RobotWorld:
         if silence > self._robot.command.timeout and self._began:
             if not self._stopped:
                 self._stopped = True
-                self._mux_stops += 1
+                self.mux_stops += 1
             self.world.apply(self._braking()[self._order])
 
     @property
@@ -222,7 +240,7 @@ class RobotWorld:
         observation = self._camera.expose(steps * self.world.dt, *self.world.marker)
         if observation is None:
             return
-        settings, now = self._robot.pose, clock.time_ns()
+        settings, now = self._robot.pose, self._stamp
         pose = settings.tracked_point.tracked_pose(observation.x, observation.y, observation.theta)
         after = steps_of(self._scenario.sensing.latency, self.world.dt)
         self._outgoing.append((steps + after, settings.topic, pose_message(settings.type, now, settings.frame, pose)))
@@ -236,7 +254,7 @@ class RobotWorld:
         else:
             buttons = [0] * ((switch.button or 0) + 1)
             buttons[-1] = 1
-            message = make(switch.type, header=header(clock.time_ns(), ""), buttons=buttons)
+            message = make(switch.type, header=header(self._stamp, ""), buttons=buttons)
         self._transport.publish(switch.topic, message)
 
     def _record(self, on_step: Callable[[TrueWorld, Step], None] | None) -> None:
@@ -247,6 +265,11 @@ class RobotWorld:
             for name, value in zip(("x", "y", "theta"), (x, y, theta), strict=True):
                 state[self._vehicle.index(name)] = value
             on_step(self.world, Step(self.world.time, (x, y, theta), self.world.speed, state, self._held, 0))
+
+
+def clock_message(time: int) -> Any:
+    """Time of a simulation (ns) as a message."""
+    return make(CLOCK, clock={"sec": time // 10**9, "nanosec": time % 10**9})
 
 
 def pose_message(kind: str, time: int, frame: str, pose: tuple[float, float, float]) -> Any:

@@ -122,6 +122,21 @@ def test_a_run_folder_gives_what_was_seen_and_not_what_is_true(tmp_path: Path) -
     same_drive(log, MADE)
 
 
+def test_commands_of_the_brake_guard_are_among_those_of_a_run(tmp_path: Path) -> None:
+    commands = np.column_stack([MADE.command_times, MADE.commands])
+    by_guard = np.zeros(len(commands), bool)
+    by_guard[[3, 7, 8, -1]] = True
+    heading = ["time", "command_throttle", "command_steering"]
+    write_table(tmp_path / "run" / "steps.csv", heading, list(commands[~by_guard].T))
+    write_table(tmp_path / "run" / "guard.csv", heading, list(commands[by_guard].T))
+    seen = [MADE.pose_times, MADE.pose_times, MADE.poses[:, 0], MADE.poses[:, 1], wrapped(MADE.poses[:, 2])]
+    write_table(tmp_path / "run" / "observations.csv", ["time", "arrival", "x", "y", "theta"], seen)
+    same_drive(read_one(tmp_path), MADE)
+    write_table(tmp_path / "run" / "guard.csv", heading[:2], list(commands[by_guard, :2].T))
+    with pytest.raises(InputError, match=r"guard\.csv: has other columns than steps\.csv"):
+        read_logs(tmp_path)
+
+
 RENAMED = [
     {"t": "timestamp", "throttle": "cmd_speed", "steering": "cmd_steer", "yaw": "theta"},
     {"t": "time [s]", "throttle": "u_throttle", "steering": "u_steering", "x": "pos_x", "y": "pos_y", "yaw": "heading"},

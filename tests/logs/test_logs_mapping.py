@@ -221,6 +221,7 @@ def test_what_does_not_fit_the_log_is_said_in_the_mapping_file(tmp_path: Path, t
         ("poses: {yaw: a, quaternion: [a, b, c, d]}\n", "1:29 poses.quaternion"),
         ("limits: {pose_gap: -1}\n", "1:20 limits.pose_gap"),
         ("dead_man: {column: a, masks: []}\n", "1:30 dead_man.masks"),
+        ("commands: {controls: {throttle: a}}\ndead_man: {column: b, masks: [throtle]}\n", "2:31 dead_man.masks[0]"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_a_mapping_file_is_said_at_its_place(tmp_path: Path, text: str, expected: str) -> None:
@@ -235,7 +236,7 @@ def test_what_is_wrong_in_a_mapping_file_is_said_at_its_place(tmp_path: Path, te
 def test_an_unknown_control_is_said_alike_of_one_log_and_of_all(tmp_path: Path) -> None:
     said = mapping_of(
         tmp_path,
-        "commands: {controls: {throtle: a, steering: steering, brake: b}}\ndead_man: {column: d, masks: [gas]}\n",
+        "commands: {controls: {throtle: a, steering: steering, brake: b}}\ndead_man: {column: d, masks: [brake]}\n",
     )
     table = Table("a.csv", "", WIDE, np.zeros(len(TIMES), np.int64))
     with pytest.raises(InputError) as error:

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from support.paths import ROOT
+from support.script import output_of
 
 from kraft.driving.method import load_method
 from kraft.logs.reader import read_logs
@@ -77,6 +79,18 @@ def test_another_decoder_finds_the_drive_in_the_bag(tmp_path: Path, driven: tupl
     assert {child.child_frame_id for child in found["/tf"][0].transforms} == {"base_link", "truth/base_link"}
     assert any(marker.ns == "tree" and marker.points for message in found["/markers"] for marker in message.markers)
     assert found["/rosout"][-1].msg.startswith(result.outcome.value)
+
+
+def test_the_example_draws_a_bag_as_the_layout_shows_it(tmp_path: Path, driven: tuple[TrialSpec, TrialResult]) -> None:
+    spec, result = driven
+    write_trial(tmp_path / "drive.mcap", spec, result)
+    output_of(ROOT / "examples" / "draw_bag.py", str(tmp_path / "drive.mcap"), str(tmp_path / "drive.png"), "1.5")
+    assert (tmp_path / "drive.png").stat().st_size > 20_000
+    layout = json.loads((ROOT / "docs" / "kraft-layout.json").read_text(encoding="utf-8"))
+    shown = set(layout["configById"]["3D!kraft"]["topics"]) | {layout["configById"]["RosOut!log"]["topicToRender"]}
+    plots = [layout["configById"][f"Plot!{name}"]["paths"] for name in ("commands", "speed")]
+    plotted = {path["value"].split(".")[0] for paths in plots for path in paths}
+    assert shown | plotted <= set(decoded(tmp_path / "drive.mcap"))
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path: Path) -> None:

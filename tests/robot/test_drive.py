@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import signal
 import threading
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from support.rig import Rig
+from websockets.sync.client import connect
 
+from benchmarks.rig import Rig
 from kraft.logs.reader import read_logs
+from kraft.robot.messages import ACKERMANN, GRID, POSE, header, make, pose_fields, stamped_pose
+from kraft.robot.show import KINDS
 from kraft.trial.result import Outcome
 from kraft_cli.main import main
 
@@ -26,9 +32,9 @@ DOMAINS = itertools.count(10 + threading.get_native_id() % 80)
 def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, transport: str) -> None:
     settings = f"{{kind: ros2, domain: {next(DOMAINS)}, interface: lo}}" if transport == "ros2" else ""
     bag = tmp_path / "drive.mcap"
-    patient = {"trial.timeout": 150.0}  # beside other tests decisions come late, and the car waits for them
-    with Rig(tmp_path, transport=settings, arguments=("--bag", str(bag)), settings=patient) as rig:
-        assert rig.until(lambda: rig.process.poll() is not None, 240.0)
+    near = {"goal.center": [1.7, 1.6], "trial.timeout": 150.0}
+    with Rig(tmp_path, transport=settings, arguments=("--bag", str(bag)), settings=near, speed=0.5) as rig:
+        assert rig.until(lambda: rig.process.poll() is not None, 100.0)
         out, errors = rig.process.communicate()
         driven = json.loads(out)
         assert rig.process.returncode == 0, errors
@@ -38,7 +44,7 @@ def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, tran
     assert driven["outcome"] == "success"
     assert driven["t_s"] == pytest.approx(rig.result.time, abs=1.5)
     folder = tmp_path / "out"
-    assert {path.name for path in folder.iterdir()} == {
+    assert {path.name for path in folder.iterdir()} - {"guard.csv"} == {  # which is there if the controller was held up
         "manifest.json", "steps.csv", "observations.csv", "events.csv", "cycles.jsonl", "result.json",
     }  # fmt: skip
     (log,) = read_logs(folder).logs
@@ -73,6 +79,49 @@ def test_the_second_interrupt_ends_at_once(tmp_path: Path) -> None:
         assert rig.stands(6.0)
 
 
+def test_goal_map_and_other_publishers_change_while_the_car_drives(tmp_path: Path) -> None:
+    more = "goal: {topic: /goal}\nmap: {topic: /map}"
+    with Rig(tmp_path, more=more, give_up=30.0, settings={"trial.timeout": 150.0}, speed=0.5) as rig:
+        shown: dict[str, list[Any]] = {name: [] for name in KINDS}
+        for name, kind in KINDS.items():
+            rig.link.subscribe(f"/kraft/{name}", kind, lambda message, _, name=name: shown[name].append(message))
+        rig.link.advertise("/goal", POSE)
+
+        def newest_plan() -> list[tuple[float, float]]:
+            plans = [message.poses for message in shown["plan"] if message.poses]
+            return [(each.pose.position.x, each.pose.position.y) for each in plans[-1]] if plans else []
+
+        rig.drive_until(0.5)
+        goal = (0.5, 3.4)
+        rig.link.publish("/goal", stamped_pose(time.time_ns(), "map", (*goal, 0.0)))
+        assert rig.until(lambda: bool(newest_plan()) and math.dist(newest_plan()[-1], goal) < 0.35, 60.0), (
+            newest_plan()[-1:]
+        )
+
+        car = rig.world.world.pose[:2]
+        x, y = next(place for place in newest_plan() if math.dist(place, car) > 1.4)  # so that it can still avoid it
+        info = {"resolution": 0.1, "width": 2, "height": 2, "origin": pose_fields(x - 0.1, y - 0.1, 0.0)}
+        rig.link.publish("/map", make(GRID, header=header(1, "map"), info=info, data=[100] * 4))
+
+        def avoids(path: list[tuple[float, float]]) -> bool:
+            return bool(path) and path[-1][1] > y and min(max(abs(a - x), abs(b - y)) for a, b in path) > 0.1
+
+        known = len(shown["plan"])
+        assert rig.until(lambda: len(shown["plan"]) > known + 1 and avoids(newest_plan()), 60.0)
+
+        with connect(rig.url) as intruder:
+            intruder.send(json.dumps({"op": "advertise", "topic": "/drive", "type": ACKERMANN}))
+            assert rig.until(lambda: any("somebody else publishes" in event for event in rig.events), 10.0)
+            assert rig.stands(5.0)
+        out, errors = rig.process.communicate(timeout=120)
+        assert json.loads(out)["outcome"] == "success", errors
+        assert math.dist(rig.world.world.pose[:2], goal) < 0.4
+        assert rig.world.world.collision is None
+    assert {marker.ns for message in shown["markers"] for marker in message.markers} == {"state", "tree"}
+    assert len(shown["footprint"][-1].polygon.points) == 4
+    assert any(message.poses for message in shown["contingency"])
+
+
 def test_a_robot_that_is_elsewhere_is_not_moved(tmp_path: Path) -> None:
     with Rig(tmp_path, arguments=("--set", "start.x=0.1", "--set", "start.y=3.5")) as rig:
         out, errors = rig.process.communicate(timeout=120)
@@ -97,6 +146,14 @@ def test_what_does_not_fit_together_is_refused_before_anything_moves(
 ) -> None:
     assert main(["drive", "boxes", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("robot", "speed"), [("sim", "0"), ("sim", "nan"), ("f1tenth", "0.5")])
+def test_a_speed_that_the_other_program_cannot_know_is_refused(
+    robot: str, speed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["world", "boxes", "--robot", robot, "--speed", speed]) == 2
+    assert "--speed" in capsys.readouterr().err
 
 
 def test_the_transport_within_a_process_serves_no_two_processes(

@@ -1,11 +1,10 @@
 """Whatever breaks in the middle of a drive, the car stands without a collision, says why, and what was driven is kept.
 
-Each fault happens once here, at a moment that the seed draws.
+Each fault happens once here, at a moment that a seed draws; `benchmarks/faults.py` lets each happen many times.
 """
 
 from __future__ import annotations
 
-import copy
 import itertools
 import json
 import math
@@ -13,63 +12,12 @@ import multiprocessing
 import os
 import random
 import signal
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from support.rig import Rig
 
-from kraft.robot.messages import make, nanoseconds_of
-
-POSES = "/pf/pose/odom"
-
-
-def drop_poses(topic: str, message: Any) -> Any:
-    return None if topic == POSES else message
-
-
-class Freeze:
-    """The first pose again and again, with new stamps."""
-
-    def __init__(self) -> None:
-        self.first: Any = None
-
-    def __call__(self, topic: str, message: Any) -> Any:
-        if topic != POSES:
-            return message
-        self.first = self.first or message
-        frozen = copy.deepcopy(self.first)
-        frozen.header.stamp = message.header.stamp
-        return frozen
-
-
-def jump(topic: str, message: Any) -> Any:
-    if topic == POSES:
-        message.pose.pose.position.x += 2.0
-    return message
-
-
-def no_number(topic: str, message: Any) -> Any:
-    if topic == POSES:
-        message.pose.pose.position.y = math.nan
-    return message
-
-
-def clock_jump(seconds: int) -> Callable[[str, Any], Any]:
-    def spoil(topic: str, message: Any) -> Any:
-        if topic == POSES:
-            time = nanoseconds_of(message.header.stamp) + seconds * 10**9
-            message.header.stamp = make("builtin_interfaces/msg/Time", sec=time // 10**9, nanosec=time % 10**9)
-        return message
-
-    return spoil
-
-
-def cut(topic: str, message: Any) -> Any:
-    return None
-
+from benchmarks.faults import SPOILT, cut
+from benchmarks.rig import Rig
 
 ROOM = """
 name: room
@@ -80,19 +28,10 @@ goal: {center: [0, 6], radius: 0.25}
 vehicle: mushr
 """
 """Scene for faults after which nobody steers: only the multiplexer can stop the car then, wherever it is."""
-SPOILT: dict[str, tuple[Callable[[], Callable[[str, Any], Any]], str]] = {
-    "poses stop": (lambda: drop_poses, "no pose for"),
-    "poses freeze": (Freeze, "the poses do not change"),
-    "poses jump": (lambda: jump, "the poses jumped"),
-    "poses are no numbers": (lambda: no_number, "the poses are no numbers"),
-    "the clock jumps ahead": (lambda: clock_jump(5), "the clock of the poses jumped"),
-    "the clock jumps back": (lambda: clock_jump(-5), "the clock of the poses jumped"),
-    "the network is cut": (lambda: cut, "no pose for"),
-}
 
 
 def moment(fault: str) -> float:
-    return random.Random(fault).uniform(1.5, 5.0)
+    return random.Random(fault).uniform(1.5, 4.0)
 
 
 def keeps_what_was_driven(rig: Rig, since: float) -> None:
@@ -104,19 +43,40 @@ def keeps_what_was_driven(rig: Rig, since: float) -> None:
     assert len([json.loads(line) for line in lines]) >= int(since) - 1
 
 
-@pytest.mark.parametrize("fault", SPOILT)
-def test_the_car_stands_and_says_why_when_its_messages_are_spoilt(tmp_path: Path, fault: str) -> None:
-    spoil, why = SPOILT[fault]
-    with Rig(tmp_path) as rig:
-        rig.drive_until(moment(fault))
-        rig.link.spoil = spoil()
+def drives(rig: Rig) -> bool:
+    return rig.until(lambda: abs(rig.world.world.speed) > 0.25 or rig.result is not None, 60.0)
+
+
+def test_the_car_stands_says_why_and_goes_on_when_its_messages_are_spoilt(tmp_path: Path) -> None:
+    faults = [name for name in SPOILT if name != "the network is cut"]
+    random.Random(5).shuffle(faults)
+    with Rig(tmp_path, give_up=30.0) as rig:
+        rig.drive_until(1.0)
+        for fault in faults:
+            spoil, why = SPOILT[fault]
+            for _ in range(4):  # the fault may come when the car stops for another reason
+                assert drives(rig)
+                known = len(rig.events)
+                rig.link.spoil = spoil()
+                assert rig.stands(5.0), (fault, rig.world.world.collision, rig.world.world.speed)
+                rig.link.spoil = lambda _, message: message
+                if any(why in event for event in rig.events[known:]):
+                    break
+            else:
+                pytest.fail(f"{fault}: {rig.events}")
+        assert drives(rig)
+        assert rig.world.world.collision is None
+
+
+def test_the_drive_ends_and_says_why_when_the_network_stays_cut(tmp_path: Path) -> None:
+    with Rig(tmp_path, give_up=2.0) as rig:
+        rig.drive_until(moment("network"))
+        rig.link.spoil = cut
         assert rig.stands(5.0), (rig.world.world.collision, rig.world.world.speed)
-        assert rig.until(lambda: any(why in event for event in rig.events), 5.0), rig.events
-        out, _ = rig.process.communicate(timeout=60)
-        result = json.loads(out)
+        result = rig.process.result(60)
         assert (rig.process.returncode, result["outcome"]) == (1, "stopped")
-        assert why in result["reason"]
-        keeps_what_was_driven(rig, moment(fault))
+        assert "no pose for" in result["reason"]
+        keeps_what_was_driven(rig, moment("network"))
 
 
 def test_the_car_stands_by_its_contingency_when_the_planner_is_killed(tmp_path: Path) -> None:
@@ -128,47 +88,54 @@ def test_the_car_stands_by_its_contingency_when_the_planner_is_killed(tmp_path: 
         keeps_what_was_driven(rig, moment("planner"))
 
 
+def test_the_brake_guard_stops_the_car_when_the_controller_is_killed(tmp_path: Path) -> None:
+    with Rig(tmp_path) as rig:
+        rig.drive_until(moment("controller"))
+        os.kill(rig.pid("control"), signal.SIGKILL)
+        assert rig.stands(6.0), (rig.world.world.collision, rig.world.world.speed)
+        assert "the controller's process ended with -9" in rig.process.result(60)["reason"]
+        keeps_what_was_driven(rig, moment("controller"))
+        driven = [float(row[0]) for row in rig.rows("guard")]
+        assert driven[0] - float(rig.rows("steps")[-1][0]) < 0.15, "it acts before the multiplexer does"
+        assert driven[-1] > driven[0] + 1.0, "it commands the car to stand for a second"
+
+
+def test_the_brake_guard_stops_the_car_when_all_processes_of_the_group_pause(tmp_path: Path) -> None:
+    """SIGSTOP to the group of processes, as a terminal sends it with Ctrl-Z, does not reach the guard."""
+    with Rig(tmp_path) as rig:
+        rig.drive_until(moment("group"))
+        os.killpg(rig.process.pid, signal.SIGSTOP)
+        try:
+            assert rig.stands(6.0), (rig.world.world.collision, rig.world.world.speed)
+        finally:
+            os.killpg(rig.process.pid, signal.SIGCONT)
+        assert drives(rig)
+        assert rig.world.world.collision is None
+        assert any("the controller was held up" in event and "the brake guard" in event for event in rig.events), (
+            rig.events
+        )
+
+
 def room(folder: Path) -> str:
     (folder / "room.yaml").write_text(ROOM, encoding="utf-8")
     return str(folder / "room.yaml")
 
 
-def test_the_multiplexer_stops_the_car_when_the_controller_is_killed(tmp_path: Path) -> None:
+def test_the_multiplexer_stops_the_car_when_controller_and_guard_are_killed(tmp_path: Path) -> None:
     with Rig(tmp_path, room(tmp_path)) as rig:
-        rig.drive_until(moment("controller"))
-        os.kill(rig.controller or 0, signal.SIGKILL)
+        rig.drive_until(2.0)
+        for name in ("guard", "control"):
+            os.kill(rig.pid(name), signal.SIGKILL)
         assert rig.stands(6.0), (rig.world.world.collision, rig.world.world.speed)
-        out, _ = rig.process.communicate(timeout=60)
-        assert "the controller's process ended with -9" in json.loads(out)["reason"]
-        keeps_what_was_driven(rig, moment("controller"))
+        assert rig.world.mux_stops > 0
 
 
-@pytest.mark.parametrize("victim", ["planner", "controller", "both"])
-def test_the_car_slows_down_when_a_process_pauses_for_a_second_and_goes_on(tmp_path: Path, victim: str) -> None:
-    with Rig(tmp_path, room(tmp_path)) as rig:
-        rig.drive_until(moment(f"pause {victim}"))
-        before, both = abs(rig.world.world.speed), [rig.process.pid, rig.controller or 0]
-        pids = {"planner": both[:1], "controller": both[1:]}.get(victim, both)
-        for pid in pids:
-            os.kill(pid, signal.SIGSTOP)
-        time.sleep(1.0)
-        after = abs(rig.world.world.speed)
-        for pid in pids:
-            os.kill(pid, signal.SIGCONT)
-        assert rig.until(lambda: rig.result is not None or rig.world.world.time > 45.0, 90.0)
-        assert rig.world.world.collision is None
-        if victim != "planner":
-            assert after < 0.5 * before
-            assert any("the controller was held up" in event for event in rig.events)
-
-
-def test_one_message_in_three_may_be_lost(tmp_path: Path) -> None:
-    generator = random.Random(3)
+def test_a_drive_ends_when_its_guard_has_ended(tmp_path: Path) -> None:
     with Rig(tmp_path) as rig:
-        rig.drive_until(1.0)
-        rig.link.spoil = lambda _, message: None if generator.random() < 1 / 3 else message
-        assert rig.until(lambda: rig.result is not None, 70.0)
-        assert rig.world.world.collision is None
+        rig.drive_until(1.5)
+        os.kill(rig.pid("guard"), signal.SIGKILL)
+        assert rig.stands(6.0), (rig.world.world.collision, rig.world.world.speed)
+        assert "the brake guard has ended" in rig.process.result(60)["reason"]
 
 
 def burn() -> None:
@@ -176,15 +143,17 @@ def burn() -> None:
         math.sqrt(2.0)
 
 
-def test_a_loaded_machine_does_not_make_it_collide(tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
+def test_lost_messages_and_a_loaded_machine_do_not_make_it_collide(tmp_path: Path) -> None:
+    generator, context = random.Random(3), multiprocessing.get_context("spawn")
     burners = [context.Process(target=burn, daemon=True) for _ in range(2 * (os.cpu_count() or 1))]
     try:
         with Rig(tmp_path) as rig:
-            rig.drive_until(2.0)
+            rig.drive_until(1.0)
+            rig.link.spoil = lambda _, message: None if generator.random() < 1 / 3 else message
+            assert rig.until(lambda: rig.result is not None or rig.world.world.time > 5.0, 60.0)
             for burner in burners:
                 burner.start()
-            assert rig.until(lambda: rig.result is not None or rig.world.world.time > 20.0, 60.0)
+            assert rig.until(lambda: rig.result is not None or rig.world.world.time > 9.0, 60.0)
             assert rig.world.world.collision is None
     finally:
         for burner in burners:

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import math
+import time
+from multiprocessing import Pipe
 from typing import Any
 
 import numpy as np
 import pytest
 
 from kraft.driving.car_model import CarModel
+from kraft.driving.messages import Commitment, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited
+from kraft.robot.control import Control
 from kraft.robot.drive import check_method, on_the_clock
-from kraft.robot.inputs import occupancy_map
+from kraft.robot.inputs import Inputs, occupancy_map
+from kraft.robot.journal import Journal
 from kraft.robot.messages import GRID, make, pose_fields
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
+from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox
 from kraft.robot.robot_file import Robot
+from kraft.robot.timebase import TopicClock
+from kraft.robot.tracker import Tracker
+from kraft.robot.transport import LoopbackBus
+from kraft.robot.world import clock_message
+from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 
 LATENCY = 0.01
@@ -173,3 +184,49 @@ def test_a_map_with_a_turned_origin_and_unknown_cells_is_an_obstacle() -> None:
     np.testing.assert_array_equal(found.occupied, [[False, True]])
     assert found.origin == pytest.approx((1.0, 2.0, 0.3))
     assert occupancy_map(make(GRID, info={**info, "width": 3}, data=[0, -1])) is None
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0, 3.0])
+def test_the_time_of_a_simulation_is_known_between_late_messages(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, generator = LoopbackBus(), np.random.default_rng(1)
+    followed, simulation = TopicClock(bus.node("kraft"), "/clock"), bus.node("world")
+    monotonic = [10**12]
+    monkeypatch.setattr("kraft.robot.transport.time.monotonic_ns", lambda: monotonic[0])
+    monkeypatch.setattr("kraft.robot.timebase.time.monotonic_ns", lambda: monotonic[0])
+    assert not followed.is_running
+    errors, times = [], []
+    for k in range(400):
+        sent = 10**12 + k * 20_000_000
+        monotonic[0] = sent + round(abs(generator.normal(0.0, 3e6)))
+        simulation.publish("/clock", clock_message(5 * 10**17 + round(speed * (sent - 10**12))))
+        if k > 100:
+            errors.append(followed.now() - 5 * 10**17 - speed * (monotonic[0] - 10**12))
+            times.append(followed.now())
+    assert followed.is_running
+    assert np.abs(errors).max() < 2e6 * speed
+    assert times == sorted(times)
+    assert followed.wall(1.0) == pytest.approx(1.0 / speed, rel=1e-3)
+
+
+def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick() -> None:
+    """The guard may send one between the beginning of a tick and the look at its messages."""
+    described, bus = robot(), LoopbackBus()
+    spec = DriveSpec(
+        load_scenario("boxes").task(), load_method("adaptive-kraft"), load_vehicle("mushr"), described, 60.0
+    )
+    start = spec.task.start
+    state = spec.at_rest((start.x, start.y, start.heading))
+    rest = Reference(ReferenceKind.CONTINGENCY, np.array([0.0]), state[np.newaxis], np.zeros((0, 2)), np.zeros(2))
+    node = bus.node("kraft")
+    inputs = Inputs(described, node)
+    tracker = Tracker(spec, Begin(state, Commitment(rest)), node, inputs)
+    (planner, _planner), (guard, theirs) = Pipe(), Pipe()
+    mail = Mailbox(guard, "the brake guard")
+    control = Control(spec, node, inputs, Mailbox(planner, "the planner"), mail, Journal(None, {}), tracker)
+    theirs.send(Guarded(1.3, np.array([0.5, 0.1])))
+    until = time.monotonic() + 5.0
+    while (found := control._take_guarded(1.2)) == 0 and time.monotonic() < until:
+        time.sleep(0.001)
+    assert found == 1
+    assert tracker.last_sent == 1.2
+    tracker.commanded(1.2, np.zeros(2))

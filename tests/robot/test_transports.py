@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 from websockets.sync.server import serve
 
 from kraft.errors import Code, InputError
-from kraft.robot.connect import open_robot, open_transport
+from kraft.robot.connect import open_transport
 from kraft.robot.messages import (
     ACKERMANN,
     GRID,
@@ -80,7 +80,7 @@ def ends(request: pytest.FixtureRequest) -> Iterator[tuple[Transport, Transport]
         ros = 1 if request.param == "ros1" else 2
         settings = {"kind": "rosbridge", "url": f"ws://localhost:{free_port()}", "ros": ros}
     described = robot(settings)
-    there = open_robot(described)
+    there = open_transport(described, "robot")
     here = open_transport(described)
     yield there, here
     here.close()
@@ -273,9 +273,9 @@ def test_nobody_at_the_address_and_a_taken_port_are_refused() -> None:
     with pytest.raises(InputError) as nobody:
         open_transport(settings)
     assert nobody.value.diagnostics[0].code is Code.NOT_FOUND
-    server = open_robot(settings)
+    server = open_transport(settings, "robot")
     with pytest.raises(InputError) as taken:
-        open_robot(settings)
+        open_transport(settings, "robot")
     assert taken.value.diagnostics[0].code is Code.EXISTS
     server.close()
 

@@ -1,0 +1,222 @@
+"""Faults in the middle of a drive: whether the car stands without a collision, says why, and what is on the disk."""
+
+from __future__ import annotations
+
+import copy
+import math
+import multiprocessing
+import os
+import random
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.effort import Effort
+from benchmarks.report import Report, Target, row
+from benchmarks.rig import Rig, Spoil
+from kraft.robot.messages import make, nanoseconds_of
+
+POSES: Final = "/pf/pose/odom"
+
+
+def drop_poses(topic: str, message: Any) -> Any:
+    """Lose the poses."""
+    return None if topic == POSES else message
+
+
+def freeze() -> Spoil:
+    """The first pose again and again, with new stamps."""
+    first: list[Any] = []
+
+    def spoil(topic: str, message: Any) -> Any:
+        if topic != POSES:
+            return message
+        first.append(message)
+        frozen = copy.deepcopy(first[0])
+        frozen.header.stamp = message.header.stamp
+        return frozen
+
+    return spoil
+
+
+def jump(topic: str, message: Any) -> Any:
+    """Move the poses by 2 m."""
+    if topic == POSES:
+        message.pose.pose.position.x += 2.0
+    return message
+
+
+def no_number(topic: str, message: Any) -> Any:
+    """Make the poses no numbers."""
+    if topic == POSES:
+        message.pose.pose.position.y = math.nan
+    return message
+
+
+def clock_jump(seconds: int) -> Spoil:
+    """Put the clock of the poses on or back."""
+
+    def spoil(topic: str, message: Any) -> Any:
+        if topic == POSES:
+            time = nanoseconds_of(message.header.stamp) + seconds * 10**9
+            message.header.stamp = make("builtin_interfaces/msg/Time", sec=time // 10**9, nanosec=time % 10**9)
+        return message
+
+    return spoil
+
+
+def cut(topic: str, message: Any) -> Any:
+    """Lose everything."""
+    return None
+
+
+SPOILT: Final[dict[str, tuple[Callable[[], Spoil], str]]] = {
+    "poses stop": (lambda: drop_poses, "no pose for"),
+    "poses freeze": (freeze, "the poses do not change"),
+    "poses jump": (lambda: jump, "the poses jumped"),
+    "poses are no numbers": (lambda: no_number, "the poses are no numbers"),
+    "the clock jumps ahead": (lambda: clock_jump(5), "the clock of the poses jumped"),
+    "the clock jumps back": (lambda: clock_jump(-5), "the clock of the poses jumped"),
+    "the network is cut": (lambda: cut, "no pose for"),
+}
+
+
+SCENE: Final = "boxes"
+FAST: Final = 0.45
+"""Speed from which on a fault may come, m/s."""
+WATCHED: Final = 8.0
+"""Time within which the car has to stand, s."""
+PAUSE: Final = 1.0
+"""Duration of a pause of processes, s."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What breaks, what the drive says about it (empty if nobody is left to say it), and whether the car must stand."""
+
+    name: str
+    cause: Callable[[Rig, random.Random], None]
+    says: str
+    stops: bool = True
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a fault led to; `way` is that from the fault to standstill, m."""
+
+    collided: bool
+    stood: bool
+    said: bool
+    kept: bool
+    way: float
+
+
+def spoil(name: str) -> Fault:
+    """Fault of the messages."""
+    make_spoil, says = SPOILT[name]
+
+    def cause(rig: Rig, generator: random.Random) -> None:
+        rig.link.spoil = make_spoil()
+
+    return Fault(name, cause, says)
+
+
+def signalled(name: str, number: int, victims: tuple[str, ...], says: str) -> Fault:
+    """Signal to processes; ``group`` is the group of all of them but the guard."""
+
+    def cause(rig: Rig, generator: random.Random) -> None:
+        for victim in victims:
+            if victim == "group":
+                os.killpg(rig.process.pid, number)
+            else:
+                os.kill(rig.process.pid if victim == "planner" else rig.pid(victim), number)
+        if number == signal.SIGSTOP:
+            time.sleep(PAUSE)
+            for pid in (rig.process.pid, rig.pid("control"), rig.pid("guard"), rig.pid("display")):
+                os.kill(pid, signal.SIGCONT)
+
+    return Fault(name, cause, says)
+
+
+def lose(rig: Rig, generator: random.Random) -> None:
+    """Lose one message in three from now on."""
+    rig.link.spoil = lambda _, message: None if generator.random() < 1 / 3 else message
+
+
+def load(rig: Rig, generator: random.Random) -> None:
+    """Load every core of the machine with two processes."""
+    context = multiprocessing.get_context("spawn")
+    for _ in range(2 * (os.cpu_count() or 1)):
+        context.Process(target=burn, args=(WATCHED,), daemon=True).start()
+
+
+def burn(seconds: float) -> None:
+    """Compute for a while."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        math.sqrt(2.0)
+
+
+PAUSED: Final = "the controller was held up"
+FAULTS: Final = (
+    signalled("the planner is killed", signal.SIGKILL, ("planner",), "the planner's process has ended"),
+    signalled("the controller is killed", signal.SIGKILL, ("control",), "the controller's process ended"),
+    signalled("all of kraft but its guard is killed", signal.SIGKILL, ("group",), ""),
+    *(spoil(name) for name in SPOILT),
+    Fault("one message in three is lost", lose, "", stops=False),
+    Fault("all cores are loaded", load, "", stops=False),
+    signalled("the controller pauses for 1 s", signal.SIGSTOP, ("control",), PAUSED),
+    signalled("all of kraft but its guard pauses for 1 s", signal.SIGSTOP, ("group",), PAUSED),
+    signalled("all of kraft, with its guard, pauses for 1 s", signal.SIGSTOP, ("guard", "group"), PAUSED),
+    signalled("all of kraft, with its guard, is killed", signal.SIGKILL, ("guard", "group"), ""),
+)
+
+
+def run(effort: Effort) -> Report:
+    """Let each fault happen many times, at random moments."""
+    table = [["fault", "drives", "collided", "stood", "said why", "kept", "way to standstill (m)"]]
+    collisions: list[float] = []
+    for fault in FAULTS:
+        seen = [one(fault, seed) for seed in range(effort.faults)]
+        counts = [sum(getattr(each, name) for each in seen) for name in ("collided", "stood", "said", "kept")]
+        said = str(counts[2]) if fault.says else "-"
+        ways = [each.way for each in seen if each.stood]
+        way = f"{max(ways):.2f} at most" if ways and fault.stops else "-"
+        stood = str(counts[1]) if fault.stops else "-"
+        table.append([fault.name, str(len(seen)), str(counts[0]), stood, said, str(counts[3]), way])
+        collisions.append(float(counts[0]))
+    rows = [row("collisions after a fault", "", collisions, Target(0.0, of="worst"))]
+    notes = [
+        f"Drives in {SCENE} with adaptive-kraft over rosbridge, faults at random moments at {FAST} m/s or more.",
+        "Kept: the ticks until the fault are on the disk.",
+        "The network is cut, and all of kraft is killed or pauses: only the robot's multiplexer can act, 0.2 s later.",
+    ]
+    return Report("faults", rows, {"what faults lead to": table}, notes)
+
+
+def one(fault: Fault, seed: int) -> Seen:
+    """One drive with one fault."""
+    generator = random.Random(f"{fault.name} {seed}")
+    with tempfile.TemporaryDirectory() as name, Rig(Path(name), SCENE, seed=seed, give_up=2.0) as rig:
+        rig.drive_until(generator.uniform(1.0, 5.0))
+        rig.until(lambda: abs(rig.world.world.speed) > FAST or rig.result is not None, 20.0)
+        began, last, place = rig.world.world.time, rig.rows("steps")[-1][0], rig.world.world.pose[:2]
+        fault.cause(rig, generator)
+        stood = rig.stands(WATCHED)
+        said = not fault.says or rig.until(lambda: says(rig, fault.says), 10.0)
+        rows = rig.rows("steps")
+        kept = float(last) > began - 1.0 and float(rows[-1][0]) >= float(last)
+        return Seen(
+            rig.world.world.collision is not None, stood, said, kept, math.dist(place, rig.world.world.pose[:2])
+        )
+
+
+def says(rig: Rig, words: str) -> bool:
+    """Whether the drive has said something."""
+    if any(words in event for event in rig.events):
+        return True
+    return rig.process.poll() is not None and words in rig.process.communicate()[0]

@@ -1,0 +1,125 @@
+"""The brake guard: a process that drives the vehicle to a standstill when the controller falls silent.
+
+It knows what the controller knows: every tick the controller tells it the command, the observations, and what is on
+board.  When no such message arrives for longer than two commands should be apart, the guard receives the poses itself
+and goes on from there: the rest of the plan on board, then its contingency, both verified, with feedback.  It stops
+doing so as soon as the controller drives again.  It is in a session of its own, so that signals to the group of the
+other processes, such as Ctrl-Z in a terminal, do not reach it, and it outlives them until the vehicle stands.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from typing import Final
+
+from kraft.driving.messages import ReferenceKind
+from kraft.robot.connect import open_transport
+from kraft.robot.inputs import Inputs
+from kraft.robot.journal import Journal
+from kraft.robot.priority import name_this_process, prefer_this_process
+from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Mailbox, Ready, Released, Stop
+from kraft.robot.tracker import Tracker, warm_up
+
+SILENCE: Final = 0.03
+"""Time after a command is due when the guard sends its own, s."""
+STANDS: Final = 1.0
+"""Time for which the guard commands the vehicle to stand, s."""
+LONGEST: Final = 8.0
+"""Longest time for which the guard drives, s."""
+
+
+def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connection]) -> None:
+    """Main function of the process, until the controller has ended; `others` are ends that it does not need."""
+    for each in others:
+        each.close()
+    os.setsid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    name_this_process("kraft guard")
+    prefer_this_process()
+    mailbox = Mailbox(connection, "the controller")
+    begin = mailbox.wait()
+    if not isinstance(begin, Begin):
+        return  # the check list failed
+    warm_up(spec)
+    transport = open_transport(spec.robot)
+    try:
+        inputs = Inputs(spec.robot, transport)
+        transport.advertise(spec.robot.command.topic, spec.robot.command.type)
+        while not inputs.clock.is_running and not mailbox.closed:
+            time.sleep(0.01)
+        mailbox.send(Ready())
+        headings = {"guard": ["time", *(f"estimate_{name}" for name in spec.vehicle.state),
+                              *(f"command_{name}" for name in spec.vehicle.controls)]}  # fmt: skip
+        with Journal(spec.folder, headings) as journal:
+            Guard(spec.period, Tracker(spec, begin, transport, inputs), mailbox, journal).run()
+    finally:
+        transport.close()
+
+
+class Guard:
+    """Watches the ticks of a controller, and drives when they stay away."""
+
+    def __init__(self, period: float, tracker: Tracker, mailbox: Mailbox, journal: Journal) -> None:
+        self._period, self._tracker, self._mailbox, self._journal = period, tracker, mailbox, journal
+        self._since: float | None = None  # the beginning of its own driving
+        self._stood = 0.0
+
+    def run(self) -> None:
+        """Watch until the controller releases the guard, or has ended and the vehicle stands."""
+        due: float | None = None  # time of the drive when the guard acts, while it has to
+        while True:
+            message = self._mailbox.wait(None if due is None else self._tracker.wall(max(0.0, due - self._tracker.now)))
+            if isinstance(message, Released):
+                return
+            if isinstance(message, Guarding):
+                self._tracker.start(message.clocks)
+            elif isinstance(message, Beat):
+                self._mirror(message)
+                due = message.time + self._period + SILENCE
+            elif isinstance(message, Stop) and (due is None or self._is_done):
+                return  # the controller has ended before the drive, or while the vehicle stood
+            elif message is None:
+                now = self._tracker.now
+                self._drive(now)
+                due = now + self._period
+                if self._is_done:
+                    if self._mailbox.closed:
+                        return
+                    due = None  # until the controller goes on
+
+    def _mirror(self, beat: Beat) -> None:
+        """Do what the controller did."""
+        tracker = self._tracker
+        tracker.drop_poses()  # the controller has them
+        self._since, self._stood = None, 0.0
+        for observation in beat.observations:
+            tracker.observe(observation)
+        tracker.learn(beat.learned)
+        if beat.commitment is not None:
+            tracker.on_board.mirror(beat.commitment, beat.time)
+        if beat.time >= tracker.last_sent:
+            tracker.commanded(beat.time, beat.command)
+
+    def _drive(self, now: float) -> None:
+        """Send a command instead of the controller, and tell it."""
+        tracker = self._tracker
+        self._since = now if self._since is None else self._since
+        tracker.take_poses(now)
+        estimate = tracker.estimate(now)
+        command, reference = tracker.command(now, estimate)
+        tracker.publish(now, command)
+        tracker.commanded(now, command)
+        self._mailbox.send(Guarded(now, command))
+        self._journal.row("guard", f"{now:.6f}", *map(float, estimate.state), *map(float, command))
+        stands = now < 0.0 or (reference.kind is ReferenceKind.CONTINGENCY and now >= reference.end)
+        self._stood = self._stood + self._period if stands else 0.0
+        self._driven = now - self._since
+
+    @property
+    def _is_done(self) -> bool:
+        """Whether the guard has stopped the vehicle."""
+        return self._since is not None and (self._stood >= STANDS or self._driven > LONGEST)

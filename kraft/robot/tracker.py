@@ -1,0 +1,148 @@
+"""What drives the vehicle in each tick: poses, the estimate, what is on board, the controller and the command.
+
+The controller has one, and so has the brake guard, which is told what the controller did and continues from there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kraft.driving.car_model import model_of
+from kraft.driving.control import make_controller
+from kraft.driving.estimation import make_estimator
+from kraft.driving.estimation.adaptive import AdaptiveEstimator, Learned
+from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
+from kraft.driving.method import Oracle
+from kraft.driving.on_board import OnBoard
+from kraft.planning.workspace import pose_of
+from kraft.robot.command import CommandCodec
+from kraft.robot.inputs import Inputs
+from kraft.robot.messages import to_cdr
+from kraft.robot.poses import Clocks, PoseGuard
+from kraft.robot.protocol import Begin, DriveSpec
+from kraft.robot.transport import Transport
+from ompl_ext.arrays import Floats
+from ompl_ext.query import Safety
+
+
+class Tracker:
+    """Estimate, commitment on board and command of a drive, by its clocks.
+
+    `on_board` and `poses`, which refuses poses that cannot be true, are for those who drive with it.
+    """
+
+    def __init__(self, spec: DriveSpec, begin: Begin, transport: Transport, inputs: Inputs) -> None:
+        robot, method = spec.robot, spec.method
+        assert not isinstance(method.estimator, Oracle), "no robot has it"
+        self._spec, self._transport, self._inputs = spec, transport, inputs
+        self._codec = CommandCodec(robot, spec.vehicle)
+        self.model = model_of(spec.vehicle)
+        self._controller = make_controller(method.controller, self.model)
+        self._estimator = make_estimator(method.estimator, self.model, begin.state, spec.camera)
+        limit = min(robot.watchdog.pose_age, method.planner.watchdog or math.inf)
+        self.settings = method.planner.model_copy(update={"watchdog": limit})
+        self.on_board = OnBoard(self.settings, Safety(cycle=self.settings.cycle), self.model, begin.commitment)
+        self.clocks = Clocks(0, 0)  # until the drive begins
+        self.poses = PoseGuard(robot, self.clocks)
+        self._open_loop = np.array(begin.state, dtype=float)
+        self._last_command, self.last_sent = self.model.rest.copy(), 0.0
+
+    def start(self, clocks: Clocks) -> None:
+        """Set time 0, and drop the poses that have arrived before."""
+        self.clocks = clocks
+        self.poses = PoseGuard(self._spec.robot, clocks)
+        self._inputs.take_poses()
+
+    @property
+    def now(self) -> float:
+        """Time of the drive, s."""
+        return self.clocks.of_arrival(self._inputs.clock.now())
+
+    def wall(self, duration: float) -> float:
+        """How long a duration (s) takes by the machine's clock, s."""
+        return self._inputs.clock.wall(duration)
+
+    @property
+    def horizon(self) -> float:
+        """How much later than now the states are that estimates are of, s."""
+        return self._estimator.horizon
+
+    def take_poses(self, now: float) -> list[Observation]:
+        """Observe the poses that have arrived, except refused ones."""
+        found = []
+        for pose in self._inputs.take_poses():
+            estimate = self._estimator.estimate(now)
+            predicted = pose_of(estimate.state, self.model.vehicle)
+            since = min(estimate.age, max(now, 0.0) + 1.0)
+            observation = self.poses.observation(pose, predicted, float(self._open_loop[self.model.v]), since)
+            if observation is not None:
+                self._estimator.observe(observation)
+                found.append(observation)
+        return found
+
+    def drop_poses(self) -> None:
+        """Forget the poses that have arrived."""
+        self._inputs.take_poses()
+
+    def observe(self, observation: Observation) -> None:
+        """Observe a pose that another process has received."""
+        self._estimator.observe(observation)
+
+    def learn(self, learned: Learned | None) -> bool:
+        """Take over what another process has identified; whether it is new."""
+        estimator = self._estimator
+        if not isinstance(estimator, AdaptiveEstimator) or learned is None or learned is estimator.learned:
+            return False
+        estimator.learn(learned)
+        return True
+
+    def estimate(self, now: float) -> Estimate:
+        """Estimate of the state."""
+        return self._estimator.estimate(now)
+
+    def is_blind(self, estimate: Estimate) -> bool:
+        """Whether the newest believed pose is too old."""
+        return min(estimate.age, estimate.time) > (self.settings.watchdog or math.inf)
+
+    def command(self, now: float, estimate: Estimate) -> tuple[Floats, Reference]:
+        """Command (nu,) for now, and the reference that it tracks."""
+        reference = self.on_board.reference(estimate)
+        command = self.model.clamped(self._controller.command(estimate, reference))
+        if now < 0.0 or (self.is_blind(estimate) and now >= reference.end):
+            command = self.model.rest.copy()  # what holds a vehicle on a slope is not known any more
+        return command, reference
+
+    def publish(self, now: float, command: Floats) -> None:
+        """Send a command to the robot."""
+        self._transport.publish(self._spec.robot.command.topic, self._codec.message(self.clocks.stamp(now), command))
+
+    def commanded(self, time: float, command: Floats) -> None:
+        """Tell the estimator what the vehicle is commanded from `time` (s) on."""
+        self._open_loop = self.model.advance(self._open_loop, self._last_command, time - self.last_sent)
+        self._last_command, self.last_sent = command, time
+        if time >= 0.0:
+            self._estimator.commanded(time, command)
+
+
+def warm_up(spec: DriveSpec) -> None:
+    """Do once what a tick does: the first time takes a second, because compiled functions are loaded."""
+    assert not isinstance(spec.method.estimator, Oracle), "no robot has it"
+    model, settings = model_of(spec.vehicle), spec.method.planner
+    start = spec.task.start
+    state = spec.at_rest((start.x, start.y, start.heading))
+    estimator = make_estimator(spec.method.estimator, model, state, spec.camera)
+    controller, codec = make_controller(spec.method.controller, model), CommandCodec(spec.robot, spec.vehicle)
+    times, states, rest = np.array([0.0, 1.0]), np.array([state, state]), model.rest
+    reference = Reference(ReferenceKind.PLAN, times, states, rest[np.newaxis], rest)
+    for k in range(1, 4):
+        estimator.observe(Observation(0.1 * k, 0.1 * k, *pose_of(state, model.vehicle)))
+        moving = estimator.estimate(0.1 * k).state
+        moving[model.v] = 0.5 * model.vehicle.top_speed
+        estimate = Estimate(0.1 * k, moving, 0.0)
+        board = OnBoard(settings, Safety(cycle=settings.cycle), model, Commitment(reference))
+        board.stop(estimate)
+        command = controller.command(estimate, board.reference(estimate))
+        estimator.commanded(0.1 * k, command)
+        to_cdr(codec.message(0, command))
