@@ -17,6 +17,7 @@ from kraft_cli.commands.report import report
 from kraft_cli.commands.run import run
 from kraft_cli.commands.sysid import sysid
 from kraft_cli.commands.validate import validate
+from kraft_cli.commands.worlds import generate, import_
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -65,6 +66,8 @@ app.command("world")(world)
 app.command("report")(report)
 app.command("record")(record)
 app.command("sysid")(sysid)
+app.command("import")(import_)
+app.command("generate")(generate)
 app.command("validate")(validate)
 app.command("list")(list_)
 app.command("doctor")(doctor)

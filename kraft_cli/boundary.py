@@ -21,7 +21,7 @@ from ompl_ext.cache_error import CacheError
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Error numbers of a write that fails because of the disk."""
 
-POSITIONAL: Final = ("files", "logs", "results", "scenario", "scenarios")
+POSITIONAL: Final = ("files", "logs", "results", "scenario", "scenarios", "sources")
 """Arguments that the commands take without an option."""
 
 

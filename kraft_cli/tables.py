@@ -37,9 +37,11 @@ def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool
 
 def show_tables(terminal: Terminal, summary: Summary) -> None:
     """Print a table for each entry, or one table for many; on a terminal with as many columns as fit."""
-    from kraft.evaluation import overview, tables
+    from kraft.evaluation import labels, overview, tables
     from kraft.evaluation.summary import MANY
 
+    for label in labels(summary):
+        terminal.data(f"score: {label}; 0.5 at best, 0 for collisions and timeouts")
     if len(summary.entries) > MANY:
         _show_overview(terminal, overview(summary))
         terminal.data(REMARK_MANY)

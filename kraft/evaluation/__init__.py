@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from kraft.evaluation.journal import TrialRow as TrialRow
     from kraft.evaluation.summary import Result as Result
     from kraft.evaluation.summary import Summary as Summary
+    from kraft.evaluation.table import labels as labels
     from kraft.evaluation.table import markdown as markdown
     from kraft.evaluation.table import overview as overview
     from kraft.evaluation.table import tables as tables
@@ -32,6 +33,6 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "experiment": ["METHODS", "SUITE", "TRIALS", "Experiment"],
         "journal": ["TrialRow"],
         "summary": ["Result", "Summary"],
-        "table": ["markdown", "overview", "tables"],
+        "table": ["labels", "markdown", "overview", "tables"],
     },
 )

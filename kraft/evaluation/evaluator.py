@@ -6,11 +6,11 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kraft.driving.control import needs_steps
+from kraft.driving.control import check_packages, kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
@@ -119,7 +119,7 @@ def evaluate(
     if problems:
         raise InputError(problems)
     _ensure_compiled(experiment, observer.log)
-    _check_reachable(experiment)
+    experiment = replace(experiment, bounds=_least_times(experiment))
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
         return _run_experiment(experiment, executor, None, observer, command_line)
@@ -138,21 +138,32 @@ def _ensure_compiled(experiment: Experiment, log: Log) -> None:
     for reference in dict.fromkeys(cell.reference for cell in experiment.cells):
         cells = [cell for cell in experiment.cells if cell.reference == reference]
         vehicle = cells[0].vehicle
+        for cell in cells:
+            check_packages(cell.method)
         steps = any(needs_steps(cell.method, vehicle) for cell in cells)
         heading = any(cell.scenario.goal.heading is not None for cell in cells)
         polish = any(cell.method.planner.polish for cell in cells)
-        ensure_compiled(vehicle, log, steps=steps, heading=heading, polish=polish)
+        modules = sorted({name for cell in cells for name in kernel_modules(cell.method)})
+        ensure_compiled(vehicle, log, steps=steps, heading=heading, polish=polish, modules=modules)
 
 
-def _check_reachable(experiment: Experiment) -> None:
+def _least_times(experiment: Experiment) -> dict[str, float]:
+    """Lower bound of the time to the goal of each entry (s), that of the fastest model.
+
+    Raises:
+        Unreachable: with every unreachable goal.
+    """
     found: list[Diagnostic] = []
+    bounds: dict[str, float] = {}
     for cell in {(cell.entry.name, cell.reference): cell for cell in experiment.cells}.values():
         try:
-            check_reachable(cell.scenario.task(), cell.vehicle)
+            seconds = check_reachable(cell.scenario.task(), cell.vehicle)
+            bounds[cell.entry.name] = min(seconds, bounds.get(cell.entry.name, seconds))
         except Unreachable as error:
             found += error.diagnostics
     if found:
         raise Unreachable(found)
+    return bounds
 
 
 def _argument_problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
@@ -182,6 +193,7 @@ def _run_experiment(
         for row in ended:
             if folder:
                 folder.journal.append(row)
+            row = row.model_copy(update={"replay": None})  # noqa: PLW2901  (it is on the disk now, and large)
             rows[row.key] = row
             observer.trial_ended(row)
     ordered = tuple(rows[each.key] for each in experiment.jobs() if each.key in rows)

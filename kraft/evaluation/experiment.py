@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
 
@@ -59,12 +59,16 @@ class Cell:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Cells of an evaluation; each is run with the seeds `seed`, `seed + 1`, ... `seed + trials - 1`."""
+    """Cells of an evaluation; each is run with the seeds `seed`, `seed + 1`, ... `seed + trials - 1`.
+
+    `bounds` are lower bounds of the time to the goal (s), by entry, as far as they are known.
+    """
 
     cells: tuple[Cell, ...]
     trials: int
     seed: int
     realtime: bool = False
+    bounds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def seeds(self) -> range:

@@ -102,7 +102,8 @@ def write_results(
     """
     write_json(folder.path / SUMMARY, {"schema": SCHEMA, **evaluation_json(summary)})
     write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
-    results = Results.of(experiment, folder.manifest, rows, summary, command_line)
+    replays = journal.Replays(folder.path / journal.REPLAYS)
+    results = Results.of(experiment, folder.manifest, rows, summary, command_line, replays)
     write_whole(folder.path / report.NAME, report.page(results).encode())
 
 

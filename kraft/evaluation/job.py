@@ -12,6 +12,7 @@ from typing import Final, Protocol, TypeAlias
 from kraft.driving.method import Method
 from kraft.errors import InputError, MissingDependency, MissingError
 from kraft.evaluation.journal import Key, TrialRow, trial_row
+from kraft.evaluation.replay import replay_of
 from kraft.scenario import Scenario
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle
@@ -47,8 +48,10 @@ def perform(job: Job) -> TrialRow:
     """
     began = time.perf_counter()
     try:
-        result = run_trial(TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime))
-        return trial_row(job.key, result, time.perf_counter() - began)
+        spec = TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime)
+        result = run_trial(spec)
+        wall = time.perf_counter() - began
+        return trial_row(job.key, result, wall, replay_of(spec, result))
     except (InputError, MissingError):
         raise
     except Exception as error:  # a defect: recorded, and the other trials go on
@@ -63,7 +66,7 @@ def failed_row(job: Job, error: str) -> TrialRow:
 
 
 def run_trial(spec: TrialSpec) -> TrialResult:
-    """Run `kraft.trial.run_trial`, imported with the first trial because it loads the simulator.
+    """Run `kraft.trial.run_trial`, imported with the first trial because it loads the simulator; trees are kept.
 
     Raises:
         MissingDependency: if the simulator does not load.
@@ -72,7 +75,7 @@ def run_trial(spec: TrialSpec) -> TrialResult:
         from kraft.trial.trial import run_trial
     except (ImportError, OSError) as error:  # OSError: a shared library does not load
         raise MissingDependency("the simulator (kraft.trial.trial) does not load") from error
-    return run_trial(spec)
+    return run_trial(spec, keep_trees=True)
 
 
 @cache

@@ -1,9 +1,13 @@
-"""`trials.jsonl` and its rows: one line for each finished trial, on the disk before the next result is handled."""
+"""`trials.jsonl` and its rows: one line for each finished trial, on the disk before the next result is handled.
+
+`replays.jsonl` beside it has the replays of the trials, a line for each.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
+import json
 import os
 from collections.abc import Collection
 from contextlib import suppress
@@ -12,11 +16,13 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.evaluation.replay import Replay
 from kraft.files import EXPECTED
 from kraft.text import finite
+from kraft.trial.cause import Cause
 from kraft.trial.measures import Measures, Record
 from kraft.trial.result import TrialResult
 
@@ -47,6 +53,8 @@ class TrialRow(Record):
         iterations: planning iterations of all cycles.
         digest: hash over all ticks, equal for equal drives.
         error: why the trial failed, which means that it ended with a defect instead of an outcome.
+        cause: cause of a collision or a timeout; None in rows of older evaluations.
+        replay: replay on its way from the worker to the journal, which writes it into its own file.
     """
 
     entry: str = ""
@@ -62,8 +70,10 @@ class TrialRow(Record):
     iterations: int = 0
     digest: str | None = None
     error: str | None = None
+    cause: Cause | None = None
     measures: Measures = Measures()
     measured: Measured = Measured()
+    replay: Replay | None = Field(default=None, exclude=True, repr=False)
 
     @property
     def key(self) -> Key:
@@ -71,7 +81,7 @@ class TrialRow(Record):
         return self.entry or self.scenario, self.method, self.seed
 
 
-def trial_row(key: Key, result: TrialResult, wall: float) -> TrialRow:
+def trial_row(key: Key, result: TrialResult, wall: float, replay: Replay | None = None) -> TrialRow:
     """Row of a trial; `wall` is the duration of its computation (s)."""
     entry, method, seed = key
     planning = tuple(round(cycle.planning_ms, 3) for cycle in result.cycles)
@@ -88,6 +98,8 @@ def trial_row(key: Key, result: TrialResult, wall: float) -> TrialRow:
         contingencies=result.contingencies,
         iterations=sum(cycle.iterations for cycle in result.cycles),
         digest=digest(result),
+        cause=result.cause,
+        replay=replay,
         measures=result.measures,
         measured=Measured(planning_ms=planning, missed=result.missed, wall_s=round(wall, 3)),
     )
@@ -103,6 +115,7 @@ def digest(result: TrialResult) -> str:
 
 
 NAME: Final = "trials.jsonl"
+REPLAYS: Final = "replays.jsonl"
 
 
 @dataclass(frozen=True)
@@ -156,14 +169,46 @@ def _line_problem(path: Path, line: int, problem: str, code: Code) -> Diagnostic
 
 
 class Journal:
-    """Open journal that one process appends to."""
+    """Open journal that one process appends to, with the file of the replays."""
 
     def __init__(self, path: Path, keep: int = 0) -> None:
-        """Open and lock `path` and truncate it to its first `keep` bytes.
+        """Open and lock `path` and truncate it to its first `keep` bytes; replays are in the same folder.
 
         Raises:
-            InputError: if the file cannot be written, or another process has it open.
+            InputError: if a file cannot be written, or another process has it open.
         """
+        self.path = path
+        self._trials = _Lines(path, keep)
+        try:
+            replays = path.with_name(REPLAYS)
+            self._replays = _Lines(replays, complete_bytes(replays))
+        except InputError:
+            self._trials.close()
+            raise
+
+    def append(self, row: TrialRow) -> None:
+        """Write a line, after that of the replay, and wait until it is on the disk.
+
+        Raises:
+            InputError: if a line cannot be written; the earlier lines stay.
+        """
+        if row.replay is not None:
+            entry, method, seed = row.key
+            names = {"entry": entry, "method": method, "seed": seed}
+            replay = {"drive": row.replay.drive, "trees": row.replay.trees}
+            self._replays.append(json.dumps({**names, **replay}, ensure_ascii=False).encode())
+        self._trials.append(row.model_dump_json().encode())
+
+    def close(self) -> None:
+        """Close and unlock the files."""
+        self._trials.close()
+        self._replays.close()
+
+
+class _Lines:
+    """Open file of lines; after a line that cannot be written it ends with the one before."""
+
+    def __init__(self, path: Path, keep: int) -> None:
         self.path, self._end = path, keep
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
@@ -181,13 +226,8 @@ class Journal:
             os.close(self._file)
             raise self._problem(error) from error
 
-    def append(self, row: TrialRow) -> None:
-        """Write a line and wait until it is on the disk.
-
-        Raises:
-            InputError: if the line cannot be written; the earlier lines stay.
-        """
-        line = row.model_dump_json().encode() + b"\n"
+    def append(self, line: bytes) -> None:
+        line += b"\n"
         try:
             left = memoryview(line)
             while left:
@@ -199,12 +239,99 @@ class Journal:
         self._end += len(line)
 
     def close(self) -> None:
-        """Close and unlock the file."""
         os.close(self._file)
 
     def _truncate(self) -> None:
         with suppress(OSError):  # the line stays incomplete, which reading allows
             os.ftruncate(self._file, self._end)
+            os.lseek(self._file, self._end, os.SEEK_SET)
 
     def _problem(self, error: OSError) -> InputError:
         return InputError.of(str(self.path), f"cannot be written: {error.strerror}", EXPECTED, Code.UNWRITABLE)
+
+
+def complete_bytes(path: Path) -> int:
+    """Number of bytes of a file's complete lines; 0 if there is no such file.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            end = file.seek(0, os.SEEK_END)
+            while end > 0:
+                begin = max(0, end - 65536)
+                file.seek(begin)
+                if (found := file.read(end - begin).rfind(b"\n")) >= 0:
+                    return begin + found + 1
+                end = begin
+    except FileNotFoundError:
+        return 0
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    return 0
+
+
+class Replays:
+    """Replays of a results folder, read when they are asked for."""
+
+    def __init__(self, path: Path) -> None:
+        """Find the lines of the file; a missing one has none, an incomplete last line is ignored.
+
+        Raises:
+            InputError: if it cannot be read, or with the first line that is not a replay.
+        """
+        self._path = path
+        self._lines: dict[Key, tuple[int, int]] = {}
+        self._sizes: dict[Key, tuple[int, int]] = {}
+        end, begin = complete_bytes(path), 0
+        if not end:
+            return
+        try:
+            with path.open("rb") as file:
+                for number, line in enumerate(file, start=1):
+                    if begin + len(line) > end:
+                        break
+                    key, replay = self._parsed(line, number)
+                    self._lines[key] = begin, len(line)
+                    self._sizes[key] = len(replay.drive), len(replay.trees or "")
+                    begin += len(line)
+        except OSError as error:
+            raise _unreadable(path, error) from None
+
+    def __contains__(self, key: Key) -> bool:
+        return key in self._lines
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def sizes(self, key: Key) -> tuple[int, int]:
+        """Lengths of the texts of the drive and of the trees."""
+        return self._sizes[key]
+
+    def read(self, key: Key) -> Replay:
+        """Read a replay.
+
+        Raises:
+            InputError: if the file cannot be read any more.
+        """
+        begin, length = self._lines[key]
+        try:
+            with self._path.open("rb") as file:
+                file.seek(begin)
+                return self._parsed(file.read(length), 0)[1]
+        except OSError as error:
+            raise _unreadable(self._path, error) from None
+
+    def _parsed(self, line: bytes, number: int) -> tuple[Key, Replay]:
+        try:
+            content = json.loads(line)
+            key = str(content["entry"]), str(content["method"]), int(content["seed"])
+            return key, Replay(str(content["drive"]), content["trees"])
+        except (ValueError, KeyError, TypeError):
+            raise InputError([_line_problem(self._path, number, "is not a replay", Code.SYNTAX)]) from None
+
+
+def _unreadable(path: Path, error: OSError) -> InputError:
+    expected = "expected a file of lines"
+    return InputError.of(str(path), f"cannot be read: {error.strerror}", expected, Code.UNREADABLE)

@@ -19,7 +19,7 @@ from kraft.scenario import Scenario
 
 NAME: Final = "manifest.json"
 SCHEMA: Final = "kraft.eval-manifest/1"
-DESCRIPTIVE: Final = ("arguments", "began", "host")
+DESCRIPTIVE: Final = ("arguments", "began", "host", "bounds_s")
 """Keys that may differ when an evaluation is resumed."""
 TEXTS: Final = ("title", "description")
 """Keys of scenarios and methods that no result depends on."""
@@ -44,6 +44,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "trials": experiment.trials,
         "seed": experiment.seed,
         "realtime": experiment.realtime,
+        "bounds_s": {entry: round(seconds, 6) for entry, seconds in experiment.bounds.items()},
         "rows": [
             {
                 "entry": cell.entry.name,
@@ -54,6 +55,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
                 "method": cell.method.name,
                 "title": cell.method.title,
                 "vehicle": labels[cell.reference],
+                **_score(cell.scenario),
             }
             for cell in cells
         ],
@@ -68,6 +70,12 @@ def scenario_content(scenario: Scenario) -> dict[str, Any]:
     """Content and SHA-256 of a scenario without its vehicle, which has a section of its own."""
     names = (f.name for f in fields(scenario) if f.compare and f.name not in ("vehicle", *TEXTS))
     return _hashed({name: plain(getattr(scenario, name)) for name in names})
+
+
+def _score(scenario: Scenario) -> dict[str, Any]:
+    """Score of a scenario as a part of its row, if it has one."""
+    score = scenario.trial.score
+    return {} if score is None else {"score": score.model_dump()}
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -10,6 +11,7 @@ from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.paper import PaperRow, paper_row
 from kraft.evaluation.statistics import McNemar, mcnemar, percentile, wilson
+from kraft.scenario import Score
 from kraft.trial.measures import BAND, Measures, pooled
 
 SCHEMA: Final = "kraft.eval/1"
@@ -24,13 +26,18 @@ WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_dea
 
 @dataclass(frozen=True)
 class RowName:
-    """Entry, scenario, settings, method and the method's title of a row of a results table."""
+    """Entry, scenario, settings, method, the method's title, and the entry's score of a row of a results table.
+
+    `bound` is a lower bound of the time to the goal, s; None in older evaluations.
+    """
 
     entry: str
     scenario: str
     settings: Mapping[str, Any]
     method: str
     title: str
+    score: Score | None = None
+    bound: float | None = None
 
 
 @dataclass(frozen=True)
@@ -42,12 +49,17 @@ class Result:
         settings: values of the scenario's keys that were set.
         trials: number of trials, including failed ones.
         interval: Wilson's 95 % interval of the success rate.
+        bound: lower bound of the time to the goal, s: the shortest path at top speed.
         t_ex: mean duration of the successful trials, s.
         contingencies: number of contingencies in all trials.
         min_clearance: smallest true distance to an obstacle in all trials, m.
         planning_p50, planning_p99: percentiles of the planning time over all cycles of all trials, ms.
         missed: number of cycles that exceeded their planning time.
+        causes: number of collisions and timeouts by their cause, the most frequent first; not those of trials without
+            one, which older evaluations recorded.
         measures: measures of what the method promised, over all trials.
+        scoring: how the scenario is scored; None for most.
+        score: mean score of all trials; None without scoring.
         against: comparison with the method `kraft` on the same seeds; None for itself and where it was not run.
         paper: result in the paper; None where keys were set.
     """
@@ -63,6 +75,7 @@ class Result:
     timeout: int
     failed: int
     interval: tuple[float, float]
+    bound: float | None
     t_ex: float | None
     contingencies: int
     cycles: int
@@ -70,7 +83,10 @@ class Result:
     planning_p50: float | None
     planning_p99: float | None
     missed: int
+    causes: Mapping[str, int]
     measures: Measures
+    scoring: Score | None
+    score: float | None
     against: McNemar | None
     paper: PaperRow | None
 
@@ -104,7 +120,15 @@ class Summary:
 def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float) -> Summary:
     """Summarise the finished trials of an experiment."""
     names = [
-        RowName(cell.entry.name, cell.scenario.name, cell.entry.settings, cell.method.name, cell.method.title)
+        RowName(
+            cell.entry.name,
+            cell.scenario.name,
+            cell.entry.settings,
+            cell.method.name,
+            cell.method.title,
+            cell.scenario.trial.score,
+            None if (seconds := experiment.bounds.get(cell.entry.name)) is None else round(seconds, 6),
+        )
         for cell in experiment.cells
     ]
     return tabulate(names, experiment.seeds, rows, wall, realtime=experiment.realtime)
@@ -179,6 +203,7 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
     success = outcomes.count("success")
     durations = [row.t_s for row in rows if row.outcome == "success" and row.t_s is not None]
     planning = [value for row in rows for value in row.measured.planning_ms]
+    scores = [name.score.of(row.t_s if row.outcome == "success" else None) for row in rows] if name.score else []
     clearances = [row.min_clearance_m for row in rows if row.min_clearance_m is not None]
     return Result(
         entry=name.entry,
@@ -192,6 +217,7 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
         timeout=outcomes.count("timeout"),
         failed=outcomes.count("failed"),
         interval=wilson(success, len(rows)),
+        bound=name.bound,
         t_ex=sum(durations) / len(durations) if durations else None,
         contingencies=sum(row.contingencies for row in rows),
         cycles=sum(row.cycles for row in rows),
@@ -199,14 +225,17 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
         planning_p50=percentile(planning, 0.5),
         planning_p99=percentile(planning, 0.99),
         missed=sum(row.measured.missed for row in rows),
+        causes=dict(Counter(str(row.cause.kind) for row in rows if row.cause is not None).most_common()),
         measures=pooled(row.measures for row in rows),
+        scoring=name.score,
+        score=sum(scores) / len(scores) if scores else None,
         against=against,
         paper=None if name.settings else paper_row(name.scenario, name.method),
     )
 
 
 def _result_json(result: Result) -> dict[str, Any]:
-    paper, against = result.paper, result.against
+    paper, against, scoring = result.paper, result.against, result.scoring
     return {
         "entry": result.entry,
         "scenario": result.scenario,
@@ -219,13 +248,18 @@ def _result_json(result: Result) -> dict[str, Any]:
         "failed": result.failed,
         "success_ci95": list(result.interval),
         "t_ex_s": result.t_ex,
+        "t_bound_s": result.bound,
         "contingencies": result.contingencies,
         "cycles": result.cycles,
         "min_clearance_m": result.min_clearance,
         "planning_ms_p50": result.planning_p50,
         "planning_ms_p99": result.planning_p99,
         "missed_deadlines": result.missed,
+        "causes": dict(result.causes),
         **measures_json(result.measures),
+        "score": {"label": scoring.label, "optimal_time_s": scoring.optimal_time, "mean": result.score}
+        if scoring
+        else None,
         "mcnemar": {"gained": against.gained, "lost": against.lost, "p": against.p} if against else None,
         "paper": {
             "trials": paper.trials,

@@ -38,6 +38,7 @@ _COLUMNS: Final = {
     "succ": 9,
     "coll": 9,
     "timeout": 8,
+    "score": 8,
     "failed": 8,
     "T_ex s": 7,
     "95 % CI": 5,
@@ -59,6 +60,7 @@ def tables(summary: Summary) -> list[Table]:
     results = summary.results
     replans = any(result.replans for result in results)
     occurs = {
+        "score": any(result.scoring for result in results),
         "failed": summary.failed > 0,
         "missed": summary.realtime,
         "delta": any(result.measures.clearance.ticks for result in results),
@@ -77,22 +79,32 @@ def tables(summary: Summary) -> list[Table]:
 def overview(summary: Summary) -> Table:
     """One table for all entries, with a column for each method, and its totals in the last row.
 
-    A cell has the numbers of successes, collisions, timeouts and, if any trial failed, failed trials.
+    A cell has the numbers of successes, collisions, timeouts and, if any trial failed, failed trials, and, if entries
+    are scored, the mean score of all trials.
     """
     titles = {result.method: result.title for result in summary.results}
     by_cell = {(result.entry, result.method): result for result in summary.results}
     counted = ("success", "collision", "timeout", *(("failed",) if summary.failed else ()))
 
     def cell(results: Sequence[Result]) -> str:
-        return "/".join(str(sum(getattr(result, name) for result in results)) for name in counted)
+        numbers = "/".join(str(sum(getattr(result, name) for result in results)) for name in counted)
+        scored = [(result.score, result.trials) for result in results if result.score is not None]
+        trials = sum(number for _, number in scored)
+        return f"{numbers}  {sum(score * number for score, number in scored) / trials:.3f}" if scored else numbers
 
     rows = [
         (short, *(cell([by_cell[entry, method]]) if (entry, method) in by_cell else "-" for method in titles))
         for entry, short in _short_names(summary).items()
     ]
     totals = [cell([result for result in summary.results if result.method == method]) for method in titles]
-    heading = ("succ/coll/timeout" + ("/failed" if summary.failed else ""), *titles.values())
+    counts = "succ/coll/timeout" + ("/failed" if summary.failed else "")
+    heading = (counts + ("  score" if labels(summary) else ""), *titles.values())
     return Table("", heading, (*rows, ("all", *totals)), (9,) * len(heading))
+
+
+def labels(summary: Summary) -> list[str]:
+    """What the scores of the entries are of."""
+    return list(dict.fromkeys(result.scoring.label for result in summary.results if result.scoring))
 
 
 def _short_names(summary: Summary) -> dict[str, str]:
@@ -135,6 +147,7 @@ def _cells(result: Result) -> dict[str, str]:
         "coll": str(result.collision),
         "timeout": str(result.timeout),
         "failed": str(result.failed),
+        "score": decimals(result.score, 3),
         "T_ex s": decimals(result.t_ex, 2),
         "95 % CI": f"{low:.0%}-{high:.0%}".replace("%-", "-"),
         "paper S/C/T": f"{paper.success}/{paper.collision}/{paper.timeout}" if paper else "-",

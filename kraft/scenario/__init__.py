@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kraft.scenario.planning import Planning as Planning
     from kraft.scenario.planning import Safety as Safety
     from kraft.scenario.schema import Bounds as Bounds
+    from kraft.scenario.schema import Score as Score
     from kraft.scenario.schema import Sensing as Sensing
     from kraft.scenario.schema import Trial as Trial
     from kraft.scenario.truth import Truth as Truth
@@ -35,7 +36,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "loader": ["load_scenario", "parse_scenario"],
         "model": ["Goal", "Scenario", "Start", "Task"],
         "planning": ["Planning", "Safety"],
-        "schema": ["Bounds", "Sensing", "Trial"],
+        "schema": ["Bounds", "Score", "Sensing", "Trial"],
         "truth": ["Truth"],
     },
 )

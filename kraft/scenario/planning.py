@@ -14,6 +14,7 @@ from kraft.errors import Code, InputError
 
 PLANNERS: Final[dict[str, str]] = {
     "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
+    "sst": "Stable Sparse Tree: asymptotically near-optimal and anytime, with the propagation and the checks of dirt",
     "rrt": "OMPL's Rapidly-exploring Random Tree",
     "est": "OMPL's Expansive Space Trees",
     "kpiece1": "OMPL's Kinodynamic Planning by Interior-Exterior Cell Exploration",
@@ -46,7 +47,7 @@ class Safety(StrictModel):
 class Planning(StrictModel):
     """Settings of the planner; all of them have defaults."""
 
-    planner: Literal["dirt", "rrt", "est", "kpiece1"] = "dirt"
+    planner: Literal["dirt", "sst", "rrt", "est", "kpiece1"] = "dirt"
     """name of the planner"""
     cycle: Duration = 1.0
     """time between two plans while driving, s"""

@@ -65,13 +65,32 @@ class Sensing(StrictModel):
         return self
 
 
+class Score(StrictModel):
+    """Score of a drive by its time, as the BARN challenge defines it.
+
+    A collision or a timeout scores 0, a success the optimal time over the drive's, which counts as two optimal times if
+    it is shorter and as eight if it is longer: from 0.125 to 0.5.
+    """
+
+    label: Annotated[str, StringConstraints(min_length=1, max_length=100)]
+    """what the score is of, for tables"""
+    optimal_time: Timeout
+    """time in which the shortest path is driven at top speed, s"""
+
+    def of(self, time: float | None) -> float:
+        """Score of a successful drive that took `time` (s), or of another one (None)."""
+        return 0.0 if time is None else self.optimal_time / min(max(time, 2 * self.optimal_time), 8 * self.optimal_time)
+
+
 class Trial(StrictModel):
-    """When a trial counts as timed out."""
+    """When a trial counts as timed out, and how it is scored."""
 
     timeout: Timeout = 60.0
     """time limit of methods that replan, s"""
     oneshot_timeout: Timeout = 30.0
     """time limit of methods that plan once, s"""
+    score: Score | None = None
+    """score of imported worlds {label, optimal_time}"""
 
 
 VERTICES_MAX = 1000

@@ -28,7 +28,11 @@ normalised squared error."""
 
 @dataclass(frozen=True)
 class Step:
-    """Tick of the controller: true state, estimated state and command; whether the watchdog stops the car."""
+    """Tick of the controller: true state, estimated state and command.
+
+    The estimate is of a time that is `ahead` s later than the tick.  `watchdog` is whether the watchdog stops the car,
+    `boxes` are the true poses of the movable boxes (m, rad).
+    """
 
     time: float
     pose: tuple[float, float, float]
@@ -37,6 +41,8 @@ class Step:
     command: Floats
     cycle: int
     watchdog: bool = False
+    ahead: float = 0.0
+    boxes: tuple[tuple[float, float, float], ...] = ()
 
 
 class Record(BaseModel):

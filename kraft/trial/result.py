@@ -14,6 +14,7 @@ from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
 from kraft.text import finite
+from kraft.trial.cause import Cause
 from kraft.trial.measures import Measures, Step
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
@@ -142,7 +143,7 @@ class TrialResult:
 
     `time` is the time of its end (s), `obstacle` that of the collision, and `min_clearance` the smallest true distance
     between the vehicle's footprint and an obstacle at any tick of the controller (m).  `measures` compares what the
-    method promised with the true motion.
+    method promised with the true motion.  `cause` is that of a collision or a timeout.
     """
 
     scenario: str
@@ -156,6 +157,7 @@ class TrialResult:
     steps: tuple[Step, ...] = field(repr=False)
     observations: tuple[Observation, ...] = field(repr=False, default=())
     measures: Measures = field(repr=False, default_factory=Measures)
+    cause: Cause | None = None
 
     @property
     def contingencies(self) -> int:

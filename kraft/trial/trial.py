@@ -22,6 +22,7 @@ from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
+from kraft.trial.cause import Cause, collision_cause, timeout_cause
 from kraft.trial.measures import ClosestApproach, Measures, Step, measure
 from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio, level_camera
@@ -71,6 +72,7 @@ def run_trial(
         obstacle=world.collision.obstacle if world.collision else None,
         min_clearance=trial.approach.least(),
         measures=trial.measures(log),
+        cause=trial.cause(log, outcome),
         cycles=tuple(log.cycles),
         steps=tuple(log.steps),
         observations=tuple(log.observations),
@@ -104,11 +106,11 @@ class _Trial:
             if isinstance(settings, Oracle)
             else make_estimator(settings, model, start, level_camera(scenario))
         )
-        self._model = model
-        self._controller = make_controller(method.controller, model)
+        self._model, self._realtime = model, spec.realtime
         self._communication_delay = scenario.sensing.communication_delay
         period = 1.0 / method.controller.rate_hz
         solvers = Solvers.of(scenario.task(), vehicle, method.planner)
+        self._controller = make_controller(method.controller, model, solvers.checking, spec.seed)
         self._replanner = Replanner(
             solvers, method.planner, self._controller, spec.seed,
             period=period, delay=self._communication_delay + self._estimator.horizon,
@@ -182,7 +184,9 @@ class _Trial:
         pose = self._true_pose
         self.approach.add(*pose)
         stopping = self._on_board.is_stopping
-        step = Step(now, pose, world.speed, estimate.state, command, len(log.cycles) - 1, stopping)
+        boxes = tuple((float(x), float(y), float(theta)) for x, y, theta in world.movable_poses)
+        ahead = estimate.time - now
+        step = Step(now, pose, world.speed, estimate.state, command, len(log.cycles) - 1, stopping, ahead, boxes)
         log.steps.append(step)
         if log.on_step is not None:
             log.on_step(world, step)
@@ -194,6 +198,14 @@ class _Trial:
             log.cycles, log.steps, model.vehicle.footprint, model.pose,
             self._radio.lost, self._errors_squared, self._on_board.stops,
         )  # fmt: skip
+
+    def cause(self, log: _Log, outcome: Outcome) -> Cause | None:
+        """Cause of a collision or a timeout; None of a success."""
+        if outcome is Outcome.SUCCESS:
+            return None
+        find = collision_cause if outcome is Outcome.COLLISION else timeout_cause
+        footprint = self._model.vehicle.footprint
+        return find(log.cycles, log.steps, footprint, self._model.pose, realtime=self._realtime)
 
     @property
     def _true_pose(self) -> tuple[float, float, float]:

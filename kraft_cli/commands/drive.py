@@ -15,6 +15,7 @@ RobotName = Annotated[str, typer.Option("--robot", metavar="NAME|FILE", help="Th
 Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method with a contingency on board.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the drive into a new folder, as it is driven.")]
 Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the drive as ROS 2 messages: FILE.mcap.")]
+Speed = Annotated[float, typer.Option(metavar="X", help="Seconds of the simulation in a second of the clock.")]
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")]
 
 
@@ -53,6 +54,7 @@ def world(
     vehicle: VehicleName = None,
     seed: Seed = 0,
     set_: Set = None,
+    speed: Speed = 1.0,
     video: Video = None,
     view: View = False,
     json: Json = False,
@@ -62,7 +64,7 @@ def world(
     from kraft_cli.work.world import WORLD_SCHEMA, WorldRequest, simulate, world_json, world_table
 
     terminal: Terminal = context.obj
-    request = WorldRequest(scenario, robot, vehicle, seed, tuple(set_ or ()), video, view)
+    request = WorldRequest(scenario, robot, vehicle, seed, tuple(set_ or ()), speed, video, view)
     result = simulate(request, terminal.info)
     success = result.outcome == "success"
     if json:

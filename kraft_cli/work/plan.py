@@ -93,7 +93,8 @@ def run_plan(
     _report_inputs(detail, request, task, vehicle)
     timer.report("loaded and checked")
     polish = task.planning.polish and task.planning.planner == "dirt"
-    ensure_compiled(vehicle, report, heading=task.goal.heading is not None, polish=polish)
+    modules = ["sst"] if task.planning.planner == "sst" else []
+    ensure_compiled(vehicle, report, heading=task.goal.heading is not None, polish=polish, modules=modules)
     needed = memory_needed(task, vehicle)
     (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
     result = plan_task(task, vehicle, seed=request.seed, previous=previous, threads=request.threads)

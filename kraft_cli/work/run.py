@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kraft.config.overrides import parse_overrides, value_text
-from kraft.driving.control import needs_steps, settings_for
+from kraft.driving.control import kernel_modules, needs_steps, settings_for
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
@@ -74,7 +74,10 @@ def run_scenario(
     _log_details(detail, cell)
     timer.report("loaded and checked")
     steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
-    ensure_compiled(cell.vehicle, report, steps=steps, heading=heading, polish=bool(cell.method.planner.polish))
+    ensure_compiled(
+        cell.vehicle, report, steps=steps, heading=heading, polish=bool(cell.method.planner.polish),
+        modules=kernel_modules(cell.method),
+    )  # fmt: skip
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
@@ -127,6 +130,7 @@ def run_json(run: Run) -> dict[str, Any]:
         "seed": result.seed,
         "outcome": result.outcome.value,
         "obstacle": result.obstacle,
+        "cause": None if result.cause is None else result.cause.model_dump(mode="json"),
         "t_ex_s": float(result.time),
         "cycles": len(result.cycles),
         "contingencies": result.contingencies,
@@ -149,6 +153,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         ("vehicle", run.spec.vehicle.name),
         *_controller_row(run.spec),
         ("result", outcome_text(result.outcome, result.obstacle, result.time)),
+        *([] if result.cause is None else [("cause", f"{result.cause.kind}: {result.cause.text}")]),
         ("clearance", f"{metres(result.min_clearance, '-')} at least"),
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
         *measures_table(result.measures, result.contingencies),

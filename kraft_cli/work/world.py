@@ -9,10 +9,11 @@ from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides
 from kraft.driving.method import load_method
+from kraft.errors import Code, InputError
 from kraft.planning.workspace import vehicle_of_task
-from kraft.robot.connect import open_robot
+from kraft.robot.connect import open_transport
 from kraft.robot.priority import prefer_this_process
-from kraft.robot.robot_file import Rosbridge, load_robot
+from kraft.robot.robot_file import Robot, Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
 from kraft.text import counted, finite, metres
@@ -21,6 +22,8 @@ from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.trial_outputs import OutputOptions, TrialOutputs
 
 WORLD_SCHEMA: Final = "kraft.world/1"
+SPEEDS: Final = (0.05, 10.0)
+"""Slowest and fastest simulation, as a multiple of real time."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class WorldRequest:
     vehicle: str | None = None
     seed: int = 0
     settings: tuple[str, ...] = ()
+    speed: float = 1.0
     video: Path | None = None
     view: bool = False
 
@@ -44,6 +48,7 @@ def simulate(request: WorldRequest, report: Callable[[str], None]) -> WorldResul
         MissingDependency: if a package of the transport is missing, or a video is requested and nothing can be drawn.
     """
     robot = load_robot(request.robot)
+    check_speed(request, robot)
     scenario = load_scenario(request.scenario, parse_overrides(request.settings, "set"))
     vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
     check_robot(scenario, vehicle)
@@ -51,18 +56,34 @@ def simulate(request: WorldRequest, report: Callable[[str], None]) -> WorldResul
     options.check()
     spec = TrialSpec(scenario, load_method("kraft"), vehicle, request.seed)
     prefer_this_process()  # a robot does not wait for other programs
-    transport = open_robot(robot)
+    transport = open_transport(robot, "robot")
     try:
         world = RobotWorld(scenario, vehicle, robot, transport, request.seed)
         where = robot.transport
         place = where.url if isinstance(where, Rosbridge) else "DDS"
         report(f"{scenario.name} is on {place}: poses on {robot.pose.topic}, commands from {robot.command.topic}")
         with TrialOutputs(options, spec) as outputs:
-            result = world.run(outputs.on_step if request.video or request.view else None)
+            watched = outputs.on_step if request.video or request.view else None
+            result = world.run(watched, speed=request.speed)
             outputs.finish(_as_trial(result))
     finally:
         transport.close()
     return result
+
+
+def check_speed(request: WorldRequest, robot: Robot) -> None:
+    """Check that the simulation can run so fast, and that the one who drives the robot can know the time.
+
+    Raises:
+        InputError: if not.
+    """
+    low, high = SPEEDS
+    if not low <= request.speed <= high:
+        raise InputError.of_argument("speed", f"is {request.speed:g}", f"expected {low:g} to {high:g}")
+    if request.speed != 1.0 and robot.clock is None:
+        problem = f"is {request.speed:g}, but {robot.name} has no topic of the time"
+        expected = "expected 1, or `clock: {topic: /clock}` in the robot file of both programs"
+        raise InputError.of_argument("speed", problem, expected, Code.CONFLICT)
 
 
 def _as_trial(result: WorldResult) -> TrialResult:

@@ -212,14 +212,14 @@ def test_a_full_disk_is_explained_with_the_command_that_goes_on(
     assert err[-2] == (
         "every finished trial is kept; to resume: kraft eval turns --trials 60 --methods kraft --out o --resume"
     )
-    assert places(err[-1]) == ["o/trials.jsonl"]
+    assert places(err[-1]) == ["o/replays.jsonl"]  # the file that grows fastest
 
 
 def test_a_disk_that_is_full_at_the_end_is_explained_and_nothing_is_run_again(
     inline: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["eval", "turns", "--methods", "kraft", "--trials", "30", "--out", "o"]
-    with room_for(20_000):  # enough for everything but the database
+    with room_for(30_000):  # enough for everything but the database
         assert main(arguments) == 2
     assert places(capsys.readouterr().err)[-1] == "o/benchmark.db"
     assert main([*arguments, "--resume"]) == 0

@@ -21,7 +21,7 @@ from support.paths import ROOT
 from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, evaluate
 from kraft.evaluation.report import Results, page, read_results, write_report
-from kraft.evaluation.report.elements import document, element
+from kraft.evaluation.report.elements import document, element, script_data
 from kraft.evaluation.report.floor import floor_plan
 from kraft.scenario import OccupancyMap, load_scenario
 from kraft_cli.main import main
@@ -46,11 +46,19 @@ def test_an_evaluation_ends_with_a_page_that_needs_nothing_else() -> None:
     text = Path("out/report.html").read_text(encoding="utf-8")
     tags = Tags(text)
     assert tags.open == []
-    assert not re.search(r"https?:|<script|@import|url\(", text.replace("http://www.w3.org", ""))
+    assert not re.search(r"https?:|@import|url\(", text.replace("http://www.w3.org", ""))
     assert all("src" not in attributes for _, attributes in tags.found)
-    anchors = {attributes["href"] for tag, attributes in tags.found if tag == "a"}
+    links = {str(attributes["href"]) for tag, attributes in tags.found if tag == "a"}
+    anchors = {link for link in links if not link.startswith(("#trial=", "#show"))}
     assert anchors == {"#turns", "#slip"}
-    assert {f"#{attributes['id']}" for _, attributes in tags.found if "id" in attributes} == anchors
+    assert {f"#{attributes['id']}" for _, attributes in tags.found if "id" in attributes} >= anchors
+    rows = [
+        f"#trial={scenario}/{method}/{seed}"
+        for scenario in ("turns", "slip")
+        for method in METHODS
+        for seed in (5, 6, 7)
+    ]
+    assert {link for link in links if link.startswith("#trial=")} == set(rows)
 
 
 def test_every_trial_is_a_cell_that_says_how_it_ended_and_how_to_drive_it_again() -> None:
@@ -244,6 +252,8 @@ def test_wrong_folders_and_files_are_refused(capsys: pytest.CaptureFixture[str])
         (["out", "--out", "out"], "out"),
         (["out", "--out", "file/page.html"], "file/page.html"),
         (["out", "--out", "/proc/x.html"], "/proc/x.html"),
+        (["none", "--serve"], "none"),
+        (["out", "--serve", "--out", "x.html"], "--serve"),
     ):
         assert main(["report", *arguments]) == 2
         assert places(capsys.readouterr().err) == [place]
@@ -286,8 +296,17 @@ def test_older_manifests_and_trials_without_entries_and_measures_give_a_page() -
     kept = [{key: value for key, value in row.items() if key not in ("entry", "measures")} for row in trials]
     Path("out/trials.jsonl").write_text("".join(json.dumps(row) + "\n" for row in kept))
     tags = Tags(page(read_results(Path("out"))))
-    assert {attributes["href"] for tag, attributes in tags.found if tag == "a"} == {"#turns", "#slip"}
+    assert {"#turns", "#slip", "#trial=turns/kraft/5"} <= {
+        attributes["href"] for tag, attributes in tags.found if tag == "a"
+    }
     assert tags.classes("table")["measures"] == 0
+
+
+def test_names_and_causes_that_anybody_wrote_cannot_end_the_script() -> None:
+    data = script_data("data", {"name": "</script><script>alert(1)</script>"})
+    text = document("t", "", scripts=[data])
+    assert text.count("<script") == text.count("</script") == 1
+    assert json.loads(data.text or "") == {"name": "</script><script>alert(1)</script>"}
 
 
 def test_an_outsider_s_folder_is_not_written_to() -> None:

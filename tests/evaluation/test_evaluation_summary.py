@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,16 @@ import pytest
 from support.evaluation import KEYS
 
 from kraft.config import bundled
-from kraft.evaluation import markdown, overview, summary, tables
+from kraft.evaluation import labels, markdown, overview, summary, tables
 from kraft.evaluation.experiment import METHODS, Experiment, experiment_of
 from kraft.evaluation.journal import Key, Measured, TrialRow
 from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.ompl_log import write_benchmark
 from kraft.evaluation.paper import paper_row
+from kraft.evaluation.report.results import Manifest
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.suite import load_suite
+from kraft.scenario import Score
 from kraft.trial.measures import Kept, Measures
 
 
@@ -196,3 +199,34 @@ def test_one_scenario_has_one_log(tmp_path: Path) -> None:
     row = TrialRow(scenario="boxes", method="kraft", seed=0, outcome="success", t_s=2.0)
     write_benchmark(tmp_path, alone, {row.key: row}, manifest_of(alone, {}), 1.0)
     assert (tmp_path / "benchmark.log").read_text().startswith("OMPL version 2.")
+
+
+def test_scores_are_means_over_all_trials_and_stand_in_table_overview_json_and_manifest(
+    experiment: Experiment, rows: dict[Key, TrialRow]
+) -> None:
+    score = Score(label="BARN layouts, known map", optimal_time=2.5)
+    cells = []
+    for cell in experiment.cells:
+        trial = cell.scenario.trial.model_copy(update={"score": score if cell.scenario.name == "turns" else None})
+        cells.append(replace(cell, entry=replace(cell.entry, scenario=replace(cell.scenario, trial=trial))))
+    scored = replace(experiment, cells=tuple(cells))
+    found = summary.summarise(scored, rows, 1.0)
+    results = {(result.entry, result.method): result for result in found.results}
+    kraft = results["turns", "kraft"]
+    assert kraft.score == pytest.approx((2.5 / 10 + 2.5 / 12) / 4)
+    assert results["turns", "oneshot-openloop"].score == pytest.approx(2.5 / 9 / 4)
+    assert results["slip", "kraft"].score is None
+    content = summary.evaluation_json(found)["results"]
+    assert content[0]["score"] == {"label": score.label, "optimal_time_s": 2.5, "mean": kraft.score}
+    assert [each["score"] is None for each in content] == [False, False, True, True]
+    table = tables(found)[0]
+    assert table.rows[0][table.heading.index("score")] == f"{kraft.score:.3f}"
+    total = overview(found)
+    assert total.heading[0].endswith("score")
+    assert total.rows[-1][1].endswith(f"{kraft.score:.3f}")
+    assert labels(found) == [score.label]
+    manifest = manifest_of(scored, {})
+    assert manifest["rows"][0]["score"] == {"label": score.label, "optimal_time": 2.5}
+    assert "score" not in manifest["rows"][-1]
+    assert Manifest.model_validate(manifest).names[0].score == score
+    assert labels(summary.summarise(experiment, rows, 1.0)) == []

@@ -8,6 +8,7 @@ import sqlite3
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,20 +23,24 @@ from benchmarks import (
     goals,
     maps,
     peers,
+    peers_table,
     planner,
     polish,
     random_arenas,
     safety,
     scaling,
     startup,
+    structures,
     sysid,
     world,
+    worlds,
 )
 from benchmarks.__main__ import main
 from benchmarks.effort import SMOKE
 from benchmarks.exact import Body, Disc, Rectangle, Star
 from benchmarks.judge import judge
 from benchmarks.ompl_log import DATABASE
+from benchmarks.parallel import interval
 from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
@@ -83,6 +88,29 @@ def test_goals_are_turned_round_to_and_parked_at() -> None:
     assert report["turning round, 2 m: set-up"] > 0
     assert "parking, 1.3 lengths: first solution" in report
     assert report["turning round, 2 m: plans that hold after 0.2 s"] in (0.0, 100.0)
+
+
+def test_dynobench_judges_plans_by_its_own_step_and_collision_check(tmp_path: Path) -> None:
+    pytest.importorskip("dynobench")
+    path = tmp_path / "straight_0.yaml"
+    path.write_text(
+        "name: straight\n"
+        "environment: {min: [0, 0], max: [6, 6], obstacles: [{type: box, center: [3, 2], size: [1, 1]}]}\n"
+        "robots: [{type: unicycle2_v0, start: [1, 4, 0, 0, 0], goal: [2, 4, 0, 0, 0]}]\n"
+    )
+    (problem,) = goals.dynobench(tmp_path)
+
+    def holds(acceleration: float, coasting: float, by: tuple[float, float] = (0.0, 0.0)) -> tuple[bool, bool]:
+        start = problem.start + np.array([*by, 0.0, 0.0, 0.0])
+        moved = replace(problem, start=start, goal=replace(problem.goal, center=(2.0 + by[0], 4.0 + by[1])))
+        controls = np.array([[acceleration, 0.0], [0.0, 0.0], [-acceleration, 0.0]])
+        plan = SimpleNamespace(controls=controls, durations=np.array([1.6, coasting, 1.6]))
+        return goals.holds_by_dynobench(moved, plan), moved.holds(plan)  # type: ignore[arg-type]
+
+    assert holds(0.25, 0.9) == (True, True)
+    assert holds(0.25, 1.2) == (False, False)  # past the goal
+    assert holds(0.3, (1.0 - 0.3 * 1.6**2) / 0.48)[0] is False  # more than the robot can do
+    assert holds(0.25, 0.9, by=(1.0, -1.6)) == (False, False)  # into the box
 
 
 def test_local_optimisation_is_measured_with_and_without() -> None:
@@ -249,6 +277,23 @@ def test_disturbances_are_found_and_what_they_do_is_measured(monkeypatch: pytest
     assert cut.median < with_all.median
 
 
+def test_random_cars_have_the_terms_that_they_state() -> None:
+    truth = structures.random_truth(np.random.default_rng(3))
+    assert truth == structures.random_truth(np.random.default_rng(3))
+    there = structures.terms_of(truth)
+    assert 0 < len(there) < len(structures.RANGES)
+    (log,) = structures.drives(truth, [7])
+    assert log.controls == ("throttle", "steering")
+    errors = {"auto": 0.02, "all terms": 0.03, "terms that are there": 0.025}
+    found = quantities(
+        Report(
+            "", structures.rows([structures.Trial(there, there, errors), structures.Trial(there, frozenset(), errors)])
+        )
+    )
+    assert found["the same terms, share of 2 cars"] == 0.5
+    assert found["over that of the best fixed choice"] == pytest.approx(0.8)
+
+
 def test_recommended_drives_are_compared_with_random_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment, "VEHICLES", {"mushr": "mushr-lag"})
     monkeypatch.setattr(experiment, "PLANNED", 1)
@@ -314,3 +359,27 @@ def test_episodes_compare_the_true_motion_with_the_bound() -> None:
     assert quantities(table)["episodes"] == SMOKE.estimated
     repeated = estimated.episode(0, SMOKE.method)
     assert replace(repeated, seconds=0.0) == replace(episodes[0], seconds=0.0)
+
+
+def test_worlds_take_turns_with_their_kinds_and_vehicles_and_their_times_are_over_the_bound() -> None:
+    found = [worlds.world(k)[:2] for k in range(4, 13)]
+    assert {kind for kind, _ in found} == {"posts", "track"}
+    tracks = [name for kind, name in found if kind == "track"]
+    assert sorted(tracks) == ["f1tenth", "jackal"]
+    drives = [
+        worlds.Drive("posts", "jackal", "posts-000", outcome, time, 5.0, 0)
+        for outcome, time in (("success", 6.0), ("success", 7.0), ("collision", 2.0), ("timeout", 60.0))
+    ]
+    rows = {each.quantity.split(",")[0]: each.median for each in worlds.rows_of(drives)}
+    assert rows["success"] == 50.0
+    assert rows["mean time over mean bound"] == 1.3
+    assert worlds.line("posts", "jackal", drives) == ["posts, jackal", "4", "2", "1", "1", "6.5", "1.3"]
+
+
+def test_the_claims_of_the_peers_have_newcombes_interval_and_every_row_loads() -> None:
+    """Newcombe 1998, table II, method 10: 56 of 70 against 48 of 80."""
+    low, middle, high = peers_table.gain([k < 56 for k in range(70)], [k < 48 for k in range(80)])
+    assert (low, middle, high) == pytest.approx((5.24, 20.0, 33.39), abs=0.01)
+    assert [case.load().planner.is_safe for case in peers_table.cases() if not case.contingency] == [False] * 4
+    drives = [peers_table.Drive("mppi", "turns", outcome, 9.0, None, 1, 0) for outcome in ("success", "collision")]
+    assert peers_table.table_of(drives)[1][:5] == ["mppi", "2", f"1 ({interval(1, 2)})", "1", "0"]

@@ -21,7 +21,6 @@ EXAMPLES = {
     "04_identify.py": "plan with it",
     "06_ompl.py": "RRT",
     "08_equal_terms.py": "KRAFT, mushr-drive",
-    "09_scenes.py": "posts.yaml",
 }
 
 
@@ -39,8 +38,6 @@ def test_an_example_runs(
         assert text.count("timeout: 60, oneshot_timeout: 30") == 1
         Path("slip.yaml").write_text(text.replace("timeout: 60, oneshot_timeout: 30", "timeout: 1, oneshot_timeout: 1"))
         arguments = ["slip.yaml", "--trials", "1"]
-    if example == "09_scenes.py":
-        arguments = ["posts", str(tmp_path)]
     assert EXAMPLES[example] in output_of(ROOT / "examples" / example, *arguments)
 
 
@@ -56,17 +53,6 @@ def test_an_example_that_evaluates_runs_in_a_process_of_its_own_with_a_worker(tm
 @pytest.mark.parametrize("example", ["03_compare.py", "08_equal_terms.py"])
 def test_a_worker_process_that_imports_an_example_evaluates_nothing(example: str) -> None:
     imported_by_a_worker(ROOT / "examples" / example)
-
-
-@pytest.mark.parametrize("kind", ["track", "posts"])
-def test_the_scenes_of_the_example_are_the_bundled_ones_and_others_with_another_seed(kind: str, tmp_path: Path) -> None:
-    output_of(ROOT / "examples" / "09_scenes.py", kind, str(tmp_path))
-    written = [path for path in sorted(tmp_path.rglob("*")) if path.is_file()]
-    assert len(written) == {"track": 3, "posts": 1}[kind]
-    for path in written:
-        assert path.read_bytes() == (ROOT / "scenarios" / path.relative_to(tmp_path)).read_bytes()
-    output_of(ROOT / "examples" / "09_scenes.py", kind, str(tmp_path), "--seed", "5", "--name", "other")
-    assert main(["validate", str(tmp_path / "other.yaml")]) == 0
 
 
 def test_the_vehicle_of_the_example_plans(capsys: pytest.CaptureFixture[str]) -> None:

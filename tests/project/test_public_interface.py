@@ -47,15 +47,17 @@ COMMANDS = {
     "doctor": "--json --robot",
     "drive": "scenario --bag --json --method --out --robot --seed --set --vehicle",
     "eval": "scenarios --cluster --jobs --json --methods --out --realtime --resume --seed --set --suite --trials --vary --vehicle",
+    "generate": "kind --count --density --json --out --seed --vehicle",
+    "import": "kind sources --goal --json --out --skip --start --vehicle",
     "list": "what --json",
     "plan": "scenario --after --from --iterations --json --out --param --planner --plot --seed --set --threads --time --vehicle",
     "record": "scenario --bag --commands --for --json --out --runs --seed --vehicle",
-    "report": "results --out",
+    "report": "results --out --serve",
     "run": "scenario --bag --json --method --out --plot --seed --set --vehicle --video --view",
     "sysid": "logs --area --commands --extras --freeze --graph --holdout --horizon --json --mapping --model --next --out "
     "--param --plot --pose-noise",
     "validate": "files --json",
-    "world": "scenario --json --robot --seed --set --vehicle --video --view",
+    "world": "scenario --json --robot --seed --set --speed --vehicle --video --view",
 }
 
 

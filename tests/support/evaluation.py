@@ -57,8 +57,9 @@ def without_clock(value: Any) -> Any:
 
 
 def kept(out: Path) -> tuple[list[str], Any]:
-    """Sorted trials and summary, without measured times."""
+    """Sorted trials with their replays and the summary, without measured times."""
     lines = [json.dumps(without_clock(json.loads(line))) for line in (out / "trials.jsonl").read_text().splitlines()]
+    lines += set((out / "replays.jsonl").read_text().splitlines())  # a repeated trial has its replay twice
     return sorted(lines), without_clock(json.loads((out / "summary.json").read_text()))
 
 

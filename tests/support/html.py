@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 class Tags(HTMLParser):
     """Every tag with its attributes, and whether all that is opened is closed."""
 
-    VOID = ("meta",)
+    VOID = ("meta", "link", "input")
 
     def __init__(self, text: str) -> None:
         super().__init__()

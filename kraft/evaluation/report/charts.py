@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.journal import TrialRow
+from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.paper import PaperRow
 from kraft.evaluation.report.elements import element, svg
 from kraft.evaluation.statistics import wilson
@@ -34,7 +34,7 @@ def outcomes(result: Result) -> Element:
         parts += _interval(result.interval, PAPER + BAR / 2, "interval", title)
     if result.paper:
         parts += _papers(result.paper)
-    return svg(WIDTH, PAPER + BAR, *parts, class_="outcomes")
+    return svg(WIDTH, PAPER + BAR, *parts, class_="outcomes", aria_label="outcomes; the numbers stand beside them")
 
 
 def endings(result: Result) -> list[tuple[str, int]]:
@@ -48,8 +48,13 @@ def endings(result: Result) -> list[tuple[str, int]]:
     return [(name, count) for name, count in counts.items() if count]
 
 
-def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | None]) -> Element:
-    """Strip with a cell for each seed, empty before the trial is run; `commands` by seed repeat the trials."""
+def trials(
+    rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | None], link: Callable[[Key], str]
+) -> Element:
+    """Strip with a cell for each seed, empty before the trial is run.
+
+    `commands` by seed repeat the trials, `link` gives the address of a trial's replay.
+    """
     found = {row.seed: row for row in rows}
     step = WIDTH / min(max(len(seeds), 1), CELLS)
     side = min(step, 10.0)
@@ -60,8 +65,13 @@ def trials(rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | 
         text = f"{trial_text(row)}\n{commands[seed] or f'{row.scenario}, {row.method}'}" if row else None
         title = element("title", text or f"seed {seed}: not run yet")
         look = row.outcome if row else "missing"
-        cells.append(element("rect", title, class_=look, x=x, y=y, width=step - 1.0, height=side - 1.0))
-    return svg(WIDTH, side * -(-len(seeds) // CELLS), *cells, class_="trials")
+        cell = element("rect", title, class_=look, x=x, y=y, width=step - 1.0, height=side - 1.0)
+        if row is not None:
+            cell = element("a", cell, href=link(row.key), tabindex="-1")  # the list has the same links
+        cells.append(cell)
+    return svg(
+        WIDTH, side * -(-len(seeds) // CELLS), *cells, class_="trials", role="group", aria_label="trials by seed"
+    )
 
 
 def trial_text(row: TrialRow) -> str:
@@ -71,14 +81,25 @@ def trial_text(row: TrialRow) -> str:
 
 
 def times(result: Result, rows: Sequence[TrialRow], longest: float) -> Element:
-    """Durations of the successful trials as dots, their mean as a line, the paper's mean as a ring."""
+    """Durations of the successful trials as dots, their mean as a line, the paper's as a ring, the bound dashed."""
     dots = [
         element("circle", element("title", trial_text(row)), class_="time", cx=_at(row.t_s, longest), cy=12.0, r=3.0)
         for row in rows
         if row.outcome == "success" and row.t_s is not None
     ]
-    base = element("line", class_="base", x1=EDGE, x2=TIMES - EDGE, y1=12.0, y2=12.0)
-    return svg(TIMES, 24.0, base, *dots, *_mean(result, longest), class_="times")
+    base = [element("line", class_="base", x1=EDGE, x2=TIMES - EDGE, y1=12.0, y2=12.0)]
+    if result.bound is not None and result.bound <= longest:
+        x, title = _at(result.bound, longest), f"lower bound {result.bound:.2f} s: the shortest path at top speed"
+        base.append(element("line", element("title", title), class_="bound", x1=x, x2=x, y1=1.0, y2=23.0))
+    return svg(
+        TIMES,
+        24.0,
+        *base,
+        *dots,
+        *_mean(result, longest),
+        class_="times",
+        aria_label="times of successes; their mean stands beside them",
+    )
 
 
 def time_axis(longest: float) -> Element:
@@ -86,7 +107,7 @@ def time_axis(longest: float) -> Element:
     step = next((s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500) if longest / s <= 4), 1000)
     ticks = [step * k for k in range(int(longest // step) + 1)]
     labels = [element("text", f"{tick}", x=_at(tick, longest), y=10.0, class_="tick") for tick in ticks]
-    return svg(TIMES, 13.0, *labels, class_="times")
+    return svg(TIMES, 13.0, *labels, class_="times", aria_hidden="true")
 
 
 def _mean(result: Result, longest: float) -> Iterator[Element]:

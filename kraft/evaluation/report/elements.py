@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+import json
+from collections.abc import Iterable
+from typing import Any, Final, TypeAlias
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -28,7 +30,7 @@ def element(tag: str, *content: Content, **attributes: Value) -> Element:
 
 def svg(width: float, height: float, *content: Content, **attributes: Value) -> Element:
     """Make a drawing of a size in pixels."""
-    drawing = element("svg", *content, width=width, height=height, role="img", **attributes)
+    drawing = element("svg", *content, width=width, height=height, **{"role": "img", **attributes})
     drawing.set("viewBox", f"0 0 {number(width)} {number(height)}")
     return drawing
 
@@ -38,17 +40,24 @@ def number(value: float) -> str:
     return f"{value + 0.0:.6g}"
 
 
-def document(title: str, style: str, *content: Content) -> str:
-    """Make a page that refers to no other file."""
+def document(title: str, style: str, *content: Content, scripts: Iterable[Element] = ()) -> str:
+    """Make a page that refers to no other file; `scripts` come last."""
     head = element(
         "head",
         element("meta", charset="utf-8"),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("link", rel="icon", href="data:,"),  # otherwise browsers ask a server for one
         element("title", title),
         element("style", style),
     )
-    page = element("html", head, element("body", element("main", *content)), lang="en")
+    page = element("html", head, element("body", element("main", *content), *scripts), lang="en")
     return "<!DOCTYPE html>\n" + ElementTree.tostring(page, encoding="unicode", method="html") + "\n"
+
+
+def script_data(name: str, content: Any) -> Element:
+    """JSON for the page's script; what anybody wrote cannot end it, because ``<`` is escaped."""
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return element("script", text, type="application/json", id=name)
 
 
 def _append(parent: Element, child: Content) -> None:

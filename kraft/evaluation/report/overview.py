@@ -1,18 +1,23 @@
-"""Overview of the page: how every method did in every entry, and in all of them."""
+"""Overview of the page: how every method did in every entry and in all of them, and why trials failed."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlencode
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.report.elements import NO_VALUE, Content, element
 from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.report.sweeps import settings_text
-from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted
+from kraft.trial.cause import CauseKind
+
+UNRECORDED = "not recorded"
+"""Cause of a failure in older evaluations."""
 
 
 @dataclass(frozen=True)
@@ -43,37 +48,118 @@ class Count:
         counts = ((self.collision, "collision"), (self.timeout, "timeout"), (self.failed, "defect"))
         return ", ".join(counted(count, noun) for count, noun in counts if count)
 
+    @property
+    def share(self) -> float:
+        """Share of successes; 0 without trials."""
+        return self.success / self.trials if self.trials else 0.0
+
 
 def overview(results: Results) -> Element:
-    """Table of all methods and entries; entries are in rows if they are many or have settings."""
-    by_cell = {(result.entry, result.method): result for result in results.summary.results}
+    """Table with a row for each entry and a column for each method; of many entries, those that fail most come first.
+
+    The first row has the totals.
+    """
+    summary = results.summary
+    by_cell = {(result.entry, result.method): result for result in summary.results}
     entries, methods = list(results.entries.values()), results.methods
-    names = [_name(results, cell) for cell in entries]
-    totals = {m: Count.over(r for r in results.summary.results if r.method == m) for m in methods}
-    heading: Sequence[Content]
-    several = len(entries) > 1
-    in_rows = len(entries) > MANY or any(cell.set for cell in entries)
-    if in_rows:
-        heading = list(methods.values())
-        rows = [
-            _line(
-                names[k],
-                [_cell(by_cell.get((cell.name, method))) for method in methods],
-                class_="begin" if _begins_group(entries, k) else None,
-            )
-            for k, cell in enumerate(entries)
-        ]
-        rows += [_line(["all"], [_total(total) for total in totals.values()], class_="totals")] if several else []
-    else:
-        heading = [*(element("span", *name) for name in names), *(["all"] if several else [])]
-        rows = [
-            _line([title], [*(_cell(by_cell.get((cell.name, method))) for cell in entries),
-                            *([_total(totals[method])] if several else [])])
-            for method, title in methods.items()
-        ]  # fmt: skip
-    first = element("tr", element("th", "successes"), *(element("th", text) for text in heading))
-    table = element("table", first, *rows, class_="overview many" if in_rows else "overview")
-    return element("section", element("div", table, class_="wide"))
+    counts = {cell.name: Count.over(r for r in summary.results if r.entry == cell.name) for cell in entries}
+    many = len(entries) > MANY
+    if many:
+        # stable: the order of the suite where it is equal, and without trials at the end
+        entries.sort(key=lambda cell: counts[cell.name].share if counts[cell.name].trials else 2.0)
+    rows = [
+        _line(
+            _name(results, cell),
+            [*(_cell(by_cell.get((cell.name, method))) for method in methods), _all(counts[cell.name], cell.name)],
+        )
+        for cell in entries
+    ]
+    totals = {m: Count.over(r for r in summary.results if r.method == m) for m in methods}
+    everything = Count.over(summary.results)
+    heading = element(
+        "tr", element("th", "entry"), *(element("th", title) for title in methods.values()), element("th", "all")
+    )
+    first = _line(["all entries"], [*(_total(n, m) for m, n in totals.items()), _all(everything)], class_="totals")
+    table = element(
+        "table",
+        element("thead", heading),
+        element("tbody", first, class_="totals") if len(entries) > 1 else None,
+        element("tbody", *rows, class_="rows"),
+        class_="overview sortable many" if many else "overview sortable",
+    )
+    order = " Those that fail most come first." if many else ""
+    words = f"Successes of each method in each entry; a cell is filled with the shares of the outcomes.{order}"
+    return element(
+        "section",
+        element("h2", "Overview"),
+        element("p", *_legend(), words, " A heading sorts by its column, a number lists its trials.", class_="key"),
+        element("div", table, class_="wide"),
+        id="overview",
+    )
+
+
+def _legend() -> list[Element]:
+    looks = ("success", "timeout", "collision")
+    return [element("span", element("i", class_=f"swatch {look}"), f" {look}") for look in looks]
+
+
+def causes(results: Results) -> Element | None:
+    """Table of the causes of collisions and timeouts for each method; None if nothing failed."""
+    by_method: dict[str, Counter[str]] = {method: Counter() for method in results.methods}
+    for result in results.summary.results:
+        found = by_method[result.method]
+        found.update(result.causes)
+        if without := result.collision + result.timeout - sum(result.causes.values()):
+            found[UNRECORDED] += without
+    all_of = sum(by_method.values(), Counter[str]())
+    if not all_of:
+        return None
+    names = sorted(all_of, key=lambda name: (-all_of[name], name))
+    most = max(count for found in by_method.values() for count in found.values())
+    rows = [
+        element(
+            "tr",
+            element("th", title, scope="row"),
+            *(_cause_cell(by_method[method][name], method, name, most) for name in names),
+            element("td", str(sum(by_method[method].values())), class_="number"),
+        )
+        for method, title in results.methods.items()
+    ]
+    heading = element("tr", element("th", "method"), *(element("th", name) for name in names), element("th", "all"))
+    total = element(
+        "tr",
+        element("th", "all methods", scope="row"),
+        *(element("td", str(all_of[name]), class_="number") for name in (*names, None) if name),
+        element("td", str(all_of.total()), class_="number"),
+    )
+    meanings = [(name, MEANINGS.get(name)) for name in names]
+    return element(
+        "section",
+        element("h2", "Why trials failed"),
+        element("p", "Collisions and timeouts by their cause. A number lists its trials.", class_="key"),
+        element("div", element("table", element("thead", heading), element("tbody", *rows),
+                               element("tbody", total, class_="totals"), class_="causes"), class_="wide"),
+        element("dl", *(element("div", element("dt", name), element("dd", text)) for name, text in meanings if text),
+                class_="meanings"),
+        id="causes",
+    )  # fmt: skip
+
+
+MEANINGS = {
+    CauseKind.MESSAGE_LOST: "the car did not get the message of the cycle, or its watchdog had stopped it",
+    CauseKind.DEADLINE_MISSED: "planning took longer than the cycle, in a trial by the clock",
+    CauseKind.CONTINGENCY_TOO_LATE: "nothing verified the committed contingency, or it was predicted to come too close",
+    CauseKind.UNSAFE_PLAN: "the car was where it was predicted to be, and the plan itself came too close",
+    CauseKind.ESTIMATE_WRONG: "the car deviated from its prediction, at least half of it because of a wrong estimate",
+    CauseKind.DEVIATION: "the car deviated by more than the clearance δ(v), or than the distance to the obstacle, or "
+    "from its plan until the plan's end, though it knew where it was",
+    CauseKind.NO_PLAN: "in most cycles before the timeout the planner had no plan",
+    CauseKind.PLANS_REFUSED: "in most cycles before the timeout the plan was not safe from the latest estimate",
+    CauseKind.STUCK: "the car stood before the timeout, though it had plans",
+    CauseKind.TOO_SLOW: "the car drove on until the timeout",
+    UNRECORDED: "the trial is of an older kraft",
+}
+"""What each cause means."""
 
 
 def settings_of(cell: Cell) -> str:
@@ -96,35 +182,47 @@ def chip(result: Result) -> Element:
 def _name(results: Results, cell: Cell) -> list[Content]:
     settings = settings_of(cell)
     link = element("a", cell.base or cell.name, href=f"#{results.slugs[cell.name]}")
-    return [link, element("small", settings) if settings else None]
-
-
-def _begins_group(entries: Sequence[Cell], k: int) -> bool:
-    """Whether an entry is the first one of a sweep; the next one has the same base."""
-    bases = [cell.base or cell.name for cell in entries]
-    return 0 < k < len(bases) - 1 and bases[k] not in bases[:k] and bases[k] == bases[k + 1]
+    return [link, element("small", settings, title=settings) if settings else None]
 
 
 def _line(name: Sequence[Content], cells: Sequence[Element], **attributes: Any) -> Element:
     return element("tr", element("th", *name, scope="row"), *cells, **attributes)
 
 
+def _cause_cell(count: int, method: str, cause: str, most: int) -> Element:
+    if not count:
+        return element("td", NO_VALUE, class_="number none", data_value=0.0)
+    link = element("a", str(count), href=_list_link(method=method, cause=cause)) if cause != UNRECORDED else str(count)
+    return element("td", link, class_="number heat", style=f"--heat: {count / most:.2f}", data_value=float(count))
+
+
+def _list_link(**chosen: str) -> str:
+    """Address that filters the list of trials."""
+    return f"#show&{urlencode(chosen)}"
+
+
 def _cell(result: Result | None) -> Element:
     if result is None or not result.trials:
-        return element("td", NO_VALUE)
+        return element("td", NO_VALUE, data_value="")
     paper = f"paper {result.paper.success} of {result.paper.trials}" if result.paper else None
-    return _counts(Count.over([result]), paper)
+    return _counts(Count.over([result]), paper, _list_link(entry=result.entry, method=result.method))
 
 
-def _total(count: Count) -> Element:
+def _all(count: Count, entry: str | None = None) -> Element:
     if not count.trials:
-        return element("td", NO_VALUE)
-    low, high = wilson(count.collision, count.trials)
-    return _counts(count, f"collided {count.collision / count.trials:.0%} ({low:.0%} to {high:.0%})")
+        return element("td", NO_VALUE, data_value="")
+    return _counts(count, None, _list_link(**({"entry": entry} if entry else {})), small=entry is not None)
 
 
-def _counts(count: Count, note: str | None) -> Element:
-    small = [element("small", text) for text in (count.others, note) if text]
+def _total(count: Count, method: str) -> Element:
+    """Cell of a total; its other numbers are in the section about the methods."""
+    return _counts(count, None, _list_link(method=method), small=False) if count.trials else element("td", NO_VALUE)
+
+
+def _counts(count: Count, note: str | None, link: str, *, small: bool = True) -> Element:
+    beside = [element("small", text) for text in (count.others, note) if text and small]
+    number = element("a", element("b", str(count.success)), element("span", f" of {count.trials}"), href=link)
+    title = ", ".join(text for text in (count.others, note) if text)
     return element(
-        "td", element("b", str(count.success)), f" of {count.trials}", *small, class_="ends", style=count.bar
+        "td", number, *beside, class_="ends", style=count.bar, title=title or None, data_value=round(count.share, 6)
     )

@@ -15,10 +15,12 @@ from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element
 from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.measures import Shown, measures_table
-from kraft.evaluation.report.overview import chip, overview, settings_of
+from kraft.evaluation.report.methods import methods
+from kraft.evaluation.report.overview import causes, chip, overview, settings_of
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.report.sweep_picture import sweep_pictures
 from kraft.evaluation.report.sweeps import sweeps
+from kraft.evaluation.report.trials import trial_link, trials_data, trials_section
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 
@@ -26,15 +28,28 @@ LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 SAFE: Final = " !$'()*+,/:;=?@~"  # characters that need no escape in an address of data
 
 
-def page(results: Results) -> str:
-    """Make the page; it needs no other file and no network."""
-    style = files("kraft.evaluation.report").joinpath("style.css").read_text(encoding="utf-8")
+def page(results: Results, *, served: bool = False) -> str:
+    """Make the page; it needs no other file and no network.
+
+    A page that is `served` asks the server of the results folder for replays instead of having them.
+    """
     shown = Shown.of(results)
     sections = [_entry(results, name, shown) for name in results.entries]
     title = f"{results.title} | kraft eval"
     if len(results.entries) > MANY:
         sections = [element("section", element("h2", "Entries"), *sections)]
-    return document(title, style, *_head(results), _sweeps(results), overview(results), _key(shown), *sections, _foot())
+    replay = ElementTree.fromstring(_part("replay.html"))
+    script = element("script", _part("replay.js"), _part("page.js"), type="module")
+    return document(
+        title, _part("style.css"), *_head(results), overview(results), causes(results), methods(results),
+        _sweeps(results), trials_section(), _key(shown), *sections, _foot(), replay,
+        scripts=[*trials_data(results, served), script],
+    )  # fmt: skip
+
+
+def _part(name: str) -> str:
+    """Text of a file of this package."""
+    return files("kraft.evaluation.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def _head(results: Results) -> Iterator[Content]:
@@ -94,10 +109,11 @@ def _key(shown: Shown) -> Element:
         for name in ("success", "timeout", "collision")
     ]
     words = (
-        "A cell of the overview is filled with the shares of the outcomes. Below a bar stands each trial, by seed; "
-        "point at one to see how it ended and how to drive it again. Black: 95 % Wilson interval of the success rate. "
+        "Below a bar stands each trial, by seed; "
+        "point at one to see how it ended, follow it to replay it. Black: 95 % Wilson interval of the success rate. "
         "Blue above it: the paper's rate and its interval. p: exact McNemar test against KRAFT on the same seeds. "
-        "Times are of successful trials: black their mean, the blue ring the paper's."
+        "Times are of successful trials: black their mean, the blue ring the paper's, dashed the "
+        "lower bound: the shortest path at top speed."
     )
     deviation = (
         " Deviation: the largest distance of a point of the true car from where the committed prediction has it, blue "
@@ -147,7 +163,9 @@ def _picture(results: Results, name: str) -> Element:
     words = f"Not known to the planner: {', '.join(unknown)}." if unknown else "The planner knows this scene."
     most = hits.most_common(1)
     hit = f" Hit most: {most[0][0]}, {_times(most[0][1])}." if most else ""
-    return element("figure", floor_plan(scenario, hits), element("figcaption", words + hit))
+    return element(
+        "figure", floor_plan(scenario, hits), element("figcaption", words + hit), data_entry=results.slugs[name]
+    )
 
 
 def _times(count: int) -> str:
@@ -166,7 +184,12 @@ def _row(results: Results, result: Result, longest: float) -> Element:
     return element(
         "tr",
         element("th", result.title, scope="row"),
-        element("td", charts.outcomes(result), charts.trials(rows, results.manifest.seeds, commands), class_="drawing"),
+        element(
+            "td",
+            charts.outcomes(result),
+            charts.trials(rows, results.manifest.seeds, commands, trial_link),
+            class_="drawing",
+        ),
         element("td", counts, element("small", f"{low:.0%} to {high:.0%}"), _small(beside)),
         element("td", charts.times(result, rows, longest), class_="drawing"),
         element("td", decimals(result.t_ex, 2, NO_VALUE), _small(beside_time), class_="number"),
@@ -209,7 +232,7 @@ def _listed(results: Results, row: TrialRow) -> Element:
     return element(
         "tr",
         element("td", results.methods[row.method]),
-        element("td", str(row.seed), class_="number"),
+        element("td", element("a", str(row.seed), href=trial_link(row.key)), class_="number"),
         element("td", element("i", class_=f"swatch {row.outcome}"), f" {ended}"),
         element("td", element("code", command)) if command else None,
     )

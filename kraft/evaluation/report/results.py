@@ -14,13 +14,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
-from kraft.evaluation.journal import Key, TrialRow
+from kraft.evaluation.journal import Key, Replays, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import RowName, Summary, tabulate
-from kraft.scenario import Scenario, load_scenario
+from kraft.scenario import Scenario, Score, load_scenario
 from kraft.text import grouped, slugs
 
 EXPECTED = "expected the results folder of a kraft eval"
+
+
+ANCHORS = ("overview", "causes", "methods", "trials", "replay", "data", "stage", "plots", "show")
+"""Anchors of the page itself, which no entry may have."""
 
 
 class _Part(BaseModel):
@@ -37,6 +41,7 @@ class Cell(_Part):
     set: dict[str, Any] = {}
     method: str
     title: str = ""
+    score: Score | None = None
 
     @property
     def name(self) -> str:
@@ -58,6 +63,7 @@ class Manifest(_Part):
     trials: int = Field(ge=1)
     seed: int
     realtime: bool
+    bounds_s: dict[str, float] = {}
     rows: tuple[Cell, ...] = Field(min_length=1)
     scenarios: dict[str, Hashed]
     vehicles: dict[str, Any]
@@ -72,7 +78,16 @@ class Manifest(_Part):
     def names(self) -> list[RowName]:
         """Name of every row."""
         return [
-            RowName(cell.name, cell.scenario, cell.set, cell.method, cell.title or cell.method) for cell in self.rows
+            RowName(
+                cell.name,
+                cell.scenario,
+                cell.set,
+                cell.method,
+                cell.title or cell.method,
+                cell.score,
+                self.bounds_s.get(cell.name),
+            )
+            for cell in self.rows
         ]
 
 
@@ -101,7 +116,7 @@ class Results:
     """Finished trials of an evaluation, complete or not.
 
     `known` are the scenarios, by entry, that can still be loaded and are unchanged since the evaluation.  With
-    `command_line` the page has commands that repeat the trials.
+    `command_line` the page has commands that repeat the trials; without `replays` it has none of these.
     """
 
     manifest: Manifest
@@ -109,6 +124,7 @@ class Results:
     summary: Summary
     known: Mapping[str, Scenario]
     command_line: CommandLine | None = None
+    replays: Replays | None = None
 
     @classmethod
     def of(
@@ -118,10 +134,11 @@ class Results:
         rows: Mapping[Key, TrialRow],
         summary: Summary,
         command_line: CommandLine | None = None,
+        replays: Replays | None = None,
     ) -> Results:
         """Results of an experiment that was just run; `content` is its manifest."""
         known = {cell.entry.name: cell.scenario for cell in experiment.cells}
-        return cls(Manifest.model_validate(content), rows, summary, known, command_line)
+        return cls(Manifest.model_validate(content), rows, summary, known, command_line, replays)
 
     @cached_property
     def entries(self) -> dict[str, Cell]:
@@ -155,6 +172,12 @@ class Results:
         keys = ((entry, name, seed) for name in methods for seed in self.manifest.seeds)
         return [self.rows[key] for key in keys if key in self.rows]
 
+    @cached_property
+    def numbers(self) -> dict[Key, int]:
+        """Number of each trial of the complete evaluation, in their order."""
+        keys = ((cell.name, cell.method, seed) for cell in self.manifest.rows for seed in self.manifest.seeds)
+        return {key: number for number, key in enumerate(keys)}
+
     def command(self, row: TrialRow, video: str | None = None) -> str | None:
         """Command that repeats a trial, and films it into `video`; None without `command_line`."""
         if self.command_line is None:
@@ -168,7 +191,8 @@ class Results:
     @cached_property
     def slugs(self) -> dict[str, str]:
         """Each entry's name as an anchor and as a part of a file's name."""
-        return slugs(self.entries)
+        taken = {f"{name}-entry" if name in ANCHORS else name: name for name in self.entries}
+        return {taken[name]: slug for name, slug in slugs(taken).items()}
 
     @cached_property
     def _scenarios(self) -> dict[str, str]:
@@ -206,7 +230,8 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials).rows
     summary = tabulate(found.names, found.seeds, rows, _wall(folder), realtime=found.realtime)
-    return Results(found, rows, summary, _unchanged(found), command_line)
+    replays = journal.Replays(folder / journal.REPLAYS)
+    return Results(found, rows, summary, _unchanged(found), command_line, replays)
 
 
 def _wall(folder: Path) -> float:

@@ -1,0 +1,237 @@
+"""Replay of a trial: what a reader of the report can watch, in some kilobytes of text.
+
+A replay is a JSON object, compressed with zlib and written in base64.  A series of numbers is ``[quantum, order,
+integers]``: rounded to multiples of `quantum` and differenced `order` times, so that smooth series become small
+integers.  Poses are (x, y, theta) in m and rad, times are in s of the trial.
+
+- `footprint`: offset, length, width of the vehicle (m).
+- `t`, `pose`, `speed`: time, true pose and speed at each tick of the controller.
+- `ahead`, `error`: time by which the estimate is ahead of its tick; estimated minus true pose at that time.
+- `command`: a series for each control, by its name.
+- `every`, `clearance`: true distance to the nearest obstacle at every n-th tick (m).
+- `seen`: time of each observation, and observed minus true pose.
+- `watchdog`: ticks at which the watchdog stopped the car.  `boxes`: pose of each movable box at each tick.
+- `cycles`: a list; the polylines `plan` and `contingency` have x and y at times that are multiples of `GRID`,
+  `predicted` has poses and delta(v) within the cycle.  `sent` is false if the message was lost.
+
+Trees are a second text of the same kind: for each cycle x, y and the parent of some of the tree's nodes.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from kraft.driving.messages import Cycle, PredictedMotion, Reference, as_driven
+from kraft.planning.workspace import workspace_of
+from kraft.text import finite
+from kraft.trial.measures import Step
+from kraft.trial.result import TrialResult, TrialSpec
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.exact import ExactClearance
+from ompl_ext.plan import TreeView
+from ompl_ext.vehicle import Vehicle
+
+EVERY: Final = 3
+"""Ticks from one measured clearance to the next."""
+GRID: Final = 0.2
+"""Time between the points of a plan or a contingency, s."""
+NODES: Final = 160
+"""Nodes that are kept of a tree."""
+POSE: Final = (0.001, 0.001, 0.002)
+"""Quanta of a true pose, m and rad."""
+ERROR: Final = (0.002, 0.002, 0.005)
+"""Quanta of an estimate's error."""
+NOISE: Final = (0.005, 0.005, 0.01)
+"""Quanta of an observation's error."""
+POINT: Final = 0.01
+"""Quantum of the points of plans, contingencies and trees, m."""
+SHARE: Final = 200
+"""Quanta of a command in the range of its control."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Compressed texts of a trial: its drive, and its trees if they were kept."""
+
+    drive: str
+    trees: str | None = None
+
+
+def replay_of(spec: TrialSpec, result: TrialResult) -> Replay | None:
+    """Replay of a trial; None if it was over before the first tick."""
+    if not result.steps:
+        return None
+    trees = [_tree(cycle.tree, spec.vehicle) for cycle in result.cycles]
+    return Replay(packed(_drive(spec, result)), packed(trees) if any(trees) else None)
+
+
+def packed(content: Any) -> str:
+    """JSON as compressed text."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
+
+
+def unpacked(text: str) -> Any:
+    """JSON of a compressed text.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    try:
+        return json.loads(zlib.decompress(base64.b64decode(text, validate=True)))
+    except zlib.error as error:
+        raise ValueError(f"is not compressed: {error}") from error
+
+
+def series(values: Floats, quantum: float, order: int = 1) -> list[Any]:
+    """Series of finite numbers as ``[quantum, order, integers]``."""
+    integers = np.rint(np.asarray(values, dtype=float) / quantum).astype(np.int64)
+    for _ in range(order):
+        integers = np.diff(integers, prepend=0)
+    return [quantum, order, integers.tolist()]
+
+
+def values_of(series: Sequence[Any]) -> Floats:
+    """Numbers of a series."""
+    quantum, order, integers = series
+    values = np.asarray(integers, dtype=np.int64)
+    for _ in range(order):
+        values = np.cumsum(values)
+    return np.asarray(values * quantum, dtype=float)
+
+
+def _drive(spec: TrialSpec, result: TrialResult) -> dict[str, Any]:
+    vehicle, steps = spec.vehicle, result.steps
+    ticks = np.array([step.time for step in steps])
+    true = np.array([step.pose for step in steps])
+    true[:, 2] = np.unwrap(true[:, 2])
+    ahead = np.array([step.ahead for step in steps])
+    estimates = _poses(np.array([step.estimate for step in steps]), vehicle)
+    seen = np.array([o.time for o in result.observations])
+    observed = np.array([(o.x, o.y, o.theta) for o in result.observations]).reshape(-1, 3)
+    footprint = vehicle.footprint
+    drive: dict[str, Any] = {
+        "footprint": [footprint.offset, footprint.length, footprint.width],
+        "t": series(ticks, 0.001, 2),
+        "pose": [series(true[:, k], POSE[k], 2) for k in range(3)],
+        "speed": series(np.array([step.speed for step in steps]), 0.002),
+        "ahead": series(ahead, 0.001),
+        "error": _errors(ticks + ahead, estimates, ticks, true, ERROR),
+        "command": _commands(steps, vehicle),
+        "every": EVERY,
+        "clearance": _clearances(spec, true[::EVERY]),
+        "seen": [series(seen, 0.001, 2), *_errors(seen, observed, ticks, true, NOISE)],
+        "cycles": [_cycle(cycle, vehicle) for cycle in as_driven(result.cycles)],
+    }
+    if stopped := [k for k, step in enumerate(steps) if step.watchdog]:
+        drive["watchdog"] = series(np.array(stopped), 1)
+    if steps[0].boxes:
+        boxes = np.array([step.boxes for step in steps])
+        drive["boxes"] = [
+            [series(np.unwrap(boxes[:, k, axis]) if axis == 2 else boxes[:, k, axis], 0.005) for axis in range(3)]
+            for k in range(boxes.shape[1])
+        ]
+    return drive
+
+
+def _poses(states: Matrix, vehicle: Vehicle) -> Matrix:
+    """Poses (n, 3) of states; the heading is 0 for a vehicle without one."""
+    columns = [vehicle.index(name) for name in ("x", "y", "theta")]
+    return np.column_stack([states[:, k] if k >= 0 else np.zeros(len(states)) for k in columns])
+
+
+def _errors(times: Floats, poses: Matrix, ticks: Floats, true: Matrix, quanta: Sequence[float]) -> list[Any]:
+    """Poses (n, 3) at `times` minus the true ones."""
+    if not len(times):
+        return [series(np.zeros(0), quantum) for quantum in quanta]
+    errors = poses - np.column_stack([np.interp(times, ticks, true[:, k]) for k in range(3)])
+    errors[:, 2] = np.remainder(errors[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    return [series(errors[:, k], quantum) for k, quantum in enumerate(quanta)]
+
+
+def _commands(steps: Sequence[Step], vehicle: Vehicle) -> dict[str, Any]:
+    commands = np.array([step.command for step in steps])
+    found = {}
+    for k, name in enumerate(vehicle.controls):
+        low, high = vehicle.control_bounds[k]
+        found[name] = {"range": [float(low), float(high)], "values": series(commands[:, k], float(high - low) / SHARE)}
+    return found
+
+
+def _clearances(spec: TrialSpec, poses: Matrix) -> list[Any] | None:
+    """Exact distances at poses (n, 3); None in a scene without obstacles."""
+    exact = ExactClearance(workspace_of(spec.scenario, spec.vehicle), spec.vehicle.footprint)
+    distances = np.array([exact.distance(*pose) for pose in poses.tolist()])
+    return series(distances, 0.002) if np.isfinite(distances).all() else None
+
+
+def _cycle(cycle: Cycle, vehicle: Vehicle) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "t": round(float(cycle.time), 3),
+        "kind": str(cycle.kind),
+        "plan": _line(cycle.reference, vehicle),
+        "predicted": _band(cycle.predicted, vehicle),
+        "nodes": cycle.nodes,
+        "iterations": cycle.iterations,
+    }
+    if cycle.contingency is not None and cycle.contingency is not cycle.reference:
+        content["contingency"] = _line(cycle.contingency, vehicle)
+    if cycle.reason:
+        content["reason"] = cycle.reason
+    if cycle.contingency_origin is not None:
+        content["origin"] = str(cycle.contingency_origin)
+    if (cost := finite(cycle.cost_to_goal)) is not None:
+        content["cost"] = round(cost, 2)
+    if not cycle.delivered:
+        content["sent"] = False
+    return content
+
+
+def _line(reference: Reference, vehicle: Vehicle) -> list[Any]:
+    """Its first time on the grid, then x and y; the rest of a plan that is kept has the same numbers again."""
+    first, last = np.ceil(reference.start / GRID - 1e-6), np.floor(reference.end / GRID + 1e-6)
+    times = np.unique([reference.start, *(GRID * np.arange(first, last + 1)), reference.end])
+    states = np.column_stack([np.interp(times, reference.times, column) for column in reference.states.T])
+    poses = _poses(states, vehicle)
+    return [series(poses[:, k], POINT) for k in range(2)]
+
+
+def _band(predicted: PredictedMotion, vehicle: Vehicle) -> dict[str, Any]:
+    """Predicted poses within a cycle, and delta(v) if the method asks for a clearance."""
+    count = max(2, round(float(predicted.times[-1] - predicted.times[0]) / GRID) + 1)
+    times = np.linspace(predicted.times[0], predicted.times[-1], count)
+    poses = _poses(predicted.states, vehicle)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    band: dict[str, Any] = {
+        "t": [round(float(times[0]), 3), round(float(times[-1]), 3)],
+        "pose": [series(np.interp(times, predicted.times, poses[:, k]), q) for k, q in enumerate((0.005, 0.005, 0.01))],
+    }
+    if predicted.delta is not None:
+        band["delta"] = series(np.interp(times, predicted.times, predicted.delta), 0.001)
+    return band
+
+
+def _tree(tree: TreeView | None, vehicle: Vehicle) -> list[Any] | None:
+    """Every n-th node with x and y, each joined to the nearest ancestor that is kept too; None without nodes."""
+    if tree is None or not len(tree.states):
+        return None
+    stride = -(-len(tree.states) // NODES)
+    kept = {node: k for k, node in enumerate(sorted({0, *range(0, len(tree.states), stride)}))}
+    parents = []
+    for node in kept:
+        parent = int(tree.parents[node])
+        while parent >= 0 and parent not in kept:
+            parent = int(tree.parents[parent])
+        parents.append(kept[parent] if parent >= 0 else -1)
+    poses = _poses(tree.states[list(kept)], vehicle)
+    points = [np.rint(poses[:, k] / (2 * POINT)).astype(int) for k in range(2)]
+    above = np.maximum(parents, 0)  # a node is near its parent
+    relative = [np.where(np.array(parents) >= 0, point - point[above], point) for point in points]
+    return [2 * POINT, relative[0].tolist(), relative[1].tolist(), parents]

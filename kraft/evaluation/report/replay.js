@@ -1,0 +1,442 @@
+// Replay of a trial: reads the texts that kraft/evaluation/replay.py writes, draws the drive and plays it.
+// Units are m, s and rad; x is to the right and y up inside the group of the floor plan.
+
+const SVG = "http://www.w3.org/2000/svg";
+const TRAIL = 1.0; // time for which observations stay visible, s
+
+/** Make an SVG element; `attributes` are set as they are. */
+function draw(tag, attributes = {}, ...children) {
+  const found = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) found.setAttribute(name, value);
+  found.append(...children);
+  return found;
+}
+
+/** Make an HTML element with text or other content; all text is escaped. */
+function make(tag, attributes = {}, ...children) {
+  const found = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) found.setAttribute(name, value);
+  found.append(...children);
+  return found;
+}
+
+/** Content of a compressed text. */
+async function unpacked(text) {
+  const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+  const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(plain).json();
+}
+
+/** Numbers of a series [quantum, order, integers]. */
+function valuesOf([quantum, order, integers]) {
+  const found = integers.slice();
+  for (let k = 0; k < order; k++) for (let i = 1; i < found.length; i++) found[i] += found[i - 1];
+  return found.map((value) => value * quantum);
+}
+
+/** Rows of several series: [[x0, y0, ...], ...]. */
+function rowsOf(columns) {
+  const values = columns.map(valuesOf);
+  return values[0].map((_, i) => values.map((column) => column[i]));
+}
+
+/** Index of the last number up to `value` in an ascending list; 0 before the first one. */
+function lastUpTo(ascending, value) {
+  let low = 0, high = ascending.length - 1;
+  while (low < high) {
+    const middle = (low + high + 1) >> 1;
+    if (ascending[middle] <= value + 1e-9) low = middle; else high = middle - 1;
+  }
+  return low;
+}
+
+/** Linear interpolation of rows at `times`, constant outside. */
+function at(times, rows, time) {
+  const i = lastUpTo(times, time);
+  if (i + 1 >= times.length || time <= times[i]) return rows[i];
+  const share = (time - times[i]) / (times[i + 1] - times[i]);
+  return rows[i].map((value, k) => value + share * (rows[i + 1][k] - value));
+}
+
+/** Corners of the footprint [offset, length, width] at a pose. */
+function corners([offset, length, width], [x, y, theta]) {
+  const c = Math.cos(theta), s = Math.sin(theta);
+  return [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([a, b]) => {
+    const along = offset + (a * length) / 2, across = (b * width) / 2;
+    return [x + c * along - s * across, y + s * along + c * across];
+  });
+}
+
+/** Path through points. */
+function path(points, closed = false) {
+  return points.length ? "M" + points.map(([x, y]) => `${x.toFixed(3)} ${y.toFixed(3)}`).join("L") + (closed ? "z" : "") : "";
+}
+
+/** Drive of a trial with its series as lists of numbers. */
+class Drive {
+  constructor(content) {
+    this.footprint = content.footprint;
+    this.t = valuesOf(content.t);
+    this.end = this.t.at(-1);
+    this.pose = rowsOf(content.pose);
+    this.speed = valuesOf(content.speed);
+    const ahead = valuesOf(content.ahead), errors = rowsOf(content.error);
+    this.estimateTimes = this.t.map((time, i) => time + ahead[i]);
+    this.estimates = this.plus(this.estimateTimes, errors);
+    this.commands = Object.entries(content.command).map(([name, { range, values }]) => ({ name, range, values: valuesOf(values) }));
+    this.clearanceTimes = this.t.filter((_, i) => i % content.every === 0);
+    this.clearance = content.clearance ? valuesOf(content.clearance) : null;
+    this.seenTimes = valuesOf(content.seen[0]);
+    this.seen = this.plus(this.seenTimes, rowsOf(content.seen.slice(1)));
+    this.boxes = (content.boxes ?? []).map(rowsOf);
+    this.cycles = content.cycles.map((cycle) => ({
+      ...cycle,
+      plan: rowsOf(cycle.plan),
+      contingency: cycle.contingency ? rowsOf(cycle.contingency) : null,
+      predicted: rowsOf(cycle.predicted.pose),
+      predictedTimes: cycle.predicted.pose[0][2].map((_, i, all) =>
+        cycle.predicted.t[0] + ((cycle.predicted.t[1] - cycle.predicted.t[0]) * i) / (all.length - 1)),
+      delta: cycle.predicted.delta ? valuesOf(cycle.predicted.delta) : null,
+    }));
+    this.cycleTimes = this.cycles.map((cycle) => cycle.t);
+    this.compare();
+  }
+
+  /** True poses at times plus errors. */
+  plus(times, errors) {
+    return times.map((time, i) => at(this.t, this.pose, time).map((value, k) => value + errors[i][k]));
+  }
+
+  /** Deviation of the farthest corner from the prediction, and delta(v), at each tick; null where nothing is predicted. */
+  compare() {
+    this.deviation = [];
+    this.delta = [];
+    this.t.forEach((time, i) => {
+      const cycle = this.cycles[lastUpTo(this.cycleTimes, time)];
+      const inside = time >= cycle.t - 1e-9 && time <= cycle.predictedTimes.at(-1) + 1e-6;
+      const expected = corners(this.footprint, at(cycle.predictedTimes, cycle.predicted, time));
+      const off = corners(this.footprint, this.pose[i]).map(([x, y], k) => Math.hypot(x - expected[k][0], y - expected[k][1]));
+      this.deviation.push(inside ? Math.max(...off) : null);
+      this.delta.push(inside && cycle.delta ? at(cycle.predictedTimes, cycle.delta.map((d) => [d]), time)[0] : null);
+    });
+  }
+}
+
+/** Path of each cycle's tree; an edge is a straight line between kept nodes. */
+function treePaths(trees) {
+  return trees.map((tree) => {
+    if (!tree) return "";
+    const [quantum, dx, dy, parents] = tree, places = [];
+    const place = (node) => {
+      if (!places[node]) {
+        const [x, y] = parents[node] < 0 ? [0, 0] : place(parents[node]);
+        places[node] = [x + dx[node], y + dy[node]];
+      }
+      return places[node];
+    };
+    return parents.map((parent, node) => {
+      if (parent < 0) return "";
+      return path([place(parent), place(node)].map(([x, y]) => [x * quantum, y * quantum]));
+    }).join("");
+  });
+}
+
+/** The floor plan with the moving things of a drive. */
+class Stage {
+  constructor(parent, drive, plan, obstacle) {
+    this.drive = drive;
+    this.svg = plan ? plan.cloneNode(true) : this.emptyPlan();
+    this.svg.setAttribute("role", "img");
+    this.svg.setAttribute("aria-label", "floor plan with the car; the text beside it says what it does");
+    this.ground = this.svg.querySelector("g");
+    for (const hit of this.ground.querySelectorAll(".hit")) { // red are all that any trial hit
+      if (!obstacle || !hit.textContent.startsWith(`${obstacle}: `)) hit.classList.remove("hit");
+      hit.removeAttribute("style");
+    }
+    this.movable = [...this.ground.querySelectorAll(".movable")];
+    for (const each of this.ground.querySelectorAll(".movable, .bump, .slippery, .uphill")) each.dataset.layer = "hidden";
+    const make = (layer, tag = "path") => this.ground.appendChild(draw(tag, { "data-layer": layer, class: `live ${layer}` }));
+    this.tree = make("tree");
+    this.trail = make("car");
+    this.trail.classList.add("trail");
+    this.band = make("band", "g");
+    this.sweep = this.band.appendChild(draw("path"));
+    this.plan = make("plan");
+    this.contingency = make("contingency");
+    this.seen = make("seen");
+    this.believed = make("believed");
+    this.car = make("car");
+    this.car.classList.add("body");
+    this.nose = make("car");
+    this.nose.classList.add("nose");
+    parent.replaceChildren(this.svg);
+  }
+
+  emptyPlan() {
+    const points = this.drive.pose, xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
+    const [x0, x1, y0, y1] = [Math.min(...xs) - 1, Math.max(...xs) + 1, Math.min(...ys) - 1, Math.max(...ys) + 1];
+    const place = `translate(${-x0} ${y1}) scale(1 -1)`;
+    return draw("svg", { class: "floor", viewBox: `0 0 ${x1 - x0} ${y1 - y0}` }, draw("g", { transform: place }));
+  }
+
+  show(time, trees) {
+    const drive = this.drive, footprint = drive.footprint;
+    const k = lastUpTo(drive.cycleTimes, time), cycle = drive.cycles[k], now = at(drive.t, drive.pose, time);
+    this.car.setAttribute("d", path(corners(footprint, now), true));
+    const [offset, length, width] = footprint;
+    const nose = [[length / 2, 0], [length / 4, width / 3], [length / 4, -width / 3]];
+    const c = Math.cos(now[2]), s = Math.sin(now[2]);
+    this.nose.setAttribute("d", path(nose.map(([a, b]) => [now[0] + c * (offset + a) - s * b, now[1] + s * (offset + a) + c * b]), true));
+    this.believed.setAttribute("d", path(corners(footprint, at(drive.estimateTimes, drive.estimates, time)), true));
+    this.trail.setAttribute("d", path([...drive.pose.slice(0, lastUpTo(drive.t, time) + 1), now]));
+    const first = lastUpTo(drive.seenTimes, time - TRAIL), last = lastUpTo(drive.seenTimes, time);
+    const seen = drive.seen.slice(first, last + 1).filter((_, i) => drive.seenTimes[first + i] <= time);
+    this.seen.setAttribute("d", seen.map(([x, y]) => `M${x.toFixed(3)} ${y.toFixed(3)}h0`).join(""));
+    if (cycle !== this.cycle || trees !== this.trees) this.showCycle(cycle, trees?.[k] ?? "");
+    this.trees = trees;
+    const i = lastUpTo(drive.t, time);
+    this.movable.forEach((box, b) => {
+      const poses = drive.boxes[b];
+      if (!poses) return;
+      const [x0, y0, yaw0] = poses[0], [x, y, yaw] = poses[i];
+      box.setAttribute("transform", `translate(${x} ${y}) rotate(${((yaw - yaw0) * 180) / Math.PI}) translate(${-x0} ${-y0})`);
+    });
+  }
+
+  showCycle(cycle, tree) {
+    this.cycle = cycle;
+    const stop = cycle.kind === "contingency";
+    this.tree.setAttribute("d", tree);
+    this.plan.setAttribute("d", stop ? "" : path(cycle.plan));
+    this.contingency.setAttribute("d", path(stop ? cycle.plan : cycle.contingency ?? []));
+    // One path per shape in a group with one opacity: the shapes overlap without getting darker.
+    this.band.replaceChildren(...cycle.predicted.map((pose, i) => {
+      const width = cycle.delta ? 2 * cycle.delta[i] : 0;
+      return draw("path", { d: path(corners(this.drive.footprint, pose), true), "stroke-width": width.toFixed(3) });
+    }));
+  }
+}
+
+/** A plot over the time of the drive; `lines` are {name, look, times, values}. */
+class Plot {
+  constructor(drive, title, unit, lines, low = null) {
+    Object.assign(this, { drive, title, unit, lines });
+    const all = lines.flatMap((line) => line.values).filter((value) => value !== null);
+    this.low = low ?? Math.min(0, ...all);
+    this.high = Math.max(this.low + 1e-3, ...all);
+    this.value = make("span", { class: "value" });
+    this.svg = draw("svg", { class: "plot", role: "img", "aria-label": `${title} over time` });
+    this.element = make("figure", {}, make("figcaption", {}, `${title} `, this.value), this.svg);
+  }
+
+  render(width) {
+    const height = 74, left = 44, right = 6, top = 6, bottom = 6;
+    this.x = (time) => left + ((width - left - right) * time) / this.drive.end;
+    this.timeAt = (x) => Math.min(this.drive.end, Math.max(0, ((x - left) / (width - left - right)) * this.drive.end));
+    const y = (value) => height - bottom - ((height - top - bottom) * (value - this.low)) / (this.high - this.low);
+    this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    this.svg.setAttribute("height", height);
+    const parts = [];
+    this.drive.cycles.forEach((cycle, k) => {
+      if (cycle.kind !== "contingency") return;
+      const end = this.drive.cycles[k + 1]?.t ?? this.drive.end;
+      parts.push(draw("rect", { class: "stopping", x: this.x(cycle.t), width: Math.max(0, this.x(end) - this.x(cycle.t)), y: 0, height }));
+    });
+    for (const value of [this.low, this.high]) {
+      parts.push(draw("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
+      parts.push(draw("text", { x: left - 6, y: y(value) + (value === this.low ? 0 : 8), "text-anchor": "end" }, value.toFixed(2)));
+    }
+    for (const line of this.lines) {
+      let d = "", joined = false;
+      line.values.forEach((value, i) => {
+        if (value === null) { joined = false; return; }
+        d += `${joined ? "L" : "M"}${this.x(line.times[i]).toFixed(1)} ${y(value).toFixed(1)}`;
+        joined = true;
+      });
+      parts.push(draw("path", { class: `curve ${line.look}`, d }));
+    }
+    this.cursor = draw("line", { class: "cursor", y1: 0, y2: height });
+    this.svg.replaceChildren(...parts, this.cursor);
+  }
+
+  show(time) {
+    const x = this.x(Math.min(time, this.drive.end));
+    this.cursor.setAttribute("x1", x);
+    this.cursor.setAttribute("x2", x);
+    const texts = this.lines.map((line) => {
+      const value = line.values[lastUpTo(line.times, time)];
+      const number = value === null || value === undefined ? "–" : `${value.toFixed(this.unit === "m" ? 3 : 2)} ${this.unit}`.trim();
+      return this.lines.length > 1 ? make("span", { class: `of ${line.look}` }, `${line.name} ${number}`) : number;
+    });
+    this.value.replaceChildren(...texts);
+  }
+}
+
+/** Plots of a drive. */
+function plotsOf(drive) {
+  const found = [];
+  if (drive.clearance) {
+    found.push(new Plot(drive, "clearance", "m", [{ name: "", look: "one", times: drive.clearanceTimes, values: drive.clearance }], 0));
+  }
+  const lines = [{ name: "deviation", look: "one", times: drive.t, values: drive.deviation }];
+  if (drive.delta.some((value) => value !== null)) lines.push({ name: "δ(v)", look: "two", times: drive.t, values: drive.delta });
+  found.push(new Plot(drive, "deviation from the prediction", "m", lines, 0));
+  found.push(new Plot(drive, "speed", "m/s", [{ name: "", look: "one", times: drive.t, values: drive.speed }]));
+  for (const { name, range, values } of drive.commands) {
+    const plot = new Plot(drive, `command: ${name}`, "", [{ name: "", look: "one", times: drive.t, values }]);
+    [plot.low, plot.high] = range;
+    found.push(plot);
+  }
+  return found;
+}
+
+/** Dialog that plays a trial. `onMove(step)` goes to another trial of the list, `onClose()` back to the page. */
+class Player {
+  constructor(onMove, onClose) {
+    const find = (name) => document.getElementById(`replay-${name}`);
+    this.dialog = document.getElementById("replay");
+    for (const name of ["title", "outcome", "problem", "cycle", "command", "play", "time", "clock", "speed"]) this[name] = find(name);
+    this.drive = null;
+    this.playing = false;
+    this.trees = null;
+    find("close").onclick = () => this.dialog.close();
+    find("before").onclick = () => onMove(-1);
+    find("after").onclick = () => onMove(1);
+    find("link").onclick = async (event) => {
+      await navigator.clipboard.writeText(location.href);
+      event.target.textContent = "copied";
+      setTimeout(() => { event.target.textContent = "copy link"; }, 1500);
+    };
+    find("back").onclick = () => this.step(-1);
+    find("forward").onclick = () => this.step(1);
+    this.play.onclick = () => this.setPlaying(!this.playing);
+    this.time.oninput = () => this.seek(Number(this.time.value));
+    this.dialog.addEventListener("close", () => { this.setPlaying(false); onClose(); });
+    this.dialog.addEventListener("keydown", (event) => this.onKey(event, onMove));
+    for (const box of this.dialog.querySelectorAll("input[data-layer]")) {
+      box.onchange = () => this.dialog.classList.toggle(`without-${box.dataset.layer}`, !box.checked);
+    }
+    addEventListener("resize", () => { if (this.drive) this.renderPlots(); });
+  }
+
+  onKey(event, onMove) {
+    if (event.target === this.speed || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === " " && !(event.target instanceof HTMLInputElement && event.target.type === "checkbox")) this.setPlaying(!this.playing);
+    else if (event.key === "ArrowLeft") { if (event.shiftKey) onMove(-1); else this.step(-1); }
+    else if (event.key === "ArrowRight") { if (event.shiftKey) onMove(1); else this.step(1); }
+    else return;
+    event.preventDefault();
+  }
+
+  /** Open the dialog with the words of a trial; the drive follows with `load`. */
+  open({ title, outcome, look, command }) {
+    this.setPlaying(false);
+    this.drive = null;
+    this.title.textContent = title;
+    this.outcome.replaceChildren(make("i", { class: `swatch ${look}` }), ` ${outcome}`);
+    this.command.replaceChildren(...(command ? ["drive it again: ", make("code", {}, command)] : []));
+    this.problem.hidden = true;
+    this.cycle.textContent = "";
+    document.getElementById("stage").replaceChildren();
+    document.getElementById("plots").replaceChildren();
+    if (!this.dialog.open) this.dialog.showModal();
+  }
+
+  /** State why there is nothing to play. */
+  refuse(text) {
+    this.problem.textContent = text;
+    this.problem.hidden = false;
+    this.dialog.classList.add("empty");
+  }
+
+  /** Play a drive on a floor plan; `planning` are the planning times of its cycles (ms), `obstacle` is what it hit. */
+  load(drive, plan, planning, obstacle) {
+    this.dialog.classList.remove("empty");
+    this.drive = drive;
+    this.planning = planning;
+    this.trees = null;
+    this.stage = new Stage(document.getElementById("stage"), drive, plan, obstacle);
+    this.plots = plotsOf(drive);
+    const parent = document.getElementById("plots");
+    parent.replaceChildren(...this.plots.map((plot) => plot.element));
+    for (const plot of this.plots) {
+      plot.svg.onpointerdown = (event) => { plot.svg.setPointerCapture(event.pointerId); this.seek(this.timeOf(plot, event)); };
+      plot.svg.onpointermove = (event) => { if (event.buttons) this.seek(this.timeOf(plot, event)); };
+    }
+    this.time.max = drive.end.toFixed(2);
+    this.renderPlots();
+    this.play.focus();
+  }
+
+  /** Show trees too. */
+  loadTrees(trees) {
+    this.trees = treePaths(trees);
+    this.seek(this.now);
+  }
+
+  timeOf(plot, event) {
+    const box = plot.svg.getBoundingClientRect();
+    return plot.timeAt(((event.clientX - box.left) * plot.width) / box.width);
+  }
+
+  renderPlots() {
+    for (const plot of this.plots) {
+      plot.width = Math.max(240, plot.element.clientWidth);
+      plot.render(plot.width);
+    }
+    this.seek(this.now ?? 0);
+  }
+
+  /** Go to a time. */
+  seek(time) {
+    if (!this.drive) return;
+    this.now = Math.min(Math.max(time, 0), this.drive.end);
+    const k = lastUpTo(this.drive.cycleTimes, this.now);
+    this.stage.show(this.now, this.trees);
+    for (const plot of this.plots) plot.show(this.now);
+    this.time.value = this.now;
+    const clock = `${this.now.toFixed(2)} of ${this.drive.end.toFixed(2)} s`;
+    this.clock.textContent = clock;
+    this.time.setAttribute("aria-valuetext", `${clock}, cycle ${k + 1} of ${this.drive.cycles.length}`);
+    if (this.shownCycle !== this.drive.cycles[k]) this.showCycle(k);
+  }
+
+  showCycle(k) {
+    const cycle = this.shownCycle = this.drive.cycles[k];
+    const words = [`Cycle ${k + 1} of ${this.drive.cycles.length}: `, make("b", { class: cycle.kind }, cycle.kind)];
+    if (cycle.origin) words.push(` (${cycle.origin})`);
+    if (cycle.sent === false) words.push(", its message was lost");
+    words.push(cycle.reason ? `: ${cycle.reason}. ` : ". ");
+    if (cycle.cost !== undefined) words.push(`${cycle.cost.toFixed(1)} s to the goal. `);
+    words.push(`${cycle.nodes} nodes after ${cycle.iterations} iterations`);
+    if (this.planning[k] !== undefined) words.push(` in ${this.planning[k].toFixed(0)} ms`);
+    this.cycle.replaceChildren(...words, ".");
+  }
+
+  /** Go to the begin of the cycle before or after. */
+  step(count) {
+    if (!this.drive) return;
+    this.setPlaying(false);
+    const times = this.drive.cycleTimes, k = lastUpTo(times, this.now);
+    const back = this.now > times[k] + 0.02 ? k : k - 1;
+    const to = count < 0 ? back : k + 1;
+    this.seek(to >= times.length ? this.drive.end : times[Math.max(0, to)]);
+  }
+
+  setPlaying(playing) {
+    this.playing = playing && this.drive !== null;
+    this.play.textContent = this.playing ? "pause" : "play";
+    if (!this.playing) return;
+    if (this.now >= this.drive.end - 1e-6) this.seek(0);
+    let before = performance.now();
+    const drive = this.drive;
+    const frame = (now) => {
+      if (!this.playing || this.drive !== drive) return;
+      this.seek(this.now + ((now - before) / 1000) * Number(this.speed.value));
+      before = now;
+      if (this.now >= drive.end) this.setPlaying(false);
+      else requestAnimationFrame(frame);
+    };
+    requestAnimationFrame(frame);
+  }
+}

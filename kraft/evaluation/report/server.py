@@ -1,0 +1,100 @@
+"""Server of a results folder on the loopback address: the page, and the replays that do not fit into it."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Final
+
+from kraft.errors import InputError
+from kraft.evaluation.report.page import page
+from kraft.evaluation.report.results import CommandLine, Results, read_results
+from kraft.evaluation.report.trials import replay_part
+
+ADDRESS: Final = "127.0.0.1"
+PARTS: Final = ("drive", "trees")
+
+
+class ReportServer(ThreadingHTTPServer):
+    """Server of a results folder at a free port; the page is made again for each visit, also while trials run.
+
+    ``/`` is the page, ``/replay/17/drive`` and ``/replay/17/trees`` are the parts of the replay of trial 17.  Requests
+    for other hosts are refused, so that a page of the web cannot read the folder through a name of its own.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, folder: Path, command_line: CommandLine | None = None) -> None:
+        """Read the folder and listen.
+
+        Raises:
+            InputError: if the folder is not a results folder or is damaged.
+        """
+        self.folder, self.command_line = folder, command_line
+        self.results = read_results(folder, command_line)
+        super().__init__((ADDRESS, 0), _Handler)
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://{ADDRESS}:{self.server_port}/"
+
+    def read(self) -> Results:
+        """Read the folder again.
+
+        Raises:
+            InputError: if it is damaged now.
+        """
+        self.results = read_results(self.folder, self.command_line)
+        return self.results
+
+    def part(self, number: int, part: str) -> str | None:
+        """Part of a replay; None without."""
+        keys = {n: key for key, n in self.results.numbers.items()}
+        return replay_part(self.results.replays, keys[number], part) if number in keys else None
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: ReportServer
+
+    def do_GET(self) -> None:
+        if self.headers.get("Host") not in [f"{name}:{self.server.server_port}" for name in (ADDRESS, "localhost")]:
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return
+        match self.path.split("?")[0].strip("/").split("/"):
+            case [""]:
+                self._page()
+            case ["replay", number, part] if number.isdecimal() and part in PARTS:
+                self._replay(int(number), part)
+            case _:
+                self.send_error(HTTPStatus.NOT_FOUND)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Write no line for each request."""
+
+    def _page(self) -> None:
+        try:
+            self._answer(page(self.server.read(), served=True), "text/html")
+        except InputError as error:
+            self._answer(str(error), "text/plain", HTTPStatus.INTERNAL_SERVER_ERROR)
+
+    def _replay(self, number: int, part: str) -> None:
+        try:
+            text = self.server.part(number, part)
+        except InputError as error:
+            self._answer(str(error), "text/plain", HTTPStatus.INTERNAL_SERVER_ERROR)
+            return
+        if text is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+        else:
+            self._answer(text, "text/plain")
+
+    def _answer(self, text: str, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        content = text.encode()
+        self.send_response(status)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(content)

@@ -1,0 +1,1 @@
+"""Worlds from elsewhere and random ones, written as scenario files with a suite."""

@@ -1,0 +1,283 @@
+"""Random worlds: corridors, rooms, posts, mazes, clutter, race tracks. A kind, a seed and a vehicle give one world."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+
+from kraft.errors import Code, InputError, Unreachable
+from kraft.planning.feasibility import check_placement, check_reachable
+from kraft.planning.workspace import start_state
+from kraft.scenario import parse_scenario
+from kraft.text import counted, suggestion
+from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from kraft.worlds import layouts
+from kraft.worlds.layouts import WALL, Obstacle
+from kraft.worlds.track import track
+from kraft.worlds.world import SENSING, World, Written, above, write_worlds
+from ompl_ext.motion import motion_of
+from ompl_ext.vehicle import Footprint, Vehicle
+
+MIXED: Final = "mixed"
+ATTEMPTS: Final = 500
+"""Layouts that are tried until one leaves a way to the goal."""
+DENSITY, DENSITY_MAX = 0.15, 0.5
+"""Share of the floor that clutter covers, by default and at most."""
+LARGE: Final = math.hypot(0.51, 0.43)
+"""Diagonal of a Jackal (m): rooms, posts and tracks suit vehicles up to this size, and grow with larger ones."""
+TRIAL: Final = {"timeout": 60, "oneshot_timeout": 30}
+
+
+@dataclass(frozen=True)
+class Size:
+    """Lengths of a vehicle that a world has to suit, m.
+
+    Attributes:
+        diagonal: diameter of the disc that covers the footprint in every heading.
+        turn: radius of its tightest turn at speed, up to the outer corner of the footprint.
+    """
+
+    diagonal: float
+    turn: float
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Size:
+        """Size of a vehicle."""
+        diagonal = 2.0 * vehicle.footprint.reach
+        ahead, _, turning = np.abs(motion_of(vehicle).twists).T
+        fast = (ahead > 0.2 * vehicle.top_speed) & (turning > 1e-3)
+        radius = float((ahead[fast] / turning[fast]).min()) if fast.any() else 0.0
+        return cls(diagonal, radius + 0.5 * diagonal)
+
+    @property
+    def gap(self) -> layouts.Gap:
+        """Least and largest width of a passage."""
+        return 1.3 * self.diagonal, 1.8 * self.diagonal
+
+    @property
+    def scale(self) -> float:
+        """Factor on rooms that are made for smaller vehicles."""
+        return max(1.0, self.diagonal / LARGE)
+
+
+Layout = Callable[[np.random.Generator, Size, float], dict[str, Any]]
+"""Sections of a scenario for a vehicle; the last argument is the density of clutter."""
+
+
+def _arena(rng: np.random.Generator, size: Size, fill: Callable[[float, float], list[Obstacle]]) -> dict[str, Any]:
+    """An arena with outer walls; start and goal lie at its ends."""
+    scale = size.scale
+    width, length = scale * float(rng.uniform(4.0, 5.0)), scale * float(rng.uniform(5.0, 6.0))
+    end = 0.5 * scale
+    start, goal = (scale * float(rng.uniform(0.6, width / scale - 0.6)) for _ in range(2))
+    return {
+        "bounds": {"x": [0.0, width], "y": [0.0, length]},
+        "obstacles": [*fill(width, length), *layouts.outer_walls(width, length)],
+        "start": {"x": start, "y": end, "heading_deg": 90.0},
+        "goal": {"center": [goal, length - end], "radius": 0.25 * scale},
+    }
+
+
+def _rooms(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
+    return _arena(rng, size, lambda width, length: layouts.divided(rng, width, length, size.gap))
+
+
+def _rows(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
+    return _arena(rng, size, lambda width, length: layouts.rows_of_posts(rng, width, length, size.gap))
+
+
+def _clutter(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
+    return _arena(rng, size, lambda width, length: layouts.clutter(rng, width, length, density))
+
+
+def _posts(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
+    """A room of 22 posts, from one corner to the other."""
+    scale, room, number = size.scale, 9.0 * size.scale, 22
+    half, corner = room / 2, room / 2 - 0.8 * size.scale
+    found = layouts.posts(rng, room, number, 0.95 * scale, ((-corner, -corner), (corner, corner)), 1.1 * scale)
+    walls = {
+        "left wall": ((-half, 0.0), (WALL, room)),
+        "right wall": ((half, 0.0), (WALL, room)),
+        "near wall": ((0.0, -half), (room, WALL)),
+        "far wall": ((0.0, half), (room, WALL)),
+    }
+    named = [{"name": name, **layouts.box(*placed)} for name, placed in walls.items()]
+    named += [{"name": f"post {k}", **layouts.circle((x, y), radius)} for k, (x, y, radius) in enumerate(found, 1)]
+    return {
+        "bounds": {"x": [-half, half], "y": [-half, half]},
+        "obstacles": named,
+        "start": {"x": -corner, "y": -corner, "heading_deg": 45.0},
+        "goal": {"center": [corner, corner], "radius": 0.3 * scale},
+    }
+
+
+def _cells(rng: np.random.Generator, size: Size, openings_of: Callable[[int, int], Any]) -> dict[str, Any]:
+    """Cells between walls, from the first one to the last one."""
+    pitch = max(float(rng.uniform(*size.gap)), 1.1 * size.turn) + WALL
+    columns, rows = int(rng.integers(3, 6)), int(rng.integers(4, 7))
+    openings = openings_of(columns, rows)
+    first = layouts.way_through(openings, (columns - 1, rows - 1))[1]
+    walls = [
+        *layouts.walls_between(openings, columns, rows, pitch),
+        *layouts.outer_walls(columns * pitch, rows * pitch),
+    ]
+    return {
+        "bounds": {"x": [0.0, columns * pitch], "y": [0.0, rows * pitch]},
+        "obstacles": walls,
+        "start": {"x": pitch / 2, "y": pitch / 2, "heading_deg": 0.0 if first == (1, 0) else 90.0},
+        "goal": {"center": [(columns - 0.5) * pitch, (rows - 0.5) * pitch], "radius": 0.3 * pitch},
+    }
+
+
+def _maze(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
+    """A maze in which every cell is reached, with some openings more, so that there are several ways."""
+
+    def openings(columns: int, rows: int) -> list[tuple[layouts.Cell, layouts.Cell]]:
+        found = layouts.passages(rng, columns, rows)
+        for _ in range(columns * rows // 6):
+            column, row = int(rng.integers(columns - 1)), int(rng.integers(rows - 1))
+            found.append(((column, row), (column + 1, row) if rng.random() < 0.5 else (column, row + 1)))
+        return found
+
+    return _cells(rng, size, openings)
+
+
+def _corridor(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
+    """The one way through a maze, without its dead ends."""
+
+    def openings(columns: int, rows: int) -> list[tuple[layouts.Cell, layouts.Cell]]:
+        way = layouts.way_through(layouts.passages(rng, columns, rows), (columns - 1, rows - 1))
+        return list(itertools.pairwise(way))
+
+    return _cells(rng, size, openings)
+
+
+LAYOUTS: Final[dict[str, Layout]] = {
+    "corridor": _corridor,
+    "rooms": _rooms,
+    "rows": _rows,
+    "posts": _posts,
+    "maze": _maze,
+    "clutter": _clutter,
+}
+KINDS: Final = (*LAYOUTS, "track")
+USUAL: Final = {"posts": "jackal", "track": "f1tenth"}
+"""Vehicles of the kinds that are not made for a `mushr`."""
+
+
+def generate_worlds(
+    kind: str, out: Path, *, seed: int = 0, count: int = 1, vehicle: str | None = None, density: float | None = None
+) -> Written:
+    """Write random worlds and their suite into the new folder `out`; world k has the seed `seed` + k.
+
+    Args:
+        kind: one of `KINDS`, or ``mixed`` for all of them in turn.
+        out: new folder.
+        seed: seed of the first world.
+        count: number of worlds.
+        vehicle: vehicle of all worlds; by default a `mushr`, a `jackal` for posts and an `f1tenth` for tracks.
+        density: share of the floor that clutter covers.
+
+    Raises:
+        InputError: for an unknown kind, a vehicle that cannot be loaded, a density that leaves no way, or a folder
+            that exists.
+    """
+    if kind not in (*KINDS, MIXED):
+        expected = suggestion(kind, (*KINDS, MIXED))
+        raise InputError.of(kind, "is no kind of world", expected, Code.UNKNOWN)
+    if density is not None and not 0.0 < density <= DENSITY_MAX:
+        expected = f"expected a share above 0 and up to {DENSITY_MAX:g}"
+        raise InputError.of_argument("density", f"is {density:g}", expected)
+    if density is not None and kind not in ("clutter", MIXED):
+        raise InputError.of_argument("density", f"is given for {kind}", "expected it for clutter alone", Code.CONFLICT)
+    if count < 1 or seed < 0:
+        name, value, least = ("count", count, 1) if count < 1 else ("seed", seed, 0)
+        raise InputError.of_argument(name, f"is {value}", f"expected at least {least}")
+    reference = None if vehicle is None else _reference(vehicle)
+    worlds = [generate(each, number, reference, density) for each, number in _numbered(kind, seed, count)]
+    description = f"{counted(count, 'world')}: kraft generate {kind} --seed {seed} --count {count}"
+    return write_worlds(worlds, out, f"{kind}-{seed}", description)
+
+
+def _numbered(kind: str, seed: int, count: int) -> Iterator[tuple[str, int]]:
+    """Kind and seed of each world; of mixed ones the seed alone decides the kind."""
+    for number in range(seed, seed + count):
+        yield (KINDS[number % len(KINDS)] if kind == MIXED else kind), number
+
+
+def _reference(vehicle: str) -> str:
+    """Reference of a vehicle that holds in any folder."""
+    try:
+        return resolve_vehicle(vehicle, Path.cwd())
+    except VehicleProblem as error:
+        raise InputError.of_argument("vehicle", error.problem, error.expected, error.code) from None
+
+
+def generate(kind: str, seed: int, vehicle: str | None = None, density: float | None = None) -> World:
+    """Make the world of a kind and a seed.
+
+    Its start is free, and a path leads to its goal on which the footprint is free in every heading.
+
+    Raises:
+        InputError: if the vehicle cannot be loaded, or after many attempts none leaves a way to the goal.
+    """
+    reference = vehicle or USUAL.get(kind, "mushr")
+    loaded = load_vehicle(reference)
+    size = Size.of(loaded)
+    wide = replace(loaded, footprint=Footprint(size.diagonal, size.diagonal))
+    name = f"{kind}-{seed:03d}"
+    for attempt in range(ATTEMPTS):
+        rng = np.random.default_rng([seed, attempt] if attempt else seed)
+        world = _world(kind, name, rng, size, reference, density or DENSITY)
+        if _has_way(world, loaded, wide):
+            words = ["kraft generate", kind, f"--seed {seed}", *([f"--vehicle {vehicle}"] if vehicle else [])]
+            words += [f"--density {density:g}"] if density and kind == "clutter" else []
+            return replace(world, remark=f"Written by {' '.join(words)}{world.remark}.")
+    problem = f"{name}: none of {ATTEMPTS} layouts leaves {loaded.name} a way to the goal"
+    raise InputError.of_argument("density" if kind == "clutter" else "vehicle", problem, "expected a smaller one")
+
+
+def _world(kind: str, name: str, rng: np.random.Generator, size: Size, vehicle: str, density: float) -> World:
+    files: dict[str, bytes] = {}
+    remark = ""
+    if kind == "track":
+        sections, files, length = track(rng, size.scale, name)
+        remark = f": a lap of {length:.1f} m"
+    else:
+        sections = _rounded(LAYOUTS[kind](rng, size, density))
+    camera = {"sensing": {**SENSING, "camera": above(sections["bounds"])}}
+    return World(name, remark, {**sections, "vehicle": vehicle, **camera, "trial": TRIAL}, files)
+
+
+def _rounded(value: Any) -> Any:
+    """The same values with lengths to 1 mm and angles to 0.001 degrees."""
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(each) for each in value]
+    return round(value, 3) if isinstance(value, float) else value
+
+
+def _has_way(world: World, vehicle: Vehicle, wide: Vehicle) -> bool:
+    """Whether the start is free, and the disc around the footprint gets from the start to the goal."""
+    with TemporaryDirectory() as folder:
+        for name, content in world.files.items():
+            (Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
+            (Path(folder) / name).write_bytes(content)
+        text = json.dumps({"name": world.name, **world.content})
+        try:
+            scenario = parse_scenario(text, world.name, Path(folder))
+            check_placement(scenario, vehicle, start_state(scenario, vehicle))
+            check_reachable(scenario, wide)
+        except (InputError, Unreachable):
+            return False
+    return True

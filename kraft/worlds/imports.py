@@ -1,0 +1,163 @@
+"""Import of worlds from files of other programs: Gazebo worlds, problems of dynobench, occupancy maps."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from kraft.config.source import Place
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.scenario import OccupancyMap
+from kraft.scenario.occupancy import read_map
+from kraft.text import counted, suggestion
+from kraft.worlds.barn import LABEL, Goal, Imported, Start, read_barn, worlds_in
+from kraft.worlds.dynobench import read_dynobench
+from kraft.worlds.world import SENSING, World, Written, above, plain_name, write_worlds
+
+KINDS: Final = ("barn", "dynobench", "map")
+ROBOT, CAR = "jackal", "mushr"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to import.
+
+    Attributes:
+        kind: ``barn`` (Gazebo worlds, or folders of them), ``dynobench`` or ``map``.
+        sources: files, which stay where they are.
+        out: new folder for the scenarios and their suite.
+        start: x, y (m) and heading (degrees); required for a map, instead of the challenge's for a Gazebo world.
+        goal: x, y and radius (m), likewise.
+        vehicle: vehicle of the scenarios; by default the challenge's robot, the problem's robot, or `mushr`.
+        skip: leave out shapes that cannot be obstacles, instead of refusing the source.
+    """
+
+    kind: str
+    sources: tuple[Path, ...]
+    out: Path
+    start: Start | None = None
+    goal: Goal | None = None
+    vehicle: str | None = None
+    skip: bool = False
+
+
+@dataclass(frozen=True)
+class Collection:
+    """Written scenarios with what was read for them, in the same order."""
+
+    written: Written
+    imported: tuple[Imported, ...]
+
+
+def import_worlds(request: Request) -> Collection:
+    """Read the sources and write a scenario for each of their worlds, and a suite; all or nothing.
+
+    Raises:
+        InputError: with every problem of all sources.
+        Unreachable: with every goal that no path leads to.
+    """
+    _check_arguments(request)
+    problems: list[Diagnostic] = []
+    imported: list[Imported] = []
+    for path in _files(request, problems):
+        try:
+            imported.append(_read(request, path))
+        except InputError as error:
+            problems += error.diagnostics
+    if problems:
+        raise InputError(problems)
+    worlds = [each.world for each in imported]
+    of = f"{counted(len(worlds), 'world')} imported by kraft import {request.kind}"
+    description = LABEL if request.kind == "barn" else of
+    return Collection(write_worlds(worlds, request.out, request.out.name, description), tuple(imported))
+
+
+def _check_arguments(request: Request) -> None:
+    problems = []
+    if request.kind not in KINDS:
+        problems.append(
+            Diagnostic(request.kind, "cannot be imported", suggestion(request.kind, KINDS), code=Code.UNKNOWN)
+        )
+    for name, parts in (("start", "x, y and heading"), ("goal", "x, y and radius")):
+        given = getattr(request, name) is not None
+        if request.kind == "map" and not given:
+            expected = f"expected {parts}, because a map has none"
+            problems.append(Diagnostic(name, "is not given", expected, code=Code.MISSING, argument=True))
+        if request.kind == "dynobench" and given:
+            problem, expected = "is given", "expected none, because the problem states it"
+            problems.append(Diagnostic(name, problem, expected, code=Code.CONFLICT, argument=True))
+    if not request.sources:
+        problems.append(Diagnostic("sources", "none are given", "expected at least one", code=Code.MISSING))
+    if problems:
+        raise InputError(problems)
+
+
+def _files(request: Request, problems: list[Diagnostic]) -> Iterator[Path]:
+    """Files of all sources; problems are added to `problems`."""
+    for source in request.sources:
+        if not source.is_dir():
+            yield source
+        elif request.kind == "barn":
+            try:
+                yield from worlds_in(source)
+            except InputError as error:
+                problems += error.diagnostics
+        else:
+            problems.append(Diagnostic(str(source), "is a folder", "expected a file", code=Code.UNREADABLE))
+
+
+def _read(request: Request, path: Path) -> Imported:
+    if request.kind == "barn":
+        return read_barn(path, request.vehicle or ROBOT, request.start, request.goal, skip=request.skip)
+    if request.kind == "dynobench":
+        return read_dynobench(path, request.vehicle, skip=request.skip)
+    assert request.start is not None, "the arguments are checked"
+    assert request.goal is not None, "the arguments are checked"
+    return read_occupancy(path, request.out, request.vehicle or CAR, request.start, request.goal)
+
+
+def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal) -> Imported:
+    """Read an occupancy map; the scenario in the folder `out` refers to it.
+
+    Raises:
+        InputError: with every problem of the map.
+    """
+    (low_x, high_x), (low_y, high_y) = _extent(read_map(path, height=0.2, name=None))
+    bounds = {"x": [low_x, high_x], "y": [low_y, high_y]}
+    world = World(
+        name=plain_name(path.stem),
+        remark=f"From the occupancy map {path.name}.",
+        content={
+            "bounds": bounds,
+            "obstacles": [{"name": "map", "map": {"file": os.path.relpath(path.absolute(), out.absolute())}}],
+            "start": {"x": start[0], "y": start[1], "heading_deg": start[2]},
+            "goal": {"center": list(goal[:2]), "radius": goal[2]},
+            "vehicle": vehicle,
+            "sensing": {**SENSING, "camera": above(bounds)},
+        },
+        places={
+            "start": Place("start", argument=True),
+            "goal": Place("goal", argument=True),
+            "bounds": Place(str(path)),
+            "obstacles": Place(str(path)),
+        },
+    )
+    return Imported(world, Counter())
+
+
+def _extent(occupancy: OccupancyMap) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Lowest and highest x and y of a map, m."""
+    x, y, yaw = occupancy.origin
+    rows, columns = occupancy.occupied.shape
+    corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]]) * occupancy.resolution
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    placed = np.round(corners @ turn.T + (x, y), 6)
+    (low_x, low_y), (high_x, high_y) = placed.min(axis=0).tolist(), placed.max(axis=0).tolist()
+    return (low_x, high_x), (low_y, high_y)

@@ -1,0 +1,156 @@
+"""A world that becomes a scenario file: its check, and writing many of them with a suite."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.config.overrides import value_text
+from kraft.config.source import Place
+from kraft.errors import Code, Diagnostic, InputError, Unreachable
+from kraft.files import check_writable, new_folder
+from kraft.planning.feasibility import check_placement, check_reachable
+from kraft.planning.workspace import start_state, vehicle_of_task
+from kraft.scenario import Scenario, parse_scenario
+
+SUITE: Final = "suite.yaml"
+SENSING: Final = {"preset": "planar", "rate_hz": 50}
+HEIGHT: Final = 6.0
+"""Height of the camera, m."""
+
+
+@dataclass(frozen=True)
+class World:
+    """Content of a scenario file.
+
+    Attributes:
+        name: name of the scenario and of its file.
+        remark: where it comes from, for the first lines of the file.
+        content: keys of the scenario in the order in which they are written, without `name`.
+        files: further files, by their path relative to the scenario's.
+        places: where the values of top-level keys were given, for problems of the start and the goal.
+    """
+
+    name: str
+    remark: str
+    content: Mapping[str, Any]
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    places: Mapping[str, Place] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """Content of the scenario file."""
+        lines = [f"# {line}".rstrip() for line in self.remark.splitlines()]
+        lines.append(f"name: {value_text(self.name)}")
+        for key, value in self.content.items():
+            if key == "obstacles":
+                lines.append("obstacles:" if value else "obstacles: []")
+                lines += [f"  - {value_text(obstacle)}" for obstacle in value]
+            else:
+                lines.append(f"{key}: {value_text(value)}")
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class Written:
+    """Folder with scenario files and their suite."""
+
+    folder: Path
+    scenarios: tuple[Path, ...]
+
+    @property
+    def suite(self) -> Path:
+        """File of the suite."""
+        return self.folder / SUITE
+
+
+def above(bounds: Mapping[str, Sequence[float]]) -> list[float]:
+    """Place of a camera above the middle of the bounds, m."""
+    (x0, x1), (y0, y1) = bounds["x"], bounds["y"]
+    return [round((x0 + x1) / 2, 3), round((y0 + y1) / 2, 3), HEIGHT]
+
+
+def plain_name(text: str) -> str:
+    """Text as the name of a scenario: letters, digits, - and _."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:100] or "world"
+
+
+def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: str) -> Written:
+    """Check all worlds and write them and their suite into the new folder `out`, all or nothing.
+
+    Raises:
+        InputError: with every problem of the worlds, or if the folder exists or cannot be written.
+        Unreachable: with every goal that no path leads to, if there is no other problem.
+    """
+    if out.exists():
+        raise InputError.of_argument("out", f"{out} exists", "expected a new folder", Code.EXISTS)
+    check_writable(out)
+    _check_names(worlds)
+    with new_folder(out) as folder:
+        for world in worlds:
+            for name, content in {**world.files, f"{world.name}.yaml": world.text.encode()}.items():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(content)
+        _check_all(worlds, out, folder)
+        entries = [f"  - {{name: {world.name}, scenario: {world.name}.yaml}}" for world in worlds]
+        heading = [f"name: {value_text(plain_name(suite))}", f"description: {value_text(description)}", "entries:"]
+        (folder / SUITE).write_text("\n".join([*heading, *entries]) + "\n", encoding="utf-8")
+    return Written(out, tuple(out / f"{world.name}.yaml" for world in worlds))
+
+
+def _check_names(worlds: Sequence[World]) -> None:
+    names = [world.name for world in worlds]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice or "suite" in names:
+        problem = f"{', '.join(twice or ['suite'])}: several files would have this name"
+        raise InputError.of("sources", problem, "expected sources with different names", Code.DUPLICATE)
+
+
+def _check_all(worlds: Sequence[World], out: Path, folder: Path) -> None:
+    problems: list[Diagnostic] = []
+    enclosed: list[Diagnostic] = []
+    for world in worlds:
+        try:
+            check(world, out, folder)
+        except InputError as error:
+            problems += error.diagnostics
+        except Unreachable as error:
+            enclosed += error.diagnostics
+    if problems:
+        raise InputError(problems + enclosed)
+    if enclosed:
+        raise Unreachable(enclosed)
+
+
+def check(world: World, out: Path, folder: Path) -> Scenario:
+    """Check that a world is a valid scenario with a free start and a goal that its vehicle may reach.
+
+    Args:
+        world: the world.
+        out: folder that messages name.
+        folder: folder in which its files are.
+
+    Raises:
+        InputError: with every problem, where the source has the value.
+        Unreachable: at the goal, if no path leads to it.
+    """
+    try:
+        scenario = parse_scenario(world.text, str(out / f"{world.name}.yaml"), folder)
+        vehicle = vehicle_of_task(scenario)
+        check_placement(scenario, vehicle, start_state(scenario, vehicle))
+        check_reachable(scenario, vehicle)
+    except InputError as error:
+        raise InputError(_at_source(world, each) for each in error.diagnostics) from error
+    except Unreachable as error:
+        raise Unreachable(_at_source(world, each) for each in error.diagnostics) from error
+    return scenario
+
+
+def _at_source(world: World, found: Diagnostic) -> Diagnostic:
+    """Problem at the place of its value in the source, if that is known."""
+    key = re.split(r"[.\[]", found.path)[0]
+    place = world.places.get(key)
+    return found if place is None else place.diagnostic(found.path, found.problem, found.expected, found.code)

@@ -1,0 +1,103 @@
+"""`kraft import` and `kraft generate`: scenario files of worlds from elsewhere and of random ones, with a suite."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kraft.text import counted
+from kraft_cli.exit_status import ExitStatus
+from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:  # so that `kraft --help` does not load what only these commands need
+    from kraft.worlds.world import Written
+
+Sources = Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Files; for barn also folders of them.")]
+Start = Annotated[
+    str | None,
+    typer.Option(metavar="X,Y,HEADING", help="Start in m and degrees: required for a map, else the source's."),
+]
+Goal = Annotated[
+    str | None, typer.Option(metavar="X,Y[,RADIUS]", help="Goal in m: required for a map, else the source's.")
+]
+VehicleName = Annotated[
+    str | None,
+    typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle of the scenarios, instead of the usual one."),
+]
+Skip = Annotated[bool, typer.Option("--skip", help="Leave out shapes that cannot be obstacles.")]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="New folder for the scenarios and suite.yaml.")]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the first world; the next ones follow.")]
+Count = Annotated[int, typer.Option(metavar="N", min=1, help="Number of worlds.")]
+Density = Annotated[
+    float | None, typer.Option(metavar="SHARE", help="Share of the floor that clutter covers, 0.15 by default.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def import_(
+    context: typer.Context,
+    kind: Annotated[str, typer.Argument(metavar="barn|dynobench|map", help="What the sources are.")],
+    sources: Sources,
+    start: Start = None,
+    goal: Goal = None,
+    vehicle: VehicleName = None,
+    skip: Skip = False,
+    out: Out = Path("worlds"),
+    json: Json = False,
+) -> ExitStatus:
+    """Write scenarios and a suite from Gazebo worlds (BARN), problems of dynobench, or occupancy maps."""
+    from kraft.worlds.imports import Request, import_worlds
+    from kraft_cli.work.worlds import goal_of, imported_json, numbers_of
+
+    terminal: Terminal = context.obj
+    begin = None if start is None else numbers_of("start", start, "X,Y,HEADING")
+    end = None if goal is None else goal_of(goal)
+    found = import_worlds(Request(kind, tuple(sources), out, begin, end, vehicle, skip))
+    for each in found.imported:
+        if each.skipped:
+            left = ", ".join(f"{number} x {shape}" for shape, number in each.skipped.items())
+            terminal.problem(f"{each.world.name}: left out: {left}")
+        if each.missing:
+            terminal.info(f"{each.world.name}: no score: {each.missing}")
+    if json:
+        terminal.json("kraft.import/1", imported_json(kind, found))
+    else:
+        _report(terminal, found.written)
+    return ExitStatus.DONE
+
+
+def generate(
+    context: typer.Context,
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND", help="corridor, rooms, rows, posts, maze, clutter, track, or mixed for all of them."
+        ),
+    ],
+    seed: Seed = 0,
+    count: Count = 1,
+    vehicle: VehicleName = None,
+    density: Density = None,
+    out: Out = Path("worlds"),
+    json: Json = False,
+) -> ExitStatus:
+    """Write random scenarios and a suite; the same seed gives the same world, with a way as wide as the car is long."""
+    from kraft.worlds.generate import generate_worlds
+    from kraft_cli.work.worlds import generated_json
+
+    terminal: Terminal = context.obj
+    written = generate_worlds(kind, out, seed=seed, count=count, vehicle=vehicle, density=density)
+    if json:
+        terminal.json("kraft.generate/1", generated_json(kind, seed, written))
+    else:
+        _report(terminal, written)
+    return ExitStatus.DONE
+
+
+def _report(terminal: Terminal, written: Written) -> None:
+    """Print how many scenarios were written, and the command that drives in them."""
+    terminal.data(
+        f"{counted(len(written.scenarios), 'scenario')} in {written.folder}; kraft eval --suite {written.suite}"
+    )

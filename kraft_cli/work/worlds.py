@@ -1,0 +1,72 @@
+"""Options of `kraft import`, and the JSON objects of `kraft import` and `kraft generate`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from kraft.errors import Code, InputError
+from kraft.worlds.imports import Collection
+from kraft.worlds.world import Written
+
+RADIUS: Final = 0.25
+"""Radius of a goal that is given without one, m."""
+
+
+def numbers_of(name: str, text: str, form: str) -> tuple[float, float, float]:
+    """Three numbers of an option that is to be given as `form`.
+
+    Raises:
+        InputError: if the text is not three finite numbers.
+    """
+    try:
+        values = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        expected = f"expected {form}: finite numbers"
+        raise InputError.of_argument(name, f"is {text!r}", expected, Code.TYPE)
+    first, second, third = values
+    return first, second, third
+
+
+def goal_of(text: str) -> tuple[float, float, float]:
+    """Centre and radius (m) of a goal, with a radius if none is given.
+
+    Raises:
+        InputError: if the text is not two or three finite numbers.
+    """
+    whole = f"{text},{RADIUS}" if text.count(",") == 1 else text
+    return numbers_of("goal", whole, "X,Y[,RADIUS]")
+
+
+def imported_json(kind: str, found: Collection) -> dict[str, Any]:
+    """Content of the ``kraft.import/1`` object, without its schema."""
+    scenarios = [
+        {
+            "name": each.world.name,
+            "file": str(path),
+            "obstacles": len(each.world.content["obstacles"]),
+            "skipped": dict(each.skipped),
+            "score": each.world.content.get("trial", {}).get("score"),
+        }
+        for each, path in zip(found.imported, found.written.scenarios, strict=True)
+    ]
+    return {
+        "kind": kind,
+        "folder": str(found.written.folder),
+        "suite": str(found.written.suite),
+        "scenarios": scenarios,
+    }
+
+
+def generated_json(kind: str, seed: int, written: Written) -> dict[str, Any]:
+    """Content of the ``kraft.generate/1`` object, without its schema."""
+    scenarios = [{"name": path.stem, "file": str(path)} for path in written.scenarios]
+    return {
+        "kind": kind,
+        "seed": seed,
+        "folder": str(written.folder),
+        "suite": str(written.suite),
+        "scenarios": scenarios,
+    }

@@ -1,0 +1,86 @@
+"""Replays: what is recorded comes back, in little space, and a damaged file is refused at its line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support import fake_trials
+from support.evaluation import refused
+
+from kraft.errors import Code
+from kraft.evaluation.journal import REPLAYS, Journal, Replays, TrialRow
+from kraft.evaluation.replay import Replay, packed, replay_of, series, unpacked, values_of
+from kraft.trial.result import TrialSpec
+
+KEY = ("turns", "kraft", 3)
+
+
+@given(st.lists(st.floats(-1e4, 1e4), max_size=30), st.sampled_from([0.001, 0.02]), st.integers(0, 2))
+def test_a_series_comes_back_to_half_a_quantum(values: list[float], quantum: float, order: int) -> None:
+    back = values_of(unpacked(packed(series(np.array(values), quantum, order))))
+    assert np.abs(back - np.array(values)).max(initial=0.0) <= quantum / 2 + 1e-9
+
+
+def test_smooth_series_are_small() -> None:
+    x = 0.02 * np.arange(1000.0) + 0.1 * np.sin(np.arange(1000.0) / 50.0)
+    assert len(packed(series(x, 0.001, 2))) < len(packed(series(x, 0.001, 0))) / 3
+
+
+def test_a_replay_has_every_tick_and_cycle_of_its_trial() -> None:
+    spec = TrialSpec.load("movable", "kraft", seed=3)
+    result = fake_trials.quick(spec)
+    boxes = ((1.0, 2.0, 0.1), (3.0, 4.0, 0.2))
+    result = replace(result, steps=tuple(replace(step, boxes=boxes) for step in result.steps))
+    replay = replay_of(spec, result)
+    assert replay is not None
+    assert replay.trees is None
+    drive = unpacked(replay.drive)
+    assert values_of(drive["t"]) == pytest.approx([step.time for step in result.steps], abs=0.0006)
+    assert values_of(drive["pose"][0]) == pytest.approx([step.pose[0] for step in result.steps], abs=0.0006)
+    assert [cycle["kind"] for cycle in drive["cycles"]] == [cycle.kind for cycle in result.cycles]
+    assert [[values_of(axis)[-1] for axis in box] for box in drive["boxes"]] == [list(box) for box in boxes]
+    assert list(drive["command"]) == list(spec.vehicle.controls)
+    assert replay_of(spec, result) == replay
+    assert replay_of(spec, replace(result, steps=())) is None
+
+
+def row(seed: int, drive: str) -> TrialRow:
+    return TrialRow(
+        entry="turns", scenario="turns", method="kraft", seed=seed, outcome="success", replay=Replay(drive, "t")
+    )
+
+
+def test_replays_are_written_beside_the_trials_and_an_incomplete_line_is_repeated(tmp_path: Path) -> None:
+    path = tmp_path / "trials.jsonl"
+    journal = Journal(path)
+    journal.append(row(3, "first"))
+    journal.close()
+    assert "first" not in path.read_text()
+    with (tmp_path / REPLAYS).open("a") as file:
+        file.write('{"entry": "turns", "meth')
+    replays = Replays(tmp_path / REPLAYS)
+    assert (len(replays), KEY in replays, replays.read(KEY)) == (1, True, Replay("first", "t"))
+    journal = Journal(path, path.stat().st_size)
+    journal.append(row(4, "second"))
+    journal.append(row(3, "again"))
+    journal.close()
+    replays = Replays(tmp_path / REPLAYS)
+    assert (len(replays), replays.read(KEY).drive, replays.sizes(KEY)) == (2, "again", (5, 1))
+
+
+def test_a_file_without_replays_has_none_and_a_damaged_line_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / REPLAYS
+    assert len(Replays(file)) == 0
+    file.write_text(
+        json.dumps({"entry": "turns", "method": "kraft", "seed": 3, "drive": "d", "trees": None}) + "\n{}\n"
+    )
+    with refused((f"{file}:2:1", Code.SYNTAX)):
+        Replays(file)
+    with pytest.raises(ValueError, match="compressed"):
+        unpacked("YWJj")

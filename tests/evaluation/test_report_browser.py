@@ -1,0 +1,233 @@
+"""`report.html` in a real browser: its numbers, its replays, its list and its links."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import threading
+import urllib.request
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+from support import fake_trials
+
+from kraft.evaluation import Evaluation, evaluate, evaluator
+from kraft.evaluation.journal import REPLAYS, Replays
+from kraft.evaluation.replay import unpacked, values_of
+from kraft.evaluation.report import write_report
+from kraft.evaluation.report.server import ReportServer
+from kraft_cli.work.run import run_command
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None and "CI" not in os.environ, reason="Chromium is not installed: apt-get install chromium"
+)
+METHODS = ("kraft", "oneshot-openloop")
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Results folder of real trials, with what is recorded of them."""
+
+    folder: Path
+    evaluation: Evaluation
+
+    @property
+    def url(self) -> str:
+        return (self.folder / "report.html").as_uri()
+
+    @property
+    def summary(self) -> Any:
+        return json.loads((self.folder / "summary.json").read_text())
+
+    def drive(self, method: str, seed: int) -> Any:
+        return unpacked(Replays(self.folder / REPLAYS).read(("turns", method, seed)).drive)
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Driven:
+    folder = tmp_path_factory.mktemp("driven") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluator, "Processes", fake_trials.Inline)  # real trials, in this process
+        found = evaluate(["turns"], METHODS, trials=2, seed=0, out=folder, command_line=run_command)
+    return Driven(folder, found)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(browser: Browser) -> Iterator[Page]:
+    """A tab whose console has to stay empty."""
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(60_000)
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    yield page
+    page.close()
+    assert said == []
+
+
+def open_trial(tab: Page, url: str, method: str = "kraft", seed: int = 0) -> None:
+    tab.goto(f"{url}#trial=turns/{method}/{seed}")
+    tab.wait_for_selector("#plots figure")
+
+
+def car(tab: Page) -> str:
+    return tab.get_attribute("#stage .car.body", "d") or ""
+
+
+def seek(tab: Page, time: float) -> None:
+    tab.evaluate("t => { const r = document.getElementById('replay-time'); r.value = t; r.oninput(); }", time)
+
+
+def shown(tab: Page, plot: str) -> float:
+    """Number under the cursor of a plot."""
+    text = tab.locator(f"#plots figcaption:has-text('{plot}') .value").first.inner_text()
+    return float(text.split()[0])
+
+
+def test_the_numbers_are_those_of_the_summary(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    rows = tab.locator("#overview tbody.rows tr").all()
+    assert [row.locator("a").first.inner_text() for row in rows] == ["turns"]
+    results = driven.summary["results"]
+    assert rows[0].locator("td b").all_inner_texts() == [str(n) for n in (*(r["success"] for r in results), 2)]
+    causes: Counter[str] = Counter()
+    for result in results:
+        causes.update(result["causes"])
+    failures = sum(result["collision"] + result["timeout"] for result in results)
+    assert failures == causes.total() > 0
+    heading = tab.locator("#causes thead th").all_inner_texts()[1:-1]
+    numbers = tab.locator("#causes tbody.totals td").all_inner_texts()
+    assert dict(zip(heading, map(int, numbers[:-1]), strict=True)) == dict(causes)
+    assert int(numbers[-1]) == failures
+    assert tab.locator("#trials-count").inner_text() == "4 trials"
+
+
+def test_a_link_opens_a_trial_and_the_numbers_under_the_cursor_are_the_recorded_ones(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    row = next(row for row in driven.evaluation.rows if row.key == ("turns", "kraft", 0))
+    assert tab.inner_text("#replay-title") == "turns, KRAFT, seed 0"
+    assert f"{row.outcome} after {row.t_s:.2f} s" in tab.inner_text("#replay-outcome")
+    drive = driven.drive("kraft", 0)
+    times, speeds, clearances = (values_of(drive[name]) for name in ("t", "speed", "clearance"))
+    k = len(times) // 2 // drive["every"] * drive["every"]
+    seek(tab, times[k])
+    assert shown(tab, "speed") == pytest.approx(speeds[k], abs=0.006)
+    assert shown(tab, "clearance") == pytest.approx(clearances[k // drive["every"]], abs=0.001)
+    assert row.min_clearance_m is not None
+    assert row.min_clearance_m - 0.001 <= min(clearances) <= row.min_clearance_m + 0.03
+
+
+def test_a_replay_plays_pauses_steps_and_goes_to_other_trials(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    begin = car(tab)
+    tab.select_option("#replay-speed", "8")
+    tab.click("#replay-play")
+    tab.wait_for_function("d => document.querySelector('#stage .car.body').getAttribute('d') !== d", arg=begin)
+    assert tab.inner_text("#replay-play") == "pause"
+    tab.keyboard.press("Space")
+    assert tab.inner_text("#replay-play") == "play"
+    seek(tab, 0.0)
+    cycles = driven.drive("kraft", 0)["cycles"]
+    for cycle in cycles[1:4]:
+        tab.keyboard.press("ArrowRight")
+        assert float(tab.input_value("#replay-time")) == pytest.approx(cycle["t"], abs=0.01)
+    tab.keyboard.press("ArrowLeft")
+    assert f"cycle 3 of {len(cycles)}" in (tab.get_attribute("#replay-time", "aria-valuetext") or "")
+    for layer in ("plan", "tree", "believed", "seen", "trail"):
+        assert len(tab.get_attribute(f"#stage .{layer}", "d") or "") > 10, layer
+    tab.keyboard.press("Shift+ArrowRight")
+    tab.wait_for_function("() => document.getElementById('replay-title').textContent.endsWith('seed 1')")
+    assert tab.evaluate("location.hash") == "#trial=turns/kraft/1"
+    tab.keyboard.press("Escape")
+    tab.wait_for_selector("#replay", state="hidden")
+    assert tab.evaluate("location.hash") == ""
+
+
+def test_a_failed_trial_states_its_cause_and_the_obstacle_it_hit_is_red(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url, "oneshot-openloop", 1)
+    row = next(row for row in driven.evaluation.rows if row.key == ("turns", "oneshot-openloop", 1))
+    assert row.outcome == "collision"
+    assert row.cause is not None
+    assert f"{row.cause.kind}; {row.cause.text}" in tab.inner_text("#replay-outcome")
+    titles = tab.locator("#stage .hit title").all_text_contents()
+    assert [title.split(":")[0] for title in titles] == [row.obstacle]
+
+
+def test_trials_are_filtered_and_sorted_and_the_filter_is_in_the_address(tab: Page, driven: Driven) -> None:
+    outcomes = Counter(row.outcome for row in driven.evaluation.rows)
+    tab.goto(driven.url)
+    tab.select_option("#filter-outcome", "collision")
+    assert tab.locator("#trials tbody tr").count() == outcomes["collision"]
+    address = tab.url
+    tab.goto("about:blank")
+    tab.goto(address)
+    assert tab.input_value("#filter-outcome") == "collision"
+    assert tab.inner_text("#trials-count") == f"{outcomes['collision']} trials of 4"
+    tab.goto(f"{driven.url}#show&method=kraft")
+    tab.click("#trials thead button:has-text('time')")
+    tab.click("#trials thead button:has-text('time')")
+    listed = [float(text) for text in tab.locator("#trials tbody td:nth-child(5)").all_inner_texts()]
+    times = sorted((row.t_s or 0.0 for row in driven.evaluation.rows if row.method == "kraft"), reverse=True)
+    assert listed == pytest.approx(times, abs=0.006)
+
+
+@pytest.mark.parametrize("width", [390, 1100])
+def test_no_window_hides_a_column_without_saying_so(tab: Page, driven: Driven, width: int) -> None:
+    tab.set_viewport_size({"width": width, "height": 800})
+    tab.goto(driven.url)
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    boxes = tab.evaluate(
+        "[...document.querySelectorAll('.wide')].filter(b => b.clientWidth)"
+        ".map(b => [b.scrollWidth > b.clientWidth + 2, !b.previousElementSibling.hidden])"
+    )
+    assert boxes
+    assert all(cut == says for cut, says in boxes)
+    open_trial(tab, driven.url)
+    assert tab.evaluate("document.querySelector('#replay').scrollWidth") <= width
+
+
+def test_wrong_links_and_trials_without_a_replay_say_so(tab: Page, driven: Driven, tmp_path: Path) -> None:
+    tab.goto(f"{driven.url}#trial=turns/kraft/99")
+    assert "does not have" in tab.inner_text("#replay-problem")
+    shutil.copytree(driven.folder, tmp_path / "old")
+    (tmp_path / "old" / REPLAYS).unlink()
+    _, path = write_report(tmp_path / "old")
+    tab.goto(f"{path.as_uri()}#trial=turns/kraft/0")
+    tab.wait_for_selector("#replay-problem:visible")
+    assert "No replay was recorded" in tab.inner_text("#replay-problem")
+
+
+def test_a_served_page_reads_replays_from_the_folder_and_from_this_machine_only(tab: Page, driven: Driven) -> None:
+    with ReportServer(driven.folder, run_command) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            assert server.server_address[0] == "127.0.0.1"
+            open_trial(tab, server.url)
+            assert tab.locator("script[type='text/plain']").count() == 0
+            tab.wait_for_function("() => document.querySelector('#stage .tree').getAttribute('d').length > 10")
+            for path, host, status in (("", "evil.example", 403), ("replay/99/drive", None, 404), ("../x", None, 404)):
+                request = urllib.request.Request(server.url + path, headers={"Host": host} if host else {})
+                with pytest.raises(HTTPError) as caught:
+                    urllib.request.urlopen(request)
+                caught.value.close()
+                assert caught.value.code == status
+        finally:
+            server.shutdown()
+            thread.join()

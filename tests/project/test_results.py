@@ -1,0 +1,70 @@
+"""The documentation's tables are those of the results folders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support import fake_trials
+from support.paths import ROOT
+
+from benchmarks import results
+from kraft.evaluation import evaluate
+from kraft.evaluation.report.results import read_results
+from kraft.evaluation.statistics import wilson
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    own = tmp_path / "scenes" / "boxes.yaml"
+    own.parent.mkdir()
+    own.write_bytes((ROOT / "scenarios" / "boxes.yaml").read_bytes())
+    methods = ["kraft", "oneshot-kinodynamic", "conservative-kraft"]
+    evaluate(["turns", str(own)], methods, 6, 3, 1, tmp_path / "results", arguments={"scenarios": ["turns", str(own)]})
+    return tmp_path / "results"
+
+
+def test_the_document_has_the_counts_of_the_folder_and_the_command(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "results.md"
+    assert results.main([str(folder), "--out", str(out)]) == 0
+    text = out.read_text()
+    found = read_results(folder)
+    assert "    kraft eval turns scenes/boxes.yaml" in text
+    assert str(tmp_path) not in text
+    for result in found.summary.results:
+        assert results.cell(result) in text
+    mine = [result for result in found.summary.results if result.method == "kraft"]
+    success, collision = sum(r.success for r in mine), sum(r.collision for r in mine)
+    low, high = wilson(success, 12)
+    assert f"| KRAFT | {success} of 12 | {100 * low:.1f} to {100 * high:.1f} % | {collision} |" in text
+    assert "| boxes | KRAFT |" in text
+    assert "23 of 30" in text
+
+
+def test_claims_are_tested_on_the_same_trials(folder: Path) -> None:
+    found = read_results(folder)
+    lines = results.claims(found)
+    assert [line.split(" | ")[0] for line in lines[4:6]] == ["| replanning", "| safety, with feedback"]
+    pairs = [
+        (found.rows[entry, "conservative-kraft", seed].outcome, found.rows[entry, "kraft", seed].outcome)
+        for entry in ("turns", "boxes")
+        for seed in found.manifest.seeds
+    ]
+    gained = sum(mine == "success" != theirs for mine, theirs in pairs)
+    lost = sum(theirs == "success" != mine for mine, theirs in pairs)
+    assert f"{gained} / {lost}" in lines[5]
+
+
+def test_the_table_of_the_readme_is_replaced_and_the_rest_stays(folder: Path, tmp_path: Path) -> None:
+    readme, out = tmp_path / "README.md", tmp_path / "results.md"
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    readme.write_text(text, encoding="utf-8")
+    assert results.main([str(folder), "--out", str(out), "--readme", str(readme)]) == 0
+    before, _, rest = readme.read_text(encoding="utf-8").partition(results.BEGIN)
+    table, _, after = rest.partition(results.END)
+    assert (before, after) == (text.partition(results.BEGIN)[0], text.partition(results.END)[2])
+    assert table.strip().splitlines() == results.method_table([read_results(folder)])
+    readme.write_text("no marks")
+    assert results.main([str(folder), "--out", str(out), "--readme", str(readme)]) == 2
+    assert results.main([str(tmp_path / "none"), "--out", str(out)]) == 2

@@ -1,0 +1,237 @@
+"""Worlds from elsewhere become scenarios; what cannot be read is refused at its line."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kraft.errors import Code, InputError, Unreachable
+from kraft.evaluation.suite import load_suite
+from kraft.scenario import Box, Circle, load_scenario
+from kraft.worlds.imports import Request, import_worlds
+from kraft_cli.main import main
+
+CYLINDER = "<cylinder><radius>0.1</radius><length>1</length></cylinder>"
+
+
+def model(name: str, shape: str, pose: str = "0 0 0 0 0 0", inner: str = "") -> str:
+    return (
+        f"<model name='{name}'><pose>{pose}</pose><link name='link'>{inner}<collision name='c'>\n"
+        f"<geometry>{shape}</geometry></collision></link></model>\n"
+    )
+
+
+GROUND = model("ground", "<plane><normal>0 0 1</normal><size>9 9</size></plane>")
+
+
+def sdf(*models: str) -> str:
+    state = "<state world_name='default'>" + model("post", CYLINDER, "9 9 0 0 0 0") + "</state>"
+    return f"<sdf version='1.6'>\n<world name='default'>\n{GROUND}{''.join(models)}{state}</world></sdf>\n"
+
+
+def imported(tmp_path: Path, text: str, kind: str = "barn", name: str = "world_7.world", **settings: object) -> Path:
+    source = tmp_path / name
+    source.write_bytes(gzip.compress(text.encode()) if name.endswith(".gz") else text.encode())
+    import_worlds(Request(kind, (source,), tmp_path / "out", **{"vehicle": "mushr", **settings}))  # type: ignore[arg-type]
+    return tmp_path / "out"
+
+
+def problems(tmp_path: Path, text: str, **settings: object) -> list[tuple[Code, str | None, int | None, int | None]]:
+    with pytest.raises((InputError, Unreachable)) as caught:
+        imported(tmp_path, text, **settings)  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()
+    return [(d.code, Path(d.file).name, d.line, d.column) for d in caught.value.diagnostics]
+
+
+def test_cylinders_boxes_and_spheres_keep_their_places_and_the_state_is_not_read(tmp_path: Path) -> None:
+    half_turn = f"0 0 0 0 0 {math.pi / 2}"
+    out = imported(
+        tmp_path,
+        sdf(
+            model("post", CYLINDER, "1 2 0.5 0 0 0"),
+            model("wall", "<box><size>2 0.2 1</size></box>", "1 6 0 0 0 0.5", "<pose>1 0 0 0 0 0.25</pose>"),
+            model("ball", "<sphere><radius>0.3</radius></sphere>", half_turn, "<pose>2 0 0.1 0 0 0</pose>"),
+            model("cellar", CYLINDER, "0 0 -3 0 0 0"),
+        ),
+    )
+    post, wall, ball = load_scenario(out / "barn-7.yaml").obstacles
+    assert post == Circle((1.0, 2.0), 0.1, 1.0, "post")
+    assert isinstance(wall, Box)
+    assert wall.center == pytest.approx((1 + math.cos(0.5), 6 + math.sin(0.5)))
+    assert (wall.size, wall.yaw) == ((2.0, 0.2), pytest.approx(0.75))
+    assert isinstance(ball, Circle)
+    assert (*ball.center, ball.radius, ball.height) == pytest.approx((0.0, 2.0, 0.3, 0.4))
+
+
+def test_compressed_worlds_of_a_folder_make_a_suite_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    folder = tmp_path / "worlds"
+    folder.mkdir()
+    for number in (10, 9):
+        (folder / f"world_{number}.world.gz").write_bytes(gzip.compress(sdf(model("post", CYLINDER)).encode()))
+    import_worlds(Request("barn", (folder,), tmp_path / "out"))
+    entries = load_suite(tmp_path / "out" / "suite.yaml")
+    assert [entry.name for entry in entries] == ["barn-9", "barn-10"]
+    assert all(entry.scenario.goal.radius == 1.0 and entry.scenario.vehicle.endswith("jackal") for entry in entries)
+
+
+def test_the_optimal_time_is_that_of_the_path_beside_the_world_at_two_metres_a_second(tmp_path: Path) -> None:
+    np.save(tmp_path / "path_7.npy", np.array([[15, 0], [15, 20]]))
+    out = imported(tmp_path, sdf(model("post", CYLINDER)))
+    score = load_scenario(out / "barn-7.yaml").trial.score
+    assert score is not None
+    x = 15 * 0.15 - 4.575
+    length = math.hypot(-2.25 - x, 5.075 - 3) + 3.0 + math.hypot(-2.25 - x, 13 - 8.075)
+    assert score.optimal_time == pytest.approx(length / 2, abs=1e-5)
+    assert (score.label, score.of(None)) == ("BARN layouts, known map", 0.0)
+    times = [score.optimal_time * factor for factor in (1, 2, 4, 8, 20)]
+    assert [score.of(time) for time in times] == pytest.approx([0.5, 0.5, 0.25, 0.125, 0.125])
+
+
+def test_other_starts_and_goals_are_taken_and_have_no_score(tmp_path: Path) -> None:
+    np.save(tmp_path / "path_7.npy", np.array([[15, 0], [15, 20]]))
+    scene = load_scenario(imported(tmp_path, sdf(model("post", CYLINDER)), start=(1.0, 1.0, 90.0)) / "barn-7.yaml")
+    assert (scene.start.x, scene.start.y, scene.trial.score) == (1.0, 1.0, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "line"),
+    [
+        ("<sdf><world>", Code.SYNTAX, 1),
+        ("<robot/>", Code.MISMATCH, 1),
+        ("<!DOCTYPE x [<!ENTITY a 'b'>]><sdf/>", Code.SYNTAX, 1),
+        (sdf(model("post", "<cylinder><length>1</length></cylinder>")), Code.MISSING, 6),
+        (sdf(model("post", "<cylinder><radius>-1</radius><length>1</length></cylinder>")), Code.VALUE, 6),
+        (sdf(model("post", CYLINDER, "0 0 zero 0 0 0")), Code.VALUE, 5),
+        (sdf(model("post", CYLINDER).replace("<pose>", "<pose relative_to='map'>")), Code.UNKNOWN, 5),
+        (sdf(model("post", CYLINDER, "-2.25 3 0 0 0 0")), Code.GEOMETRY, 2),
+    ],
+)
+def test_a_world_that_cannot_be_read_is_refused_at_its_line(tmp_path: Path, text: str, code: Code, line: int) -> None:
+    found = problems(tmp_path, text)
+    assert [each[:3] for each in found] == [(code, "world_7.world", line)]
+    assert all(each[3] is not None for each in found)
+
+
+def test_unknown_shapes_are_counted_refused_and_left_out_on_request(tmp_path: Path) -> None:
+    mesh, lying = "<mesh><uri>a.dae</uri></mesh>", model("lying", CYLINDER, "0 0 0 1.57 0 0")
+    text = sdf(model("a", mesh), model("b", mesh), lying, model("post", CYLINDER), "<include><uri>x</uri></include>")
+    found = problems(tmp_path, text)
+    assert [(code, line) for code, _, line, _ in found] == [(Code.UNKNOWN, 6), (Code.UNKNOWN, 10), (Code.UNKNOWN, 13)]
+    out = imported(tmp_path, text, skip=True)
+    assert [obstacle.name for obstacle in load_scenario(out / "barn-7.yaml").obstacles] == ["post"]
+
+
+def test_an_enclosed_goal_is_a_negative_result_at_the_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ring = [
+        model(f"p{k}", CYLINDER, f"{2 * math.cos(k / 8) - 2.25} {2 * math.sin(k / 8) + 13} 0 0 0 0") for k in range(51)
+    ]
+    assert problems(tmp_path, sdf(*ring)) == [(Code.GEOMETRY, "world_7.world", 2, 1)]
+    assert main(["import", "barn", str(tmp_path / "world_7.world"), "--out", str(tmp_path / "out")]) == 1
+    assert "world_7.world:2:1: goal" in capsys.readouterr().err
+
+
+PROBLEM = """name: test
+environment:
+  min: [0, 0]
+  max: [6, 6]
+  obstacles:
+    - {type: box, center: [3, 3], size: [1.0, 0.5]}
+    - {type: sphere, center: [1, 5], size: [0.3]}
+robots:
+  - type: unicycle1_v0
+    start: [1, 1, 0]
+    goal: [5, 5, 1.5]
+"""
+
+
+def test_a_problem_of_dynobench_keeps_its_states_and_names_its_vehicle(tmp_path: Path) -> None:
+    source = tmp_path / "kink.yaml"
+    source.write_text(PROBLEM)
+    import_worlds(Request("dynobench", (source,), tmp_path / "out"))
+    scene = load_scenario(tmp_path / "out" / "test.yaml")
+    assert scene.obstacles == (Box((3, 3), (1, 0.5), name="box 0"), Circle((1, 5), 0.3, name="sphere 1"))
+    assert (scene.goal.center, scene.goal.heading) == ((5, 5), pytest.approx(1.5))
+    assert scene.vehicle == "kraft.vehicles.dynobench:UNICYCLE1_V0"
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "line", "column"),
+    [
+        (("type: sphere", "type: octomap"), Code.UNKNOWN, 7, 14),
+        (("size: [0.3]", "size: [0.3, 0.3]"), Code.VALUE, 7, 44),
+        (("unicycle1_v0", "quadrotor_v0"), Code.UNKNOWN, 9, 11),
+        (("start: [1, 1, 0]", "start: [3, 3, 0]"), Code.GEOMETRY, 10, 12),
+        (("goal: [5, 5, 1.5]", "goal: [1, 5, 1.5]"), Code.GEOMETRY, 11, 11),
+        (
+            ("goal: [5, 5, 1.5]", "goal: [5, 5, 1.5]\n  - {type: unicycle1_v0, start: [0, 0, 0], goal: [0, 0, 0]}"),
+            Code.VALUE,
+            12,
+            5,
+        ),
+        (("max: [6, 6]", "maximum: [6, 6]"), Code.UNKNOWN, 4, 3),
+    ],
+)
+def test_a_problem_that_cannot_be_read_is_refused_at_its_line(
+    tmp_path: Path, change: tuple[str, str], code: Code, line: int, column: int
+) -> None:
+    vehicle = None if change[1] == "quadrotor_v0" else "mushr"
+    found = problems(tmp_path, PROBLEM.replace(*change), kind="dynobench", name="kink.yaml", vehicle=vehicle)
+    assert (code, "kink.yaml", line, column) in found
+
+
+def map_file(tmp_path: Path) -> Path:
+    cells = np.full((40, 60), 254, dtype=np.uint8)
+    cells[:, 30] = cells[0] = 0
+    cells[15:25, 30] = 254
+    (tmp_path / "floor.pgm").write_bytes(b"P5\n60 40\n255\n" + cells.tobytes())
+    path = tmp_path / "floor.yaml"
+    path.write_text("image: floor.pgm\nresolution: 0.1\norigin: [1.0, 2.0, 0.0]\n")
+    return path
+
+
+def test_a_map_stays_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, out = map_file(tmp_path), tmp_path / "deep" / "out"
+    arguments = ["import", "map", str(source), "--start", "2,4,0", "--goal", "6,4", "--out", str(out), "--json"]
+    assert main(arguments) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["schema"], [each["name"] for each in content["scenarios"]]) == ("kraft.import/1", ["floor"])
+    scene = load_scenario(content["scenarios"][0]["file"])
+    assert (scene.bounds.x, scene.bounds.y, scene.goal.radius) == ((1.0, 7.0), (2.0, 6.0), 0.25)
+    assert sorted(path.name for path in out.iterdir()) == ["floor.yaml", "suite.yaml"]
+    assert main(["import", "map", str(source), "--start", "2,4,0", "--goal", "6,4", "--out", str(out)]) == 2
+    assert "--out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (["--start", "2,4,0"], "--goal"),
+        (["--start", "2,4", "--goal", "6,4"], "--start"),
+        (["--start", "2,4,0", "--goal", "6,nan"], "--goal"),
+        (["--start", "4,5.9,0", "--goal", "6,4"], "--start: start"),
+        (["--start", "2,4,0", "--goal", "40,4"], "--goal: goal.center"),
+    ],
+)
+def test_a_start_or_goal_of_a_map_that_is_missing_or_wrong_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], name: str
+) -> None:
+    out = tmp_path / "out"
+    assert main(["import", "map", str(map_file(tmp_path)), *options, "--out", str(out)]) == 2
+    assert capsys.readouterr().err.startswith(f"{name}: ")
+    assert not out.exists()
+
+
+def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["import", "bran", "x.world"]) == 2
+    assert "'barn'" in capsys.readouterr().err
+    assert main(["import", "barn", str(tmp_path)]) == 2
+    assert main(["import", "barn", str(tmp_path / "none.world")]) == 2
+    (tmp_path / "bad.world.gz").write_bytes(b"\x1f\x8b nothing")
+    assert main(["import", "barn", str(tmp_path / "bad.world.gz")]) == 2
+    assert main(["import", "dynobench", str(tmp_path / "none.yaml"), "--start", "1,2,3"]) == 2
+    assert capsys.readouterr().err.count("\n") == 4
