@@ -18,6 +18,7 @@ from benchmarks.report import Report
 TOPICS = (
     "planner",
     "peers",
+    "peers_table",
     "scaling",
     "maps",
     "goals",
@@ -31,14 +32,17 @@ TOPICS = (
     "estimated",
     "changes",
     "arenas",
+    "worlds",
     "sysid",
     "disturbances",
+    "structures",
     "experiment",
     "sensing",
     "robot",
+    "faults",
 )
 NEEDS_OUT = ("peers",)
-CHOSEN = ("estimated", "changes", "arenas")
+CHOSEN = ("estimated", "changes", "arenas", "worlds")
 """Topics that drive with a method of one's choice."""
 
 

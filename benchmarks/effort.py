@@ -23,8 +23,11 @@ class Effort:
         changes: trials with each change of the true car.
         estimated: drives in the test of Theorem 1 with an estimated deviation.
         arenas: random arenas and rooms of posts that are driven in.
+        worlds: rooms of posts and tracks that fast robots drive in.
         drives: drives of each scene as two processes.
+        faults: drives with each fault.
         method: method that drives where one is chosen.
+        peer_trials: seeds of each row of the peers in each entry of the suites.
     """
 
     seeds: int
@@ -40,8 +43,11 @@ class Effort:
     changes: int
     estimated: int
     arenas: int
+    worlds: int
     drives: int
+    faults: int
     method: str = "adaptive-kraft"
+    peer_trials: int = 1
 
 
 FULL = Effort(
@@ -58,7 +64,10 @@ FULL = Effort(
     changes=100,
     estimated=10_000,
     arenas=100,
+    worlds=120,
     drives=10,
+    faults=20,
+    peer_trials=10,
 )
 QUICK = Effort(
     seeds=20,
@@ -74,7 +83,9 @@ QUICK = Effort(
     changes=4,
     estimated=40,
     arenas=4,
+    worlds=12,
     drives=1,
+    faults=1,
 )
 SMOKE = Effort(
     seeds=1,
@@ -90,5 +101,7 @@ SMOKE = Effort(
     changes=1,
     estimated=2,
     arenas=1,
+    worlds=1,
     drives=1,
+    faults=1,
 )

@@ -37,9 +37,9 @@ def _told(results: Iterable[Result], total: int) -> Iterator[Result]:
             print(f"  {done:,} of {total:,}", file=sys.stderr, flush=True)
 
 
-def planning_vehicle(method: str) -> Vehicle:
-    """Vehicle that a bundled method plans with, compiled."""
-    vehicle = load_vehicle(load_method(method).planner.vehicle or "mushr")
+def planning_vehicle(method: str, name: str | None = None) -> Vehicle:
+    """Vehicle of that name, or the one that a bundled method plans with, compiled."""
+    vehicle = load_vehicle(name or load_method(method).planner.vehicle or "mushr")
     ensure_compiled(vehicle, lambda text: print(text, file=sys.stderr))
     return vehicle
 

@@ -15,7 +15,7 @@ from benchmarks.machine import resident_bytes
 from benchmarks.report import Report, Row, Target, number, row
 from benchmarks.scenes import SCENES, Scene, endless, scene
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.specialise import kernels
+from ompl_ext.kernels.search import search
 from ompl_ext.query import edges_to_retain, make_lanes
 from ompl_ext.solver import DirtSolver
 
@@ -83,7 +83,7 @@ def kernel_caller(dirt: DirtSolver) -> Callable[[int], None]:
     work = make_lanes(nx, nu, inputs, int(problem.option[at.STEPS]))
     brake = make_lanes(nx, nu, inputs, int(problem.option[at.BRAKE_STEPS]))
     q, nothing = np.zeros(at.Q_DIM), edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
-    kernel = kernels(vehicle).grow
+    kernel = search().grow
     return lambda iterations: kernel(dirt.tree_arrays, problem, work, brake, q, nothing, iterations)
 
 

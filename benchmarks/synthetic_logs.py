@@ -114,7 +114,7 @@ def _driven(
     p = np.array([truth.get(name, value) for name, value in model.parameters.items()] or [0.0])
     h = np.full(count, FINE)
     start = np.zeros((count, len(model.state)))
-    friction = truth.get("friction", 0.0)
+    friction = 0.0 if "friction" in model.parameters else truth.get("friction", 0.0)
     if not len(process) and not friction:
         return discrete_model.simulate(start, acting, np.tile(p, (count, 1)), h)
     states = np.empty((len(acting) + 1, *start.shape))

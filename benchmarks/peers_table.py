@@ -1,0 +1,185 @@
+"""The peers at equal information: all rows over the suites, and the paper's three claims with their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+
+from benchmarks.effort import Effort
+from benchmarks.parallel import each, interval
+from benchmarks.report import Report, Row, Target, number, row
+from kraft.driving.control import kernel_modules, needs_steps
+from kraft.driving.method import Method, load_method
+from kraft.evaluation.statistics import wilson
+from kraft.evaluation.suite import Entry, load_suite
+from kraft.planning.compilation import ensure_compiled
+from kraft.planning.workspace import goal_of, settings_of, start_state, workspace_of
+from kraft.scenario import load_scenario
+from kraft.trial.result import Outcome, TrialSpec
+from kraft.trial.trial import run_trial
+from kraft.vehicles.load import load_vehicle
+from ompl_ext.query import Safety
+from ompl_ext.solver import DirtSolver
+
+METHODS = ("adaptive-kraft", "kraft-mppi", "kraft-nmpc", "sst", "mppi", "nmpc", "dwa")
+WITHOUT = ("mppi", "nmpc", "dwa", "kraft-mppi")
+"""Rows that are driven without contingencies, too."""
+CLAIMS = (
+    ("long horizons help: kraft-mppi against mppi", "kraft-mppi", "mppi"),
+    ("feedback helps: kraft against replanner-openloop", "kraft", "replanner-openloop"),
+    ("safety helps: conservative-kraft against kraft", "conservative-kraft", "kraft"),
+)
+"""The paper's claims, each with the row that should do better and the one that should not."""
+PLANNERS = ("dirt", "sst")
+BUDGETS = (1000, 5000, 20_000)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How a trial of a row ended, and what it took."""
+
+    name: str
+    scenario: str
+    outcome: str
+    time: float
+    obstacle: str | None
+    contingencies: int
+    missed: int
+
+
+@dataclass(frozen=True)
+class Case:
+    """Row of the table: a method, with or without its contingencies."""
+
+    method: str
+    contingency: bool = True
+
+    @property
+    def name(self) -> str:
+        """Name in the table."""
+        return self.method if self.contingency else f"{self.method}, no contingencies"
+
+    def load(self) -> Method:
+        """The method."""
+        found = load_method(self.method)
+        if self.contingency:
+            return found
+        content = found.model_dump()
+        content["planner"] |= {"contingency": False}
+        return Method.model_validate(content)
+
+
+def cases() -> tuple[Case, ...]:
+    """Rows of the table, and those that only the claims need."""
+    named = {name for _, *pair in CLAIMS for name in pair} | set(METHODS)
+    order = [*METHODS, *sorted(named - set(METHODS))]
+    return (*(Case(name) for name in order), *(Case(name, contingency=False) for name in WITHOUT))
+
+
+@cache
+def entries() -> tuple[Entry, ...]:
+    """Entries of the suites `paper` and `hard`."""
+    return tuple(entry for suite in ("paper", "hard") for entry in load_suite(suite))
+
+
+def run(effort: Effort) -> Report:
+    """Drive every row in every entry with every seed, and plan with dirt and sst."""
+    compile_all()
+    count = len(cases()) * len(entries()) * effort.peer_trials
+    drives = each(partial(drive, seeds=effort.peer_trials), range(count), effort.jobs)
+    notes = [f"{effort.peer_trials} seeds per row and entry, from 0; times of the successful drives"]
+    tables = {"rows": table_of(drives), "costs of plans, s": plans()}
+    return Report("peers_table", rows_of(drives), tables, notes)
+
+
+def compile_all() -> None:
+    """Compile what the rows need."""
+    for case in cases():
+        method = case.load()
+        vehicle = load_vehicle(method.planner.vehicle or "mushr")
+        ensure_compiled(vehicle, print, steps=needs_steps(method, vehicle), modules=kernel_modules(method))
+
+
+def drive(k: int, seeds: int) -> Drive:
+    """Drive number `k`: seed after seed, then entry after entry, then row after row."""
+    case, entry = cases()[k // seeds // len(entries())], entries()[k // seeds % len(entries())]
+    return drive_case(case, entry, k % seeds)
+
+
+def drive_case(case: Case, entry: Entry, seed: int) -> Drive:
+    """One trial of a row in an entry."""
+    method = case.load()
+    vehicle = load_vehicle(method.planner.vehicle or entry.scenario.vehicle)
+    found = run_trial(TrialSpec(entry.scenario, method, vehicle, seed))
+    return Drive(
+        case.name, entry.name, str(found.outcome), found.time, found.obstacle, found.contingencies, found.missed
+    )
+
+
+def table_of(drives: Sequence[Drive]) -> list[list[str]]:
+    """Table of the rows."""
+    found = [["row", "trials", "success (95 %)", "collision", "timeout", "mean time, s", "contingencies", "missed"]]
+    for name in dict.fromkeys(d.name for d in drives):
+        mine = [d for d in drives if d.name == name]
+        times = [d.time for d in mine if d.outcome == Outcome.SUCCESS]
+        found.append(
+            [
+                name,
+                str(len(mine)),
+                f"{len(times)} ({interval(len(times), len(mine))})",
+                *(str(sum(d.outcome == outcome for d in mine)) for outcome in (Outcome.COLLISION, Outcome.TIMEOUT)),
+                number(float(np.mean(times))) if times else "-",
+                number(float(np.mean([d.contingencies for d in mine]))),
+                str(sum(d.missed for d in mine)),
+            ]
+        )
+    return found
+
+
+def rows_of(drives: Sequence[Drive]) -> list[Row]:
+    """The paper's claims: how much larger the share of successes is, whose 95 % interval should exclude 0."""
+    found = []
+    for claim, better, worse in CLAIMS:
+        low, middle, high = gain(*(outcomes(drives, name) for name in (better, worse)))
+        quantity = f"{claim}: {middle:+.1f} points of success, at least (95 %)"
+        found.append(row(f"{quantity}; at most {high:+.1f}", "points", [low], Target(0.0, most=False)))
+    return found
+
+
+def outcomes(drives: Sequence[Drive], name: str) -> list[bool]:
+    """Whether each trial of a row succeeded."""
+    return [d.outcome == Outcome.SUCCESS for d in drives if d.name == name]
+
+
+def gain(one: Sequence[bool], other: Sequence[bool]) -> tuple[float, float, float]:
+    """Difference of two shares in points, with its 95 % interval (Newcombe 1998, method 10)."""
+    shares = [100.0 * sum(each) / max(len(each), 1) for each in (one, other)]
+    (low1, high1), (low2, high2) = ([100.0 * x for x in wilson(sum(e), len(e))] for e in (one, other))
+    middle = shares[0] - shares[1]
+    below = float(np.hypot(shares[0] - low1, high2 - shares[1]))
+    above = float(np.hypot(high1 - shares[0], shares[1] - low2))
+    return middle - below, middle, middle + above
+
+
+def plans() -> list[list[str]]:
+    """Median cost over 5 seeds of plans of the benchmark vehicle, without local optimisation."""
+    vehicle = load_vehicle("benchmark")
+    found = [["scene", "planner", *(f"{budget:,} iterations" for budget in BUDGETS)]]
+    ensure_compiled(vehicle, print, modules=("sst",))
+    for scene in ("turns", "boxes"):
+        task = load_scenario(scene).task()
+        for planner in PLANNERS:
+            settings = settings_of(task, vehicle)
+            settings = type(settings)(**{**vars(settings), "polish": False, "planner": planner})
+            solver = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), Safety(enabled=False), settings)
+            costs = np.empty((5, len(BUDGETS)))
+            for seed in range(len(costs)):
+                solver.start(start_state(task, vehicle), seed)
+                for k, budget in enumerate(BUDGETS):
+                    solver.grow(iterations=budget - solver.progress.iterations)
+                    costs[seed, k] = solver.best_cost
+            found.append([scene, planner, *(number(float(np.median(column))) for column in costs.T)])
+    return found

@@ -1,0 +1,246 @@
+"""Tables of the documentation from results folders: docs/results.md, and the table of the README.
+
+    python -m benchmarks.results RESULTS... [--benchmarks FILE] [--out FILE] [--readme FILE]
+
+Each RESULTS is a folder of `kraft eval`, FILE of --benchmarks the `results.json` of `python -m benchmarks`. The table
+of the README, between its two marks, has the entries of the first folder, and the methods of all folders with these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kraft.errors import Code, InputError, KraftError
+from kraft.evaluation.report.results import Results, read_results
+from kraft.evaluation.statistics import mcnemar, wilson
+from kraft.evaluation.summary import MANY, Result
+from kraft.evaluation.table import markdown, overview
+from kraft.files import write_whole
+from kraft.text import decimals
+from kraft_cli.work.evaluate import EvalRequest, resume_command
+
+BEGIN, END = "<!-- results: written by python -m benchmarks.results -->", "<!-- end of results -->"
+HEADING = """# Results
+
+Written by `python -m benchmarks.results` from results folders of `kraft eval`; every section has the command that
+repeats it. Cells have the number of successes, and of collisions ("hit"); the other trials reached the time limit. In
+brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %.
+"""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper: a method does better than another one, which differs in one part."""
+
+    part: str
+    method: str
+    reference: str
+
+
+CLAIMS = (
+    Claim("feedback", "oneshot-kinodynamic", "oneshot-openloop"),
+    Claim("feedback that knows the dynamics", "oneshot-kinodynamic", "oneshot-geometric"),
+    Claim("replanning", "kraft", "oneshot-kinodynamic"),
+    Claim("feedback while replanning", "kraft", "replanner-openloop"),
+    Claim("safety, without feedback", "cons-replanner-openloop", "replanner-openloop"),
+    Claim("safety, with feedback", "conservative-kraft", "kraft"),
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the documents; 2 if a folder cannot be used."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.results", description=__doc__.splitlines()[0])
+    parser.add_argument("results", nargs="+", type=Path, metavar="RESULTS", help="results folders of kraft eval")
+    parser.add_argument("--benchmarks", type=Path, metavar="FILE", help="results.json of python -m benchmarks")
+    parser.add_argument("--out", type=Path, default=Path("docs/results.md"), metavar="FILE", help="(%(default)s)")
+    parser.add_argument("--readme", type=Path, metavar="FILE", help="replace the table between the marks in it")
+    given = parser.parse_args(arguments)
+    try:
+        found = [read_results(folder) for folder in given.results]
+        readme = None if given.readme is None else with_table(given.readme, found)
+        write_whole(given.out, document(found, given.benchmarks).encode())
+        if readme is not None:
+            write_whole(given.readme, readme.encode())
+    except KraftError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def document(found: Sequence[Results], benchmarks: Path | None = None) -> str:
+    """Content of docs/results.md."""
+    parts = [HEADING, *(section(each) for each in found)]
+    if benchmarks is not None:
+        parts.append(benchmark_section(json.loads(benchmarks.read_text(encoding="utf-8"))))
+    return "\n".join(parts)
+
+
+def section(found: Results) -> str:
+    """Section of a results folder."""
+    manifest = found.manifest
+    name = manifest.arguments.get("suite") or ", ".join(found.entries)
+    title = Path(str(name)).parent.name if str(name).endswith("suite.yaml") else str(name)
+    missing = found.expected - len(found.rows)
+    facts = [f"{found.title}, seeds {manifest.seed} to {manifest.seed + manifest.trials - 1}, {manifest.began[:10]}"]
+    facts += [f"{missing} trials not run"] if missing else []
+    facts += [f"score: {label}" for label in dict.fromkeys(r.scoring.label for r in found.summary.results if r.scoring)]
+    lines = [f"## {title}", "", f"    {command(found)}", "", "; ".join(facts) + ".", ""]
+    if len(found.entries) <= MANY:
+        lines += [*method_table([found]), "", "All measures:", "", markdown(found.summary)]
+    else:
+        table = overview(found.summary)
+        lines += _markdown([table.heading, *table.rows])
+    lines += ["", *totals(found), *differences(found), *claims(found), ""]
+    return "\n".join(lines)
+
+
+def command(found: Results) -> str:
+    """Command that repeats an evaluation; of absolute paths the last two parts."""
+    arguments = found.manifest.arguments
+    request = EvalRequest(
+        tuple(map(_short, arguments.get("scenarios") or ())),
+        _short(arguments["suite"]) if arguments.get("suite") else None,
+        tuple(arguments.get("settings") or ()),
+        tuple(arguments.get("vary") or ()),
+        arguments.get("trials"),
+        ",".join(arguments.get("methods") or ()) or None,
+        _short(arguments["vehicle"]) if arguments.get("vehicle") else None,
+        arguments.get("seed"),
+        realtime=bool(arguments.get("realtime")),
+    )
+    return resume_command(request).partition(" --out")[0]
+
+
+def _short(reference: str) -> str:
+    """Name, relative path, or the last two parts of an absolute path, which holds on one machine alone."""
+    path = Path(reference)
+    return str(Path(*path.parts[-2:])) if path.is_absolute() else reference
+
+
+def method_table(found: Sequence[Results]) -> list[str]:
+    """Table with a row for each method and a column for each entry of the first folder."""
+    entries = found[0].summary.entries
+    rows = [["", *(entry.capitalize() for entry in entries)]]
+    for each in found:
+        by_cell = {(result.entry, result.method): result for result in each.summary.results}
+        if each.summary.entries == entries:
+            for method, title in each.methods.items():
+                rows.append([title, *(cell(by_cell[entry, method]) for entry in entries)])
+    return _markdown(rows)
+
+
+def cell(result: Result) -> str:
+    """Successes, collisions, mean time and score of a method in an entry."""
+    found = [f"{result.success}"]
+    if result.trials:
+        found[0] += f" ({result.t_ex:.1f} s)" if result.t_ex is not None else ""
+    found += [f"{result.collision} hit"] if result.collision else []
+    found += [f"{result.failed} failed"] if result.failed else []
+    found += [f"score {result.score:.3f}"] if result.score is not None else []
+    return ", ".join(found)
+
+
+def totals(found: Results) -> list[str]:
+    """Table of each method over all entries."""
+    rows = [["all entries", "success", "95 % interval", "collision", "95 % interval", "mean time, s"]]
+    for method, title in found.methods.items():
+        mine = [result for result in found.summary.results if result.method == method]
+        trials, success = sum(r.trials for r in mine), sum(r.success for r in mine)
+        collision = sum(r.collision for r in mine)
+        time = sum(r.t_ex * r.success for r in mine if r.t_ex is not None) / success if success else None
+        rows.append([
+            title, f"{success} of {trials}", _interval(success, trials), str(collision), _interval(collision, trials),
+            decimals(time, 2),
+        ])  # fmt: skip
+    return [*_markdown(rows), ""]
+
+
+def differences(found: Results) -> list[str]:
+    """Table of the rows that the paper has, with those whose interval does not contain the paper's rate marked."""
+    rows = [["", "", "found", "95 % interval", "paper", ""]]
+    for result in found.summary.results:
+        if result.paper is None:
+            continue
+        low, high = result.interval
+        rate = result.paper.success / result.paper.trials
+        verdict = "" if low <= rate <= high else "higher here" if low > rate else "lower here"
+        paper = f"{result.paper.success} of {result.paper.trials}"
+        ours = f"{result.success} of {result.trials}"
+        rows.append([result.entry, result.title, ours, _interval(result.success, result.trials), paper, verdict])
+    return ["Successes beside the paper's:", "", *_markdown(rows), ""] if len(rows) > 1 else []
+
+
+def claims(found: Results) -> list[str]:
+    """Table of the paper's claims, over all entries, on the same seeds."""
+    rows = [["what helps", "method", "instead of", "successes", "gained / lost", "p"]]
+    for claim in CLAIMS:
+        if claim.method not in found.methods or claim.reference not in found.methods:
+            continue
+        mine, theirs = (_successes(found, name) for name in (claim.method, claim.reference))
+        test = mcnemar(mine, theirs)
+        counts = f"{sum(mine.values())} : {sum(theirs.values())} of {len(mine)}"
+        titles = [found.methods[name] for name in (claim.method, claim.reference)]
+        rows.append([claim.part, *titles, counts, f"{test.gained} / {test.lost}", f"{test.p:.2g}"])
+    if len(rows) == 1:
+        return []
+    return ["What the paper claims, as paired trials over all entries (exact McNemar):", "", *_markdown(rows), ""]
+
+
+def _successes(found: Results, method: str) -> dict[int, bool]:
+    """Whether each trial of a method succeeded, by its number over all entries."""
+    outcomes: dict[int, bool] = {}
+    for k, entry in enumerate(found.summary.entries):
+        for row in found.of_cell(entry, method):
+            outcomes[k * found.manifest.trials + row.seed - found.manifest.seed] = row.outcome == "success"
+    return outcomes
+
+
+def benchmark_section(content: dict[str, object]) -> str:
+    """Tables of `python -m benchmarks`: the quantities with targets, topic by topic."""
+    topics = content["topics"]
+    assert isinstance(topics, dict), "python -m benchmarks writes topics"
+    lines = ["## Benchmarks", "", "    python -m benchmarks", ""]
+    for topic, found in topics.items():
+        rows = [["quantity", "median", "unit", "samples", "target", ""]]
+        for row in found["rows"]:
+            met = {True: "met", False: "missed", None: ""}[row["met"]]
+            median = "none" if row["median"] is None else f"{row['median']:.4g}"
+            rows.append([row["quantity"], median, row["unit"], str(len(row["samples"])), row["target"] or "", met])
+        lines += [f"**{topic}**", "", *_markdown(rows), ""]
+        for table in found["tables"].values():
+            lines += [*_markdown(table), ""]
+    return "\n".join(lines)
+
+
+def with_table(readme: Path, found: Sequence[Results]) -> str:
+    """Content of the README with the table between the marks replaced.
+
+    Raises:
+        InputError: if the marks are not there, in this order.
+    """
+    text = readme.read_text(encoding="utf-8")
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise InputError.of(str(readme), "has no marks of the table", f"expected {BEGIN} and {END}", Code.MISSING)
+    return "\n".join([before + begin, *method_table(found), end + after])
+
+
+def _interval(count: int, total: int) -> str:
+    low, high = wilson(count, total)
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
+def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Table in Markdown; the first row is the heading."""
+    ruled = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
+    return [f"| {' | '.join(row)} |" for row in ruled]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
