@@ -42,7 +42,7 @@ for name in sys.argv[1:]:
 """
 STAGES = (  # of two processes each, which take about the same time and compile nothing twice
     (("mushr",), ("shared",)),
-    (("mushr-force", "mushr-drive", "mushr-lag", "benchmark", "f1tenth"), ("rover", "jackal", "unicycle2")),
+    (("mushr-force", "mushr-drive", "mushr-lag", "benchmark"), ("rover", "jackal", "unicycle2", "f1tenth")),
 )
 LONG = (
     "test_interrupts", "test_quality", "test_cli_sysid", "test_evaluation_workers", "test_examples", "test_theorem",
@@ -61,6 +61,11 @@ def pytest_configure(config: pytest.Config) -> None:
         for stage in STAGES:  # otherwise each worker would compile all of it
             with ThreadPoolExecutor(len(stage)) as pool:
                 list(pool.map(_compile, stage))
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker more than cores: drives on the wall clock, and tests of processes, wait most of their time."""
+    return 1 + (os.cpu_count() or 1)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
