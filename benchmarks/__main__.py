@@ -40,6 +40,7 @@ TOPICS = (
     "sensing",
     "robot",
     "faults",
+    "endurance",
 )
 NEEDS_OUT = ("peers",)
 CHOSEN = ("estimated", "changes", "arenas", "worlds")

@@ -26,6 +26,7 @@ class Effort:
         worlds: rooms of posts and tracks that fast robots drive in.
         drives: drives of each scene as two processes.
         faults: drives with each fault.
+        endurance: duration of the long drive over topics, s.
         method: method that drives where one is chosen.
         peer_trials: seeds of each row of the peers in each entry of the suites.
     """
@@ -46,6 +47,7 @@ class Effort:
     worlds: int
     drives: int
     faults: int
+    endurance: float
     method: str = "adaptive-kraft"
     peer_trials: int = 1
 
@@ -67,6 +69,7 @@ FULL = Effort(
     worlds=120,
     drives=10,
     faults=20,
+    endurance=1800.0,
     peer_trials=10,
 )
 QUICK = Effort(
@@ -86,6 +89,7 @@ QUICK = Effort(
     worlds=12,
     drives=1,
     faults=1,
+    endurance=60.0,
 )
 SMOKE = Effort(
     seeds=1,
@@ -104,4 +108,5 @@ SMOKE = Effort(
     worlds=1,
     drives=1,
     faults=1,
+    endurance=5.0,
 )
