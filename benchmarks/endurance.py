@@ -27,6 +27,7 @@ obstacles:
 start: {x: -3.5, y: -1.0, heading_deg: 90}
 goal: {center: [4.5, 4.5], radius: 0.2}
 vehicle: mushr
+sensing: {preset: planar, camera: [0, 0, 6], rate_hz: 30}
 trial: {timeout: 86400}
 """
 CORNERS: Final = ((-3.0, 3.2), (3.0, 3.2), (3.2, -3.0), (-3.2, -3.0))
