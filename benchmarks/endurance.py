@@ -90,6 +90,8 @@ def drive(folder: Path, seconds: float) -> tuple[Samples, list[float], bool, int
         rig.link.publish("/goal", stamped_pose(time.time_ns(), "map", (*goal, 0.0)))
         began, due = rig.world.world.time, 0.0
         while (elapsed := rig.world.world.time - began) < seconds and rig.result is None:
+            if rig.process.poll() is not None:
+                raise RuntimeError(f"the drive ended by itself: {rig.process.communicate()} {rig.events[-5:]}")
             if math.dist(rig.world.world.pose[:2], goal) < NEAR:
                 goal, passed = next(goals), passed + 1
                 rig.link.publish("/goal", stamped_pose(time.time_ns(), "map", (*goal, 0.0)))

@@ -139,7 +139,7 @@ def signalled(name: str, number: int, victims: tuple[str, ...], says: str) -> Fa
             for pid in (rig.process.pid, rig.pid("control"), rig.pid("guard"), rig.pid("display")):
                 os.kill(pid, signal.SIGCONT)
 
-    return Fault(name, cause, says)
+    return Fault(name, cause, says, stops=number != signal.SIGSTOP)
 
 
 def lose(rig: Rig, generator: random.Random) -> None:
@@ -194,6 +194,7 @@ def run(effort: Effort) -> Report:
         f"Drives in {SCENE} with adaptive-kraft over rosbridge, faults at random moments at {FAST} m/s or more.",
         "Kept: the ticks until the fault are on the disk.",
         "The network is cut, and all of kraft is killed or pauses: only the robot's multiplexer can act, 0.2 s later.",
+        "After a pause the car may go on: what it drove meanwhile was verified, or it was stopped and starts again.",
     ]
     return Report("faults", rows, {"what faults lead to": table}, notes)
 

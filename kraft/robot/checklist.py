@@ -123,9 +123,8 @@ class Checklist:
         if not all(map(math.isfinite, mean)):
             return [Check("poses", "problem", "they are no numbers, or their orientation is no unit quaternion")]
         checks = [self._check_rate(poses)]
-        spread = max(math.hypot(p.pose[0] - mean[0], p.pose[1] - mean[1]) for p in poses)
-        moved = math.hypot(poses[-1].pose[0] - poses[0].pose[0], poses[-1].pose[1] - poses[0].pose[1])
-        if min(spread, moved) > MOVING:
+        moved = _way(poses)
+        if moved > MOVING:
             checks.append(Check("standstill", "problem", f"the vehicle moves by {moved:.2f} m while it should stand"))
         return checks
 
@@ -205,6 +204,12 @@ def _check_priority() -> Check:
         return Check("priority", "ok", "the controller runs before all ordinary programs")
     detail = "the controller waits for other programs: rtprio in /etc/security/limits.conf permits more"
     return Check("priority", "warning", detail)
+
+
+def _way(poses: list[Received]) -> float:
+    """Distance between the medians of the first and of the last third of the poses, which noise hardly moves, m."""
+    places, third = np.array([pose.pose[:2] for pose in poses]), max(1, len(poses) // 3)
+    return float(np.hypot(*(np.median(places[-third:], axis=0) - np.median(places[:third], axis=0))))
 
 
 def _mean(poses: list[Received]) -> tuple[float, float, float]:

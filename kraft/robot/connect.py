@@ -5,16 +5,17 @@ from __future__ import annotations
 from typing import Literal
 
 from kraft.errors import Code, InputError
+from kraft.robot.loopback import LOOPBACK, LoopbackClient, LoopbackServer
 from kraft.robot.robot_file import Robot, Ros2, Rosbridge
-from kraft.robot.transport import LOOPBACK, Transport
+from kraft.robot.transport import Transport
 
 
 def open_transport(robot: Robot, end: Literal["kraft", "robot"] = "kraft") -> Transport:
-    """Connect to a robot, or be the simulated one; over rosbridge the robot's end is the server.
+    """Connect to a robot, or be the simulated one; over rosbridge and a socket the robot's end is the server.
 
     Raises:
         MissingDependency: if a package of the transport is missing.
-        InputError: if no connection is possible, or the server's port is taken.
+        InputError: if no connection is possible, or the server's address is taken.
     """
     settings = robot.transport
     if isinstance(settings, Ros2):
@@ -25,7 +26,9 @@ def open_transport(robot: Robot, end: Literal["kraft", "robot"] = "kraft") -> Tr
         from kraft.robot.rosbridge import RosbridgeClient, RosbridgeServer
 
         return RosbridgeClient(settings) if end == "kraft" else RosbridgeServer(settings)
-    return LOOPBACK.node(end)
+    if settings.socket is None:
+        return LOOPBACK.node(end)
+    return LoopbackClient(settings.socket) if end == "kraft" else LoopbackServer(settings.socket)
 
 
 def check_transport(robot: Robot) -> None:
@@ -44,6 +47,6 @@ def check_transport(robot: Robot) -> None:
         from kraft.robot.rosbridge import check_library
 
         check_library()
-    else:
-        problem, expected = "is loopback, which does not leave the process", "expected ros2 or rosbridge"
+    elif settings.socket is None:
+        problem, expected = "is loopback, which does not leave the process", "expected a socket, ros2 or rosbridge"
         raise InputError([robot.source.diagnostic("transport.kind", problem, expected, code=Code.CONFLICT)])

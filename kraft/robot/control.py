@@ -80,6 +80,8 @@ GOAL_MARGIN: Final = 0.05
 
 GUARD_TIME: Final = 10.0
 """Longest time to wait until the brake guard can send commands, s."""
+REPORT_TIME: Final = 5.0
+"""Longest time in which a planner that is busy takes the result of the drive, s."""
 MAIL_TIME: Final = 0.005
 """Time in which the messages are there that the brake guard has sent during a pause, s."""
 UNSENT: Final = 60
@@ -111,8 +113,9 @@ def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others:
             _wait_for_guard(spec, transport, guard_mail)
             with Journal(spec.folder, headings(spec.vehicle)) as journal:
                 drive = Control(spec, transport, inputs, mailbox, guard_mail, journal, tracker)
-                mailbox.send(drive.run())
+                ended = mailbox.send(drive.run())
             guard_mail.send(Released()).wait(1.0)
+            ended.wait(REPORT_TIME)
     finally:
         transport.close()
 

@@ -48,10 +48,12 @@ class Rosbridge(StrictModel):
 
 
 class Loopback(StrictModel):
-    """Messages stay in this process: for tests, and for programs that bring a robot of their own."""
+    """Messages stay on this machine: in one process, or between processes through a socket; needs no extra."""
 
     kind: Literal["loopback"]
     """which transport"""
+    socket: Annotated[str, StringConstraints(min_length=1, max_length=100)] | None = None
+    """file of the socket that the robot's end makes; without one messages stay in the process"""
 
 
 TransportSettings = Annotated[Ros2 | Rosbridge | Loopback, Field(discriminator="kind")]

@@ -16,6 +16,7 @@ from urllib.parse import urlparse
 
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.robot.messages import from_json, is_known, to_json
+from kraft.robot.outbox import Outbox
 from kraft.robot.robot_file import Rosbridge
 from kraft.robot.transport import Peers, Receive
 
@@ -55,42 +56,6 @@ class _Subscription:
     receive: Receive
 
 
-@dataclass
-class _Outbox:
-    """Messages that wait to be sent: of each topic the newest; operations in their order."""
-
-    operations: list[str] = field(default_factory=list)
-    newest: dict[str, dict[str, Any]] = field(default_factory=dict)
-    changed: threading.Condition = field(default_factory=threading.Condition)
-    closed: bool = False
-
-    def put(self, topic: str, content: dict[str, Any]) -> None:
-        with self.changed:
-            self.newest[topic] = content
-            self.changed.notify()
-
-    def operate(self, text: str) -> None:
-        with self.changed:
-            self.operations.append(text)
-            self.changed.notify()
-
-    def close(self) -> None:
-        with self.changed:
-            self.closed = True
-            self.changed.notify()
-
-    def take(self) -> tuple[list[str], list[dict[str, Any]]] | None:
-        """Wait for something to send; None if it is closed and empty."""
-        with self.changed:
-            while not self.operations and not self.newest:
-                if self.closed:
-                    return None
-                self.changed.wait()
-            operations, self.operations = self.operations, []
-            contents, self.newest = list(self.newest.values()), {}
-            return operations, contents
-
-
 class RosbridgeClient:
     """Transport through a rosbridge server.  It connects again after a loss, and says so until then."""
 
@@ -106,7 +71,7 @@ class RosbridgeClient:
         self._announced: dict[str, dict[str, Any]] = {}
         self._answers: dict[str, Any] = {}
         self._numbers = itertools.count()
-        self._outbox = _Outbox()
+        self._outbox = Outbox[str, dict[str, Any]]()
         self.problem = ""
         try:
             self._socket = self._connect()
@@ -189,7 +154,7 @@ class RosbridgeClient:
             try:
                 for text in operations:
                     self._socket.send(text)
-                for content in contents:
+                for _, content in contents:
                     self._socket.send(_text(content, self._settings.ros))
             except (OSError, self._library.exceptions.WebSocketException) as error:
                 if not self._outbox.closed:
@@ -343,7 +308,7 @@ class RosbridgeServer:
             try:
                 for text in operations:
                     client.socket.send(text)
-                for content in contents:
+                for _, content in contents:
                     client.socket.send(_text(content, self._ros))
             except (OSError, self._library.exceptions.WebSocketException):
                 return  # it is disconnected; the receiver removes it
@@ -412,7 +377,7 @@ class _Client:
     name: str
     published: set[str] = field(default_factory=set)
     subscribed: set[str] = field(default_factory=set)
-    outbox: _Outbox = field(default_factory=_Outbox)
+    outbox: Outbox[str, dict[str, Any]] = field(default_factory=Outbox)
 
 
 def _kind(text: str) -> str:

@@ -127,6 +127,8 @@ class RobotWorld:
         on_step: Callable[[TrueWorld, Step], None] | None = None,
         patience: float = math.inf,
         speed: float = 1.0,
+        *,
+        stays: bool = False,
     ) -> WorldResult:
         """Simulate in real time until the goal, a collision or the time limit of the scenario.
 
@@ -136,6 +138,7 @@ class RobotWorld:
             on_step: called with the world 30 times a second.
             patience: time to wait for that command, s.
             speed: seconds of the simulation in a second of the clock; others than 1 take a robot with a `clock`.
+            stays: go on after the goal or the time limit until `cancelled` is set.
         """
         world, dt = self.world, self.world.dt
         assert speed == 1.0 or self._robot.clock is not None, "others must know the time"
@@ -173,7 +176,8 @@ class RobotWorld:
                     break
             elif world.collision is None:
                 world.step(CHUNK)
-            over = abs(world.speed) < STANDS or world.collision is not None or world.time > (ended or 0.0) + COASTING
+            coasted = abs(world.speed) < STANDS or world.time > (ended or 0.0) + COASTING
+            over = world.collision is not None or (coasted and not stays)
             if self.cancelled or (outcome is not None and over):
                 break
         result = outcome or Outcome.TIMEOUT

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from kraft_cli.work.run import RunRequest
 
 Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method (kraft list methods).")]
 VehicleName = Annotated[
@@ -23,6 +26,9 @@ Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the run: FILE.png, .svg or .pdf.")]
 Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trial as ROS 2 messages: FILE.mcap.")]
+Realtime = Annotated[
+    bool, typer.Option("--realtime", help="On the wall clock, as kraft drive does, with the simulated robot beside it.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -38,6 +44,7 @@ def run(
     view: View = False,
     plot: Plot = None,
     bag: Bag = None,
+    realtime: Realtime = False,
     json: Json = False,
 ) -> ExitStatus:
     """Drive a scenario once in simulation; the exit code is 1 if the goal is not reached."""
@@ -49,10 +56,28 @@ def run(
 
     terminal: Terminal = context.obj
     request = RunRequest(scenario, method, vehicle, seed, tuple(set_ or ()), out, OutputOptions(video, view, plot, bag))
+    if realtime:
+        return _run_in_real_time(terminal, request, json)
     driven = run_scenario(request, terminal.info, lambda cycle: terminal.info(cycle_line(cycle)), terminal.detail)
     success = driven.result.outcome is Outcome.SUCCESS
     if json:
         terminal.json(SCHEMA, run_json(driven))
     else:
         show_rows(terminal, run_table(driven), good=success)
+    return ExitStatus.DONE if success else ExitStatus.NEGATIVE
+
+
+def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> ExitStatus:
+    from kraft_cli.tables import show_rows
+    from kraft_cli.work.realtime import realtime_json, realtime_table, run_in_real_time
+    from kraft_cli.work.run_folder import SCHEMA
+
+    run = run_in_real_time(request, terminal.info, terminal.problem, terminal.detail)
+    success = run.outcome == "success"
+    if json:
+        terminal.json(SCHEMA, realtime_json(run))
+    else:
+        show_rows(terminal, realtime_table(run), good=success)
+    if run.outcome == "interrupted":
+        return ExitStatus.INTERRUPTED
     return ExitStatus.DONE if success else ExitStatus.NEGATIVE

@@ -23,7 +23,7 @@ from kraft.robot.bag import check_bag
 from kraft.robot.command import limited
 from kraft.robot.drive import DriveResult, check_method, drive, on_the_clock
 from kraft.robot.protocol import Checked, DriveSpec, Status
-from kraft.robot.robot_file import load_robot
+from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.show import Display
 from kraft.scenario import load_scenario
 from kraft.text import counted
@@ -41,7 +41,7 @@ class DriveRequest:
     """Options of `kraft drive` as written; `out` is a new folder, None writes nothing."""
 
     scenario: str
-    robot: str
+    robot: str | Robot
     method: str = "adaptive-kraft"
     vehicle: str | None = None
     seed: int = 0
@@ -131,7 +131,8 @@ def resolve(request: DriveRequest) -> DriveSpec:
     Raises:
         InputError: with the problems of the first thing that is wrong.
     """
-    robot, method = load_robot(request.robot), load_method(request.method)
+    robot = load_robot(request.robot) if isinstance(request.robot, str) else request.robot
+    method = load_method(request.method)
     check_method(method)
     scenario = load_scenario(request.scenario, parse_overrides(request.settings, "set"))
     reference = vehicle_reference(scenario, method, request.vehicle)

@@ -13,7 +13,7 @@ from kraft.errors import Code, InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.robot.connect import open_transport
 from kraft.robot.priority import prefer_this_process
-from kraft.robot.robot_file import Robot, Rosbridge, load_robot
+from kraft.robot.robot_file import Loopback, Robot, Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
 from kraft.text import counted, finite, metres
@@ -31,7 +31,7 @@ class WorldRequest:
     """Options of `kraft world` as written."""
 
     scenario: str
-    robot: str
+    robot: str | Robot
     vehicle: str | None = None
     seed: int = 0
     settings: tuple[str, ...] = ()
@@ -40,14 +40,18 @@ class WorldRequest:
     view: bool = False
 
 
-def simulate(request: WorldRequest, report: Callable[[str], None]) -> WorldResult:
+def simulate(
+    request: WorldRequest, report: Callable[[str], None], on_open: Callable[[RobotWorld], None] | None = None
+) -> WorldResult:
     """Load, check and simulate until the drive has ended.
+
+    `on_open` is called when the topics are there; it is up to it to end the simulation, unless the car collides.
 
     Raises:
         InputError: with the problems of the request and of the files it names.
         MissingDependency: if a package of the transport is missing, or a video is requested and nothing can be drawn.
     """
-    robot = load_robot(request.robot)
+    robot = load_robot(request.robot) if isinstance(request.robot, str) else request.robot
     check_speed(request, robot)
     scenario = load_scenario(request.scenario, parse_overrides(request.settings, "set"))
     vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
@@ -59,16 +63,26 @@ def simulate(request: WorldRequest, report: Callable[[str], None]) -> WorldResul
     transport = open_transport(robot, "robot")
     try:
         world = RobotWorld(scenario, vehicle, robot, transport, request.seed)
-        where = robot.transport
-        place = where.url if isinstance(where, Rosbridge) else "DDS"
-        report(f"{scenario.name} is on {place}: poses on {robot.pose.topic}, commands from {robot.command.topic}")
+        report(
+            f"{scenario.name} is on {place_of(robot)}: poses on {robot.pose.topic}, commands from {robot.command.topic}"
+        )
         with TrialOutputs(options, spec) as outputs:
+            if on_open is not None:
+                on_open(world)
             watched = outputs.on_step if request.video or request.view else None
-            result = world.run(watched, speed=request.speed)
+            result = world.run(watched, speed=request.speed, stays=on_open is not None)
             outputs.finish(_as_trial(result))
     finally:
         transport.close()
     return result
+
+
+def place_of(robot: Robot) -> str:
+    """Where the topics of a robot are, for messages."""
+    where = robot.transport
+    if isinstance(where, Rosbridge):
+        return where.url
+    return where.socket or "loopback" if isinstance(where, Loopback) else "DDS"
 
 
 def check_speed(request: WorldRequest, robot: Robot) -> None:

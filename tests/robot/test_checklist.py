@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,10 +16,10 @@ from kraft.driving.method import load_method
 from kraft.robot import checklist
 from kraft.robot.checklist import Checklist
 from kraft.robot.inputs import Inputs
+from kraft.robot.loopback import LoopbackBus, LoopbackNode
 from kraft.robot.messages import ACKERMANN, BOOL, GRID, JOY, POSE, header, make, pose_fields
 from kraft.robot.protocol import Checked, DriveSpec
 from kraft.robot.robot_file import Robot
-from kraft.robot.transport import LoopbackBus, LoopbackNode
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 
@@ -128,6 +129,15 @@ def test_a_robot_that_moves_is_found() -> None:
 
     found = checked(send)
     assert states(found)["standstill"] == "problem"
+
+
+def test_two_poses_with_large_errors_are_no_motion() -> None:
+    places = itertools.chain([-0.7], itertools.repeat(-0.5, 20), [-0.3], itertools.repeat(-0.5))
+
+    def send(node: LoopbackNode) -> None:
+        poses(y=next(places))(node)
+
+    assert "standstill" not in states(checked(send))
 
 
 def test_slow_poses_and_a_missing_dead_man_are_warnings() -> None:

@@ -176,3 +176,30 @@ def test_doctor_says_that_nobody_answers(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["doctor", "--robot", str(tmp_path / "r.yaml"), "--json"]) == 3
     findings = json.loads(capsys.readouterr().out)["findings"]
     assert {"r: transport": "missing"}.items() <= {f["subject"]: f["state"] for f in findings}.items()
+
+
+def test_run_on_the_wall_clock_is_a_drive_with_the_robot_beside_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    near = ["--set", "goal.center=[1.7,1.6]", "--set", "trial.timeout=100"]
+    arguments = ["run", "boxes", "--realtime", "--method", "adaptive-kraft", "--out", str(out), "--json", "-q", *near]
+    assert main(arguments) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["schema"], content["outcome"], content["realtime"]) == ("kraft.run/1", "success", True)
+    assert content["min_clearance_m"] > 0.0
+    assert content["controller"]["ticks"] > 20
+    assert {"steps.csv", "result.json", "manifest.json"} <= {path.name for path in out.iterdir()}
+    (log,) = read_logs(out).logs
+    assert log.duration == pytest.approx(content["t_ex_s"], abs=6.0)
+
+
+def test_run_on_the_wall_clock_refuses_what_has_no_contingency_and_what_draws_a_trial(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "turns", "--realtime"]) == 2
+    assert "planner.on_board: leaves the vehicle without a contingency" in capsys.readouterr().err
+    assert main(["run", "turns", "--realtime", "--plot", str(tmp_path / "a.png")]) == 2
+    assert "--plot: draws a trial" in capsys.readouterr().err
+    assert main(["run", "nowhere", "--realtime", "--method", "adaptive-kraft"]) == 2
+    assert "nowhere" in capsys.readouterr().err

@@ -19,13 +19,13 @@ from kraft.robot.control import Control
 from kraft.robot.drive import check_method, on_the_clock
 from kraft.robot.inputs import Inputs, occupancy_map
 from kraft.robot.journal import Journal
+from kraft.robot.loopback import LoopbackBus
 from kraft.robot.messages import GRID, make, pose_fields
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
 from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox
 from kraft.robot.robot_file import Robot
 from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
-from kraft.robot.transport import LoopbackBus
 from kraft.robot.world import clock_message
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
@@ -191,7 +191,7 @@ def test_the_time_of_a_simulation_is_known_between_late_messages(speed: float, m
     bus, generator = LoopbackBus(), np.random.default_rng(1)
     followed, simulation = TopicClock(bus.node("kraft"), "/clock"), bus.node("world")
     monotonic = [10**12]
-    monkeypatch.setattr("kraft.robot.transport.time.monotonic_ns", lambda: monotonic[0])
+    monkeypatch.setattr("kraft.robot.loopback.time.monotonic_ns", lambda: monotonic[0])
     monkeypatch.setattr("kraft.robot.timebase.time.monotonic_ns", lambda: monotonic[0])
     assert not followed.is_running
     errors, times = [], []

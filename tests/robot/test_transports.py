@@ -19,6 +19,7 @@ from websockets.sync.server import serve
 
 from kraft.errors import Code, InputError
 from kraft.robot.connect import open_transport
+from kraft.robot.loopback import LoopbackBus, Wire
 from kraft.robot.messages import (
     ACKERMANN,
     GRID,
@@ -40,7 +41,7 @@ from kraft.robot.messages import (
 from kraft.robot.robot_file import Robot, Ros2, Rosbridge
 from kraft.robot.ros2 import dds_topic, dds_type, domain_number
 from kraft.robot.rosbridge import RosbridgeClient, RosbridgeServer
-from kraft.robot.transport import LoopbackBus, Transport
+from kraft.robot.transport import Transport
 
 DOMAINS = itertools.count(100 + threading.get_native_id() % 100)
 COMMAND = make(ACKERMANN, header=header(5, "base_link"), drive={"speed": 0.5, "steering_angle": -0.25})
@@ -67,15 +68,17 @@ def eventually(condition: Callable[[], bool], seconds: float = 10.0) -> bool:
     return condition()
 
 
-@pytest.fixture(params=["loopback", "rosbridge", "ros1", "ros2"])
-def ends(request: pytest.FixtureRequest) -> Iterator[tuple[Transport, Transport]]:
+@pytest.fixture(params=["loopback", "socket", "rosbridge", "ros1", "ros2"])
+def ends(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Transport, Transport]]:
     """The robot's end of a transport, and kraft's."""
     if request.param == "loopback":
         bus = LoopbackBus()
         yield bus.node("robot"), bus.node("kraft")
         return
-    if request.param == "ros2":
-        settings: dict[str, Any] = {"kind": "ros2", "domain": next(DOMAINS) % 230, "interface": "lo"}
+    if request.param == "socket":
+        settings: dict[str, Any] = {"kind": "loopback", "socket": str(tmp_path / "socket")}
+    elif request.param == "ros2":
+        settings = {"kind": "ros2", "domain": next(DOMAINS) % 230, "interface": "lo"}
     else:
         ros = 1 if request.param == "ros1" else 2
         settings = {"kind": "rosbridge", "url": f"ws://localhost:{free_port()}", "ros": ros}
@@ -277,6 +280,38 @@ def test_nobody_at_the_address_and_a_taken_port_are_refused() -> None:
     with pytest.raises(InputError) as taken:
         open_transport(settings, "robot")
     assert taken.value.diagnostics[0].code is Code.EXISTS
+    server.close()
+
+
+def test_a_socket_that_is_lost_nowhere_or_taken_is_reported(tmp_path: Path) -> None:
+    described = robot({"kind": "loopback", "socket": str(tmp_path / "socket")})
+    with pytest.raises(InputError) as nobody:
+        open_transport(described)
+    assert nobody.value.diagnostics[0].code is Code.NOT_FOUND
+    server, client = open_transport(described, "robot"), open_transport(described)
+    with pytest.raises(InputError) as taken:
+        open_transport(described, "robot")
+    assert taken.value.diagnostics[0].code is Code.EXISTS
+    server.advertise("/pose", POSE)
+    assert eventually(lambda: client.peers("/pose").publishers == {"robot"})
+    server.close()
+    assert eventually(lambda: "is lost" in client.problem)
+    assert client.peers("/pose").publishers is None
+    client.close()
+
+
+def test_a_client_of_a_socket_that_reads_nothing_holds_up_nobody(tmp_path: Path) -> None:
+    path = str(tmp_path / "socket")
+    server = open_transport(robot({"kind": "loopback", "socket": path}), "robot")
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.connect(path)
+        Wire(silent).send(json.dumps(["subscribe", "/map", GRID, False]).encode())
+        cells = make(GRID, info={"width": 1000, "height": 1000}, data=[0] * 1_000_000)
+        assert eventually(lambda: bool(server.peers("/map").subscribers))
+        began = time.monotonic()
+        for _ in range(20):
+            server.publish("/map", cells)
+        assert time.monotonic() - began < 2.0
     server.close()
 
 

@@ -1,0 +1,180 @@
+"""`kraft run --realtime`: the simulated robot and the drive as processes on the wall clock, joined by a socket."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final
+
+from kraft.config.overrides import parse_overrides
+from kraft.errors import Code, InputError
+from kraft.evaluation.statistics import percentile
+from kraft.robot.priority import process_context
+from kraft.robot.robot_file import Loopback, load_robot
+from kraft.robot.world import RobotWorld, WorldResult
+from kraft.text import finite, metres
+from kraft.trial.result import Outcome, outcome_text
+from kraft_cli.work.drive import Driven, DriveRequest, drive_json, drive_robot, drive_table
+from kraft_cli.work.run import RunRequest
+from kraft_cli.work.verbose import discard_message
+from kraft_cli.work.world import WorldRequest, simulate
+
+ROBOT: Final = "sim"
+"""Bundled robot whose topics, units and rates are used."""
+OPENING_TIME: Final = 120.0
+"""Time to wait until the simulated robot is there, s."""
+ENDING_TIME: Final = 30.0
+"""Time after the drive for the simulated robot to end and to finish a film, s."""
+
+
+@dataclass(frozen=True)
+class RealtimeRun:
+    """A drive on the wall clock, and what was true in it."""
+
+    request: RunRequest
+    driven: Driven
+    world: WorldResult
+
+    @property
+    def outcome(self) -> str:
+        """``success`` or ``collision`` if that is true, else how the drive ended: ``timeout``, ``stopped``, ..."""
+        if self.world.outcome is not Outcome.TIMEOUT:
+            return self.world.outcome.value
+        return self.driven.outcome if self.driven.outcome != "success" else "stopped"
+
+
+def run_in_real_time(
+    request: RunRequest, report: Callable[[str], None], problem: Callable[[str], None], detail: Callable[[str], None]
+) -> RealtimeRun:
+    """Drive a scenario over a socket, with a simulated robot in a process of its own.
+
+    The callbacks are those of `drive_robot`.
+
+    Raises:
+        InputError: with the problems of the request and of the files it names, before anything moves.
+        Unreachable: if no path leads to the goal.
+        MissingDependency: if a video or a window is requested and no image can be rendered.
+    """
+    outputs = request.outputs
+    if outputs.plot is not None:
+        raise InputError.of_argument("plot", "draws a trial", "expected --out and --bag with --realtime", Code.CONFLICT)
+    with tempfile.TemporaryDirectory(prefix="kraft-") as folder:
+        socket = Loopback(kind="loopback", socket=str(Path(folder) / "socket"))
+        robot = load_robot(ROBOT).model_copy(update={"transport": socket, "clock": None})
+        simulated = WorldRequest(
+            request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view
+        )
+        asked = DriveRequest(
+            request.scenario, robot, request.method, request.vehicle, request.seed, request.settings, request.out,
+            outputs.bag,
+        )  # fmt: skip
+        with _world(simulated) as ended:
+            driven = drive_robot(asked, report, problem, detail)
+            return RealtimeRun(request, driven, ended())
+
+
+@contextmanager
+def _world(request: WorldRequest) -> Iterator[Callable[[], WorldResult]]:
+    """The simulated robot in a process of its own; the function ends it and returns what was true."""
+    context = process_context()
+    here, there = context.Pipe()
+    process = context.Process(target=_simulate, args=(request, there, here), name="kraft world", daemon=True)
+    process.start()
+    there.close()
+    try:
+        if not here.poll(OPENING_TIME):
+            raise RuntimeError("the simulated robot has not started")
+        _received(here)
+
+        def ended() -> WorldResult:
+            with contextlib.suppress(BrokenPipeError):  # a collision has ended it before
+                here.send("the drive is over")
+            result: WorldResult = _received(here)
+            return result
+
+        yield ended
+    finally:
+        here.close()  # which ends a world that still runs
+        process.join(ENDING_TIME)
+        if process.is_alive():
+            process.kill()
+
+
+def _received(connection: Connection) -> Any:
+    """What the world sends; an error of it is raised."""
+    message = connection.recv()
+    if isinstance(message, Exception):
+        raise message
+    return message
+
+
+def _simulate(request: WorldRequest, connection: Connection, other: Connection) -> None:
+    """Main function of the world's process, until the drive has ended or its process has."""
+    other.close()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the drive stops the vehicle first
+
+    def opened(world: RobotWorld) -> None:
+        threading.Thread(target=wait_for_end, args=(world,), name="end of the drive", daemon=True).start()
+        connection.send("the topics are there")
+
+    def wait_for_end(world: RobotWorld) -> None:
+        connection.poll(None)  # a message, or the end of the other process
+        world.cancelled = True
+
+    message: WorldResult | Exception
+    try:
+        message = simulate(request, discard_message, opened)
+    except Exception as error:  # the other process raises it
+        message = error
+    with contextlib.suppress(BrokenPipeError):  # the other process has ended
+        connection.send(message)
+
+
+def realtime_json(run: RealtimeRun) -> dict[str, Any]:
+    """Content of the ``kraft.run/1`` object of a drive on the wall clock."""
+    drive, world = drive_json(run.driven), run.world
+    planning = [cycle.planning_ms for cycle in run.driven.result.cycles]
+    return {
+        "scenario": drive["scenario"],
+        "method": drive["method"],
+        "vehicle": drive["vehicle"],
+        "seed": drive["seed"],
+        "realtime": True,
+        "outcome": run.outcome,
+        "obstacle": world.obstacle,
+        "reason": drive["reason"],
+        "t_ex_s": float(world.time),
+        "cycles": drive["cycles"],
+        "contingencies": drive["contingencies"],
+        "watchdog_stops": drive["watchdog_stops"],
+        "min_clearance_m": finite(world.min_clearance),
+        "planning_ms_p50": percentile(planning, 0.5),
+        "planning_ms_p99": percentile(planning, 0.99),
+        "missed_deadlines": drive["controller"].get("missed_commitments", 0),
+        "controller": drive["controller"],
+        "multiplexer_stops": world.mux_stops,
+        "lag_ms": 1000 * world.lag,
+        "checks": drive["checks"],
+        "set": {each.key: each.value for each in parse_overrides(run.request.settings, "set")},
+        "folder": drive["folder"],
+    }
+
+
+def realtime_table(run: RealtimeRun) -> list[tuple[str, str]]:
+    """Labels and values of the result table: those of the drive, and what was true."""
+    world = run.world
+    true = outcome_text(world.outcome, world.obstacle, world.time)
+    rows = drive_table(run.driven)
+    if run.driven.result.ended is None:
+        return rows
+    at = next(i for i, (name, _) in enumerate(rows) if name == "result") + 1
+    clearance = ("clearance", f"{metres(world.min_clearance, '-')} at least")
+    lag = ("simulation", f"{1000 * world.lag:.0f} ms behind the clock at most")
+    return [*rows[:at], ("in truth", true), clearance, *rows[at:], lag]
