@@ -197,7 +197,8 @@ def _run_experiment(
             rows[row.key] = row
             observer.trial_ended(row)
     ordered = tuple(rows[each.key] for each in experiment.jobs() if each.key in rows)
-    summary = summarise(experiment, rows, time.perf_counter() - began)
+    before = folder.wall if folder else 0.0
+    summary = summarise(experiment, rows, before + time.perf_counter() - began)
     complete = len(ordered) == sum(1 for _ in experiment.jobs())
     if folder and complete:
         write_results(folder, experiment, rows, summary, command_line)

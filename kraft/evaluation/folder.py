@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -33,6 +34,12 @@ class Folder:
     journal: Journal
     rows: dict[Key, TrialRow]
     incomplete_line: bool = False
+
+    @property
+    def wall(self) -> float:
+        """Time that the evaluation took which is in the folder, s; 0 if it is not complete."""
+        summary = self.path / SUMMARY
+        return float(json.loads(summary.read_bytes())["wall_s"]) if summary.exists() else 0.0
 
 
 def default_path(seed: int, root: Path = ROOT) -> Path:

@@ -24,6 +24,7 @@ import numpy as np
 
 from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
+from kraft.errors import KraftError
 from kraft.planning.workspace import pose_of
 from kraft.robot.checklist import Checklist
 from kraft.robot.connect import open_transport
@@ -100,7 +101,11 @@ def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others:
     sys.setswitchinterval(0.0005)
     prefer_this_process()
     mailbox, guard_mail = Mailbox(planner, "the planner's process"), Mailbox(guard, "the brake guard")
-    transport = open_transport(spec.robot)
+    try:
+        transport = open_transport(spec.robot)
+    except KraftError as error:  # the planner's process raises it
+        mailbox.send(error).wait(REPORT_TIME)
+        return
     try:
         inputs = Inputs(spec.robot, transport)
         found = Checklist(spec.robot, transport, inputs).run(spec, lambda: mailbox.closed)
@@ -158,7 +163,7 @@ class Control:
         self._in_goal, self._goal = 0, spec.task.goal
         self._ending: tuple[str, str] | None = None
         self._rested = 0.0
-        self._late = self._missed = self._ticks = self._guarded = 0
+        self._late = self._missed = self._ticks = self._guarded = self._stops = 0
         self._worst_late = 0.0
         self._reply_delays: deque[float] = deque(maxlen=1000)
         self._last_tick = -LEAD_IN
@@ -197,8 +202,8 @@ class Control:
             "decision_ms": 1000 * float(np.median(self._reply_delays)) if self._reply_delays else math.nan,
         }  # fmt: skip
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
-        refused, stops = dict(self._tracker.poses.refused), self._on_board.stops
-        return Ended(outcome, reason, self._ended_at, measures, refused, stops, self._sensed())
+        refused = dict(self._tracker.poses.refused)
+        return Ended(outcome, reason, self._ended_at, measures, refused, self._stops, self._sensed())
 
     @property
     def _now(self) -> float:
@@ -392,6 +397,7 @@ class Control:
         """Stop the vehicle, with the manoeuvre of the contingency on board."""
         if self._ending is None:
             self._ending, self._ended_at = (outcome, reason), max(now, 0.0)
+            self._stops = self._on_board.stops  # without the stop at the end
             if now >= 0.0 and not self._mailbox.closed:
                 self._on_board.stop(self._tracker.estimate(now))
 

@@ -25,7 +25,7 @@ from kraft.driving.messages import Cycle, Estimate
 from kraft.driving.method import Method, Oracle
 from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
@@ -148,6 +148,8 @@ def _drive(
     planner = Planner(spec, keep_trees)
     checked, cycles = Checked((), None), list[Cycle]()
     for message in _messages(here, process):
+        if isinstance(message, KraftError):
+            raise message
         if isinstance(message, Checked):
             checked = message
             on_check(checked)

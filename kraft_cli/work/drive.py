@@ -13,7 +13,7 @@ from kraft.config.overrides import parse_overrides
 from kraft.driving.control import needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import check_vehicle, load_method
-from kraft.errors import InputError
+from kraft.errors import InputError, KraftError
 from kraft.evaluation.statistics import percentile
 from kraft.files import check_all, write_json
 from kraft.planning.compilation import ensure_compiled
@@ -118,7 +118,13 @@ def drive_robot(
             report(cycle_line(cycle) + _learned(cycle, spec))
             display.show(cycle)
 
-        result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
+        try:
+            result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
+        except KraftError:  # nothing was driven
+            if out is not None:
+                (out / "manifest.json").unlink()
+                out.rmdir()
+            raise
     driven = Driven(request, spec, result)
     if out is not None:
         write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})

@@ -109,6 +109,12 @@ def test_going_on_with_what_is_complete_runs_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "out/summary.json").exists()
 
 
+def test_a_finished_evaluation_keeps_the_time_that_it_took(tmp_path: Path) -> None:
+    took = run(tmp_path / "out").summary.wall
+    assert run(tmp_path / "out", resume=True).summary.wall >= took - 1e-3
+    assert json.loads((tmp_path / "out/summary.json").read_text())["wall_s"] >= took - 1e-3
+
+
 def test_a_incomplete_last_line_is_reported_and_its_trial_repeated(tmp_path: Path) -> None:
     run(tmp_path / "whole")
     run(tmp_path / "out", observer=StoppingObserver(4))

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from websockets.sync.client import connect
 
-from benchmarks.rig import Rig
+from benchmarks.rig import ROBOT, Rig
 from kraft.logs.reader import read_logs
 from kraft.robot.messages import ACKERMANN, GRID, POSE, header, make, pose_fields, stamped_pose
 from kraft.robot.show import KINDS
@@ -43,6 +43,8 @@ def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, tran
         assert rig.result.outcome is Outcome.SUCCESS
     assert driven["outcome"] == "success"
     assert driven["t_s"] == pytest.approx(rig.result.time, abs=1.5)
+    reasons = [event for event in rig.events if event != "success" and not event.startswith("the commitment of cycle")]
+    assert driven["watchdog_stops"] <= len(reasons), "the stop at the end is none of the watchdog"
     folder = tmp_path / "out"
     assert {path.name for path in folder.iterdir()} - {"guard.csv"} == {  # which is there if the controller was held up
         "manifest.json", "steps.csv", "observations.csv", "events.csv", "cycles.jsonl", "result.json",
@@ -203,3 +205,14 @@ def test_run_on_the_wall_clock_refuses_what_has_no_contingency_and_what_draws_a_
     assert "--plot: draws a trial" in capsys.readouterr().err
     assert main(["run", "nowhere", "--realtime", "--method", "adaptive-kraft"]) == 2
     assert "nowhere" in capsys.readouterr().err
+
+
+def test_nobody_at_the_address_is_one_line_and_leaves_no_folder(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    robot = tmp_path / "robot.yaml"
+    robot.write_text(ROBOT.format(transport='{kind: rosbridge, url: "ws://localhost:1"}', more="", give_up=2.0))
+    assert main(["drive", "boxes", "--robot", str(robot), "--out", str(tmp_path / "out"), "-q"]) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("transport: nobody answers at ws://localhost:1")
+    assert not (tmp_path / "out").exists()
