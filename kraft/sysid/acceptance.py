@@ -154,7 +154,7 @@ def evaluate_predictions(
 
     fitted = pair(log_split.fitted)
     if not log_split.held_out:
-        return PredictionEvaluation(fitted, None)
+        return PredictionEvaluation(fitted, None, fitted_warnings(fitted))
     try:
         unseen = pair(log_split.held_out)
     except InputError as error:
@@ -162,9 +162,19 @@ def evaluate_predictions(
         warning = (
             f"the fit is not tested: {counted(len(log_split.held_out), 'held-out log')} cannot be predicted ({why})"
         )
-        return PredictionEvaluation(fitted, None, (warning,))
+        return PredictionEvaluation(fitted, None, (warning, *fitted_warnings(fitted)))
     return PredictionEvaluation(
         fitted, unseen, (*prediction_warnings(unseen), *_unpredicted(log_split.held_out, unseen))
+    )
+
+
+def fitted_warnings(pair: PredictionPair) -> tuple[str, ...]:
+    """The warning that the identified values predict not even the logs that they were fitted to, if so."""
+    if _ratio(pair) <= SIMILAR_ERROR_RATIO:
+        return ()
+    return (
+        f"the identified values predict even the fitted logs no better than the initial values do ({_errors(pair)}): "
+        "these logs do not show the parameters, or the model lacks an effect",
     )
 
 

@@ -14,7 +14,7 @@ from kraft.config import bundled
 from kraft.driving.estimation.adaptive import with_identified_drift
 from kraft.driving.method import Adaptive
 from kraft.errors import Code, InputError
-from kraft.sysid.acceptance import PredictionPair, errors_by_speed, objections, prediction_warnings
+from kraft.sysid.acceptance import PredictionPair, errors_by_speed, fitted_warnings, objections, prediction_warnings
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.prediction import Window
@@ -251,6 +251,7 @@ def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far
         fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1), fake_windows(LOGS[3:], 1.0)
     )
     assert len(prediction_warnings(unseen)) == warned
+    assert len(fitted_warnings(unseen)) == warned
     found = objections(RESULT, replace(EVALUATION, held_out=unseen))
     assert len(found) == refused
     for said in (*prediction_warnings(unseen), *found):
