@@ -44,13 +44,32 @@ GUARD_JOIN_TIME: Final = 12.0
 """Time to wait for the end of the brake guard, which stops the vehicle if the controller has ended before, s."""
 
 
+@dataclass
+class Decisions:
+    """What is counted of the cycles of a drive: a drive may be long, and the cycles themselves are on the disk.
+
+    `planning_ms` has a value for each cycle, `contingencies` is how many kept one, `last` is the time of the last cycle,
+    s.
+    """
+
+    planning_ms: list[float] = field(default_factory=list)
+    contingencies: int = 0
+    last: float = 0.0
+
+    def add(self, cycle: Cycle) -> None:
+        """Count a cycle."""
+        self.planning_ms.append(cycle.planning_ms)
+        self.contingencies += cycle.kind == "contingency"
+        self.last = cycle.time
+
+
 @dataclass(frozen=True)
 class DriveResult:
-    """Result of a drive; `cycles` are without trees, `ended` None if the drive did not begin."""
+    """Result of a drive; `ended` is None if the drive did not begin."""
 
     checked: Checked
     ended: Ended | None
-    cycles: tuple[Cycle, ...] = field(repr=False, default=())
+    decisions: Decisions = field(default_factory=Decisions)
 
 
 def on_the_clock(method: Method) -> Method:
@@ -146,7 +165,7 @@ def _drive(
 ) -> DriveResult:  # fmt: skip
     on_check, on_cycle, on_status, on_sense = report
     planner = Planner(spec, keep_trees)
-    checked, cycles = Checked((), None), list[Cycle]()
+    checked, decisions = Checked((), None), Decisions()
     for message in _messages(here, process):
         if isinstance(message, KraftError):
             raise message
@@ -160,7 +179,7 @@ def _drive(
         elif isinstance(message, PlanRequest):
             answer, tree = planner.decide(message)
             send(answer)
-            cycles.append(answer.cycle)
+            decisions.add(answer.cycle)
             _append(spec, answer.cycle)
             planner.prepare(message)
             on_sense(message.sense)
@@ -170,10 +189,9 @@ def _drive(
         elif isinstance(message, Ended):
             if message.sense is not None:
                 on_sense(message.sense)
-            return DriveResult(checked, message, tuple(cycles))
+            return DriveResult(checked, message, decisions)
     reason = f"the controller's process ended with {process.exitcode}"
-    last = cycles[-1].time if cycles else 0.0
-    return DriveResult(checked, Ended("stopped", reason, last), tuple(cycles))
+    return DriveResult(checked, Ended("stopped", reason, decisions.last), decisions)
 
 
 def _messages(here: Connection, process: Any) -> Iterator[Any]:

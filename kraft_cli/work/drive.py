@@ -182,7 +182,7 @@ def _manifest(request: DriveRequest, spec: DriveSpec) -> dict[str, Any]:
 def drive_json(driven: Driven) -> dict[str, Any]:
     """Content of the ``kraft.drive/1`` object."""
     result, spec, ended = driven.result, driven.spec, driven.result.ended
-    planning = [cycle.planning_ms for cycle in result.cycles]
+    decisions = result.decisions
     return {
         "scenario": spec.task.name,
         "robot": spec.robot.name,
@@ -192,13 +192,13 @@ def drive_json(driven: Driven) -> dict[str, Any]:
         "outcome": driven.outcome,
         "reason": "" if ended is None else ended.reason,
         "t_s": 0.0 if ended is None else float(ended.time),
-        "cycles": len(result.cycles),
-        "contingencies": sum(cycle.kind == "contingency" for cycle in result.cycles),
+        "cycles": len(decisions.planning_ms),
+        "contingencies": decisions.contingencies,
         "watchdog_stops": 0 if ended is None else ended.stops,
         "refused_poses": {} if ended is None else ended.refused,
         "controller": {} if ended is None else {k: None if math.isnan(v) else v for k, v in ended.measures.items()},
-        "planning_ms_p50": percentile(planning, 0.5),
-        "planning_ms_p99": percentile(planning, 0.99),
+        "planning_ms_p50": percentile(decisions.planning_ms, 0.5),
+        "planning_ms_p99": percentile(decisions.planning_ms, 0.99),
         "checks": [{"name": c.name, "state": c.state, "detail": c.detail} for c in result.checked.checks],
         "folder": str(driven.request.out) if driven.request.out else None,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -262,3 +263,16 @@ def test_after_a_car_was_moved_the_stated_error_is_that_of_a_pose() -> None:
     assert subject.belief is not None
     assert settings.position_offset**2 * 0.5 < subject.belief.covariance[0, 0] < whole  # the offset cannot be told
     assert subject.belief.mean == pytest.approx(BEGIN[:3] + np.array([1.0, 0.0, 0.0]), abs=0.02)
+
+
+def test_the_history_of_an_estimator_that_nobody_asks_stays_bounded() -> None:
+    """As in the controller and the brake guard of a drive, where the planner identifies."""
+    subject = estimator()
+    sizes = []
+    for k in range(1, 3001):
+        time = 0.1 * k
+        subject.commanded(time, np.array([0.5, 0.0]))
+        subject.observe(Observation(time, time, 0.02 * k, 0.0, 0.0))
+        if k % 1000 == 0:
+            sizes.append(len(pickle.dumps(subject._history)))
+    assert sizes[2] < 1.2 * sizes[0] + 1000

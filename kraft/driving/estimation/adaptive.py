@@ -456,6 +456,8 @@ class _History:
             return
         yaw = state[self._theta] + math.remainder(observation.theta - state[self._theta], math.tau)
         self._poses.append((observation.time, np.array([observation.x, observation.y, yaw]), state.copy()))
+        if self._poses[0][0] < observation.time - 2.0 * DRIVE_MAX:  # where another process identifies, nobody asks
+            self._forget(observation.time - DRIVE_MAX - REST_BEFORE)
 
     def command(self, time: float, control: Floats, moves: bool) -> None:
         """Add a command, and whether the vehicle moves at its time."""
@@ -469,10 +471,7 @@ class _History:
 
     def drive(self, begin: float) -> Drive | None:
         """The recorded drive from `begin` (s) on; None before two poses."""
-        self._poses = [entry for entry in self._poses if entry[0] >= begin]
-        keep = max((k for k, entry in enumerate(self._commands) if entry[0] <= begin - DELAY_MAX), default=0)
-        del self._commands[:keep]
-        self.moving = [span for span in self.moving if span[1] >= begin]
+        self._forget(begin)
         if len(self._poses) < 2:
             return None
         times, poses, states = zip(*self._poses, strict=True)
@@ -482,3 +481,10 @@ class _History:
             np.array(times), np.array(poses), np.array(states),
             np.array([max(t, first) for t in command_times]), np.array(commands),
         )  # fmt: skip
+
+    def _forget(self, before: float) -> None:
+        """Drop what is not needed for a drive from `before` (s) on."""
+        self._poses = [entry for entry in self._poses if entry[0] >= before]
+        keep = max((k for k, entry in enumerate(self._commands) if entry[0] <= before - DELAY_MAX), default=0)
+        del self._commands[:keep]
+        self.moving = [span for span in self.moving if span[1] >= before]
