@@ -48,8 +48,8 @@ GUARD_JOIN_TIME: Final = 12.0
 class Decisions:
     """What is counted of the cycles of a drive: a drive may be long, and the cycles themselves are on the disk.
 
-    `planning_ms` has a value for each cycle, `contingencies` is how many kept one, `last` is the time of the last cycle,
-    s.
+    `planning_ms` has a value for each cycle, `contingencies` is how many kept one, `last` is the time of the
+    last cycle, s.
     """
 
     planning_ms: list[float] = field(default_factory=list)
