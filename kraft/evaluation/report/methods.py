@@ -160,11 +160,15 @@ def _row(total: _Total, ticks: Sequence[float], ratios: Sequence[float] | None, 
 
 
 def _commands(total: _Total) -> Element:
-    """Cell of the time of a command: the 99 % quantile, the median, and how many were late."""
-    median, most = (decimals(percentile(total.commands, share), 2, NO_VALUE) for share in (0.5, 0.99))
-    late = f"median {median}, {total.late} of {len(total.commands)} late" if total.commands else None
-    title = "measured time of a command of the controller; late: longer than the time between two"
-    return element("td", most, element("small", late) if late else None, class_="number", title=title)
+    """Cell of the time of a command: the 99 % quantile, the median, and the share that were late."""
+    if not total.commands:
+        return element("td", NO_VALUE, class_="number")
+    median, most = (decimals(percentile(total.commands, share), 2) for share in (0.5, 0.99))
+    late = f"{total.late} of {len(total.commands)} commands took longer than the time between two"
+    share = f"{100.0 * total.late / len(total.commands):.1f}% late"
+    return element(
+        "td", most, element("small", f"median {median}"), element("small", share), class_="number", title=late
+    )
 
 
 def _share(text: str, interval: tuple[float, float]) -> Element:
