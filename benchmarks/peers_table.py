@@ -8,12 +8,13 @@ from functools import cache, partial
 
 import numpy as np
 
+from benchmarks import claims
+from benchmarks.claims import SAFETY, THREE, Claim
 from benchmarks.effort import Effort
 from benchmarks.parallel import each, interval
 from benchmarks.report import Report, Row, Target, number, row
 from kraft.driving.control import kernel_modules, needs_steps
 from kraft.driving.method import Method, load_method
-from kraft.evaluation.statistics import wilson
 from kraft.evaluation.suite import Entry, load_suite
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import goal_of, settings_of, start_state, workspace_of
@@ -27,12 +28,6 @@ from ompl_ext.solver import DirtSolver
 METHODS = ("adaptive-kraft", "kraft-mppi", "kraft-nmpc", "sst", "mppi", "nmpc", "dwa")
 WITHOUT = ("mppi", "nmpc", "dwa", "kraft-mppi")
 """Rows that are driven without contingencies, too."""
-CLAIMS = (
-    ("long horizons help: kraft-mppi against mppi", "kraft-mppi", "mppi"),
-    ("feedback helps: kraft against replanner-openloop", "kraft", "replanner-openloop"),
-    ("safety helps: conservative-kraft against kraft", "conservative-kraft", "kraft"),
-)
-"""The paper's claims, each with the row that should do better and the one that should not."""
 PLANNERS = ("dirt", "sst")
 BUDGETS = (1000, 5000, 20_000)
 
@@ -43,6 +38,7 @@ class Drive:
 
     name: str
     scenario: str
+    seed: int
     outcome: str
     time: float
     obstacle: str | None
@@ -74,7 +70,7 @@ class Case:
 
 def cases() -> tuple[Case, ...]:
     """Rows of the table, and those that only the claims need."""
-    named = {name for _, *pair in CLAIMS for name in pair} | set(METHODS)
+    named = {name for claim in THREE for name in (claim.method, claim.reference)} | set(METHODS)
     order = [*METHODS, *sorted(named - set(METHODS))]
     return (*(Case(name) for name in order), *(Case(name, contingency=False) for name in WITHOUT))
 
@@ -91,8 +87,9 @@ def run(effort: Effort) -> Report:
     count = len(cases()) * len(entries()) * effort.peer_trials
     drives = each(partial(drive, seeds=effort.peer_trials), range(count), effort.jobs)
     notes = [f"{effort.peer_trials} seeds per row and entry, from 0; times of the successful drives"]
-    tables = {"rows": table_of(drives), "costs of plans, s": plans()}
-    return Report("peers_table", rows_of(drives), tables, notes)
+    compared = comparisons(drives)
+    tables = {"rows": table_of(drives), "claims": claims.table(compared, {}), "costs of plans, s": plans()}
+    return Report("peers_table", rows_of(compared), tables, notes)
 
 
 def compile_all() -> None:
@@ -115,7 +112,7 @@ def drive_case(case: Case, entry: Entry, seed: int) -> Drive:
     vehicle = load_vehicle(method.planner.vehicle or entry.scenario.vehicle)
     found = run_trial(TrialSpec(entry.scenario, method, vehicle, seed))
     return Drive(
-        case.name, entry.name, str(found.outcome), found.time, found.obstacle, found.contingencies, found.missed
+        case.name, entry.name, seed, str(found.outcome), found.time, found.obstacle, found.contingencies, found.missed
     )
 
 
@@ -139,29 +136,47 @@ def table_of(drives: Sequence[Drive]) -> list[list[str]]:
     return found
 
 
-def rows_of(drives: Sequence[Drive]) -> list[Row]:
-    """The paper's claims: how much larger the share of successes is, whose 95 % interval should exclude 0."""
+def comparisons(drives: Sequence[Drive]) -> list[claims.Comparison]:
+    """The paper's claims, and that contingencies help the peers, on the same entries and seeds."""
+    peers = (Claim(SAFETY, case.method, case.name) for case in cases() if not case.contingency)
+    found = (claims.compare(claim, *(trials(drives, name) for name in _pair(claim))) for claim in (*THREE, *peers))
+    return [each for each in found if each is not None]
+
+
+def _pair(claim: Claim) -> tuple[str, str]:
+    return claim.method, claim.reference
+
+
+def trials(drives: Sequence[Drive], name: str) -> claims.Trials:
+    """Trials of a row; the entries of both suites have different names."""
+    return {
+        ("", d.scenario, d.seed): claims.Trial(
+            d.outcome == Outcome.SUCCESS,
+            d.outcome == Outcome.COLLISION,
+            d.time if d.outcome == Outcome.SUCCESS else None,
+        )
+        for d in drives
+        if d.name == name
+    }
+
+
+def rows_of(compared: Sequence[claims.Comparison]) -> list[Row]:
+    """Each claim's gain in points, whose 95 % interval should exclude 0: of successes, or of avoided collisions."""
     found = []
-    for claim, better, worse in CLAIMS:
-        low, middle, high = gain(*(outcomes(drives, name) for name in (better, worse)))
-        quantity = f"{claim}: {middle:+.1f} points of success, at least (95 %)"
-        found.append(row(f"{quantity}; at most {high:+.1f}", "points", [low], Target(0.0, most=False)))
+    for comparison in compared:
+        claim = comparison.claim
+        safety = claim.part == SAFETY
+        difference = comparison.collision if safety else comparison.success
+        low, middle, high = (
+            100.0 * end for end in (difference.interval[0], difference.difference, difference.interval[1])
+        )
+        if safety:
+            low, middle, high = -high, -middle, -low
+        what = "fewer collisions" if safety else "more successes"
+        quantity = f"{claim.part}, {claim.method} against {claim.reference}: {middle:+.1f} points {what}"
+        quantity += f", at most {high:+.1f}, at least (95 %)"
+        found.append(row(quantity, "points", [low], Target(0.0, most=False)))
     return found
-
-
-def outcomes(drives: Sequence[Drive], name: str) -> list[bool]:
-    """Whether each trial of a row succeeded."""
-    return [d.outcome == Outcome.SUCCESS for d in drives if d.name == name]
-
-
-def gain(one: Sequence[bool], other: Sequence[bool]) -> tuple[float, float, float]:
-    """Difference of two shares in points, with its 95 % interval (Newcombe 1998, method 10)."""
-    shares = [100.0 * sum(each) / max(len(each), 1) for each in (one, other)]
-    (low1, high1), (low2, high2) = ([100.0 * x for x in wilson(sum(e), len(e))] for e in (one, other))
-    middle = shares[0] - shares[1]
-    below = float(np.hypot(shares[0] - low1, high2 - shares[1]))
-    above = float(np.hypot(high1 - shares[0], shares[1] - low2))
-    return middle - below, middle, middle + above
 
 
 def plans() -> list[list[str]]:

@@ -12,9 +12,10 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks import claims as paired
+from benchmarks.claims import Claim
 from kraft.errors import Code, InputError, KraftError
 from kraft.evaluation.report.results import Results, read_results
 from kraft.evaluation.statistics import mcnemar, wilson
@@ -33,15 +34,14 @@ brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %
 """
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A claim of the paper: a method does better than another one, which differs in one part."""
+CLAIMS_HEADING = """## What the paper claims
 
-    part: str
-    method: str
-    reference: str
-
-
+Long horizons, feedback and safety each help: the methods of a row differ in this part, and are compared on the trials
+that both have, paired by scenario and seed. Differences are in points (method minus *instead of*) with Newcombe's 95 %
+interval for paired shares and the p-value of the exact McNemar test. Times are of pairs in which both succeeded: the
+geometric mean over the entries of the ratio of mean times, with a bootstrapped 95 % interval (BCa, over entries). The
+verdict states what an interval excludes; the intervals are not adjusted for their number.
+"""
 CLAIMS = (
     Claim("feedback", "oneshot-kinodynamic", "oneshot-openloop"),
     Claim("feedback that knows the dynamics", "oneshot-kinodynamic", "oneshot-geometric"),
@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def document(found: Sequence[Results], benchmarks: Path | None = None) -> str:
     """Content of docs/results.md."""
-    parts = [HEADING, *(section(each) for each in found)]
+    parts = [HEADING, *(section(each) for each in found), *claims_section(found)]
     if benchmarks is not None:
         parts.append(benchmark_section(json.loads(benchmarks.read_text(encoding="utf-8"))))
     return "\n".join(parts)
@@ -173,6 +173,15 @@ def differences(found: Results) -> list[str]:
         ours = f"{result.success} of {result.trials}"
         rows.append([result.entry, result.title, ours, _interval(result.success, result.trials), paper, verdict])
     return ["Successes beside the paper's:", "", *_markdown(rows), ""] if len(rows) > 1 else []
+
+
+def claims_section(found: Sequence[Results]) -> list[str]:
+    """Section about the paper's three claims, over all folders together; none if no folder has methods for them."""
+    compared = paired.comparisons(found)
+    if not compared:
+        return []
+    titles = {method: title for each in found for method, title in each.methods.items()}
+    return ["\n".join([CLAIMS_HEADING, *_markdown(paired.table(compared, titles)), ""])]
 
 
 def claims(found: Results) -> list[str]:

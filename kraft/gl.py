@@ -14,6 +14,7 @@ from typing import Any, Final
 from kraft.errors import InputError, MissingDependency
 from kraft.files import check_writable
 
+VIDEO_SUFFIXES: Final = (".mp4", ".webp")
 INSTEAD: Final = "a video file needs no screen"
 BACKENDS: Final = ("egl", "osmesa", "glfw")
 ADVICE: Final = (
@@ -74,12 +75,12 @@ def check_video(path: Path) -> None:
     """Check before the drive that a video can be written at `path`.
 
     Raises:
-        InputError: if its suffix is not .mp4 or nothing can be written there.
+        InputError: if its suffix is neither .mp4 nor .webp, or nothing can be written there.
         MissingDependency: if nothing can be drawn without a window here.
     """
-    if path.suffix.lower() != ".mp4":
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
         problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
-        raise InputError.of(str(path), f"the video's name {problem}", "expected .mp4")
+        raise InputError.of(str(path), f"the video's name {problem}", f"expected {' or '.join(VIDEO_SUFFIXES)}")
     check_writable(path)
     offscreen_context(16, 16).free()
 

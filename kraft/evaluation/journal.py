@@ -33,12 +33,15 @@ Key: TypeAlias = tuple[str, str, int]
 class Measured(Record):
     """Measured times, the only part of a row that differs between repetitions.
 
-    `planning_ms` has one value per cycle, `missed` is the number of cycles that exceeded their planning time, `wall_s`
-    is the duration of the whole trial.
+    `planning_ms` has one value per cycle, `missed` is the number of cycles that exceeded their planning time.
+    `command_us` has one value per command of the controller, `late_commands` is the number of those that took longer
+    than the time between two; older evaluations have none.  `wall_s` is the duration of the whole trial.
     """
 
     planning_ms: tuple[float, ...] = ()
     missed: int = 0
+    command_us: tuple[int, ...] = ()
+    late_commands: int = 0
     wall_s: float = 0.0
 
 
@@ -101,7 +104,13 @@ def trial_row(key: Key, result: TrialResult, wall: float, replay: Replay | None 
         cause=result.cause,
         replay=replay,
         measures=result.measures,
-        measured=Measured(planning_ms=planning, missed=result.missed, wall_s=round(wall, 3)),
+        measured=Measured(
+            planning_ms=planning,
+            missed=result.missed,
+            command_us=tuple(round(1000.0 * each) for each in result.command_ms),
+            late_commands=result.late_commands,
+            wall_s=round(wall, 3),
+        ),
     )
 
 

@@ -20,7 +20,15 @@ REFERENCE: Final = "kraft"
 """The method that the others are compared with."""
 MANY: Final = 8
 """Largest number of entries of which each has a table of its own in a terminal, and an open section in the report."""
-WALL_CLOCK: Final = ("wall_s", "planning_ms_p50", "planning_ms_p99", "missed_deadlines")
+WALL_CLOCK: Final = (
+    "wall_s",
+    "planning_ms_p50",
+    "planning_ms_p99",
+    "missed_deadlines",
+    "command_ms_p50",
+    "command_ms_p99",
+    "late_commands",
+)
 """Keys of the JSON object with measured times; all others repeat."""
 
 
@@ -55,6 +63,9 @@ class Result:
         min_clearance: smallest true distance to an obstacle in all trials, m.
         planning_p50, planning_p99: percentiles of the planning time over all cycles of all trials, ms.
         missed: number of cycles that exceeded their planning time.
+        command_p50, command_p99: percentiles of the time of the controller's commands in all trials, ms; None in older
+            evaluations.
+        late_commands: number of commands that took longer than the time between two of them.
         causes: number of collisions and timeouts by their cause, the most frequent first; not those of trials without
             one, which older evaluations recorded.
         measures: measures of what the method promised, over all trials.
@@ -83,6 +94,9 @@ class Result:
     planning_p50: float | None
     planning_p99: float | None
     missed: int
+    command_p50: float | None
+    command_p99: float | None
+    late_commands: int
     causes: Mapping[str, int]
     measures: Measures
     scoring: Score | None
@@ -203,6 +217,7 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
     success = outcomes.count("success")
     durations = [row.t_s for row in rows if row.outcome == "success" and row.t_s is not None]
     planning = [value for row in rows for value in row.measured.planning_ms]
+    commands = [value / 1000.0 for row in rows for value in row.measured.command_us]
     scores = [name.score.of(row.t_s if row.outcome == "success" else None) for row in rows] if name.score else []
     clearances = [row.min_clearance_m for row in rows if row.min_clearance_m is not None]
     return Result(
@@ -225,6 +240,9 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
         planning_p50=percentile(planning, 0.5),
         planning_p99=percentile(planning, 0.99),
         missed=sum(row.measured.missed for row in rows),
+        command_p50=percentile(commands, 0.5),
+        command_p99=percentile(commands, 0.99),
+        late_commands=sum(row.measured.late_commands for row in rows),
         causes=dict(Counter(str(row.cause.kind) for row in rows if row.cause is not None).most_common()),
         measures=pooled(row.measures for row in rows),
         scoring=name.score,
@@ -255,6 +273,9 @@ def _result_json(result: Result) -> dict[str, Any]:
         "planning_ms_p50": result.planning_p50,
         "planning_ms_p99": result.planning_p99,
         "missed_deadlines": result.missed,
+        "command_ms_p50": result.command_p50,
+        "command_ms_p99": result.command_p99,
+        "late_commands": result.late_commands,
         "causes": dict(result.causes),
         **measures_json(result.measures),
         "score": {"label": scoring.label, "optimal_time_s": scoring.optimal_time, "mean": result.score}

@@ -52,6 +52,8 @@ _COLUMNS: Final = {
     "clear m": 1,
     "plan ms p50/p99": 1,
     "missed": 2,
+    "cmd ms p50/p99": 1,
+    "late": 2,
 }
 
 
@@ -63,6 +65,8 @@ def tables(summary: Summary) -> list[Table]:
         "score": any(result.scoring for result in results),
         "failed": summary.failed > 0,
         "missed": summary.realtime,
+        "cmd ms p50/p99": any(result.command_p50 is not None for result in results),
+        "late": any(result.late_commands for result in results),
         "delta": any(result.measures.clearance.ticks for result in results),
         "emerg": replans,
         "regr": replans,
@@ -160,4 +164,6 @@ def _cells(result: Result) -> dict[str, str]:
         "clear m": decimals(result.min_clearance, 3),
         "plan ms p50/p99": f"{decimals(result.planning_p50, 1)}/{decimals(result.planning_p99, 1)}",
         "missed": str(result.missed),
+        "cmd ms p50/p99": f"{decimals(result.command_p50, 2)}/{decimals(result.command_p99, 2)}",
+        "late": str(result.late_commands),
     }

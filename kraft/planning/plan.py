@@ -127,6 +127,30 @@ def plan_task(
     )
 
 
+def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> bool:
+    """Whether `plan_task` with these iterations and this seed has a plan to the goal; ends with the first one.
+
+    Args:
+        task: scene, start and goal, both free.
+        vehicle: as for `plan_task`.
+        iterations: budget of the search; repeatable, as the seed decides everything else.
+        seed: seed of the search.
+
+    Raises:
+        Defect: if the plan fails verification.
+    """
+    state = start_state(task, vehicle)
+    workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
+    dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings)
+    if _infeasible_start(dirt, state, dirt.start(state, seed)):
+        return False
+    dirt.grow(iterations=iterations, stop=lambda: bool(dirt.progress.history))
+    found = SearchResult(dirt.plan(), dirt.progress)
+    verification = verify(dirt, found.plan) if found.plan is not None else None
+    accepted, _ = _accepted(found, verification, seed)
+    return accepted is not None and accepted.reaches_goal
+
+
 def plan(
     scenario: Task | str | Path,
     vehicle: Vehicle | str | None = None,

@@ -143,7 +143,8 @@ class TrialResult:
 
     `time` is the time of its end (s), `obstacle` that of the collision, and `min_clearance` the smallest true distance
     between the vehicle's footprint and an obstacle at any tick of the controller (m).  `measures` compares what the
-    method promised with the true motion.  `cause` is that of a collision or a timeout.
+    method promised with the true motion.  `cause` is that of a collision or a timeout.  `command_ms` has the measured
+    time of each command of the controller; `late_commands` of them took longer than the time between two commands.
     """
 
     scenario: str
@@ -158,6 +159,8 @@ class TrialResult:
     observations: tuple[Observation, ...] = field(repr=False, default=())
     measures: Measures = field(repr=False, default_factory=Measures)
     cause: Cause | None = None
+    command_ms: tuple[float, ...] = field(repr=False, default=())
+    late_commands: int = 0
 
     @property
     def contingencies(self) -> int:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -76,18 +77,21 @@ def run_trial(
         cycles=tuple(log.cycles),
         steps=tuple(log.steps),
         observations=tuple(log.observations),
+        command_ms=tuple(log.command_ms),
+        late_commands=sum(each > 1000.0 * trial.period for each in log.command_ms),
     )
 
 
 @dataclass
 class _Log:
-    """Recorded cycles, steps and observations, and the callbacks that receive them."""
+    """Recorded cycles, steps, observations and times of commands (ms), and the callbacks that receive them."""
 
     on_cycle: OnCycle | None
     on_step: OnStep | None
     cycles: list[Cycle] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     observations: list[Observation] = field(default_factory=list)
+    command_ms: list[float] = field(default_factory=list)
 
 
 class _Trial:
@@ -108,12 +112,12 @@ class _Trial:
         )
         self._model, self._realtime = model, spec.realtime
         self._communication_delay = scenario.sensing.communication_delay
-        period = 1.0 / method.controller.rate_hz
+        self.period = 1.0 / method.controller.rate_hz
         solvers = Solvers.of(scenario.task(), vehicle, method.planner)
         self._controller = make_controller(method.controller, model, solvers.checking, spec.seed)
         self._replanner = Replanner(
             solvers, method.planner, self._controller, spec.seed,
-            period=period, delay=self._communication_delay + self._estimator.horizon,
+            period=self.period, delay=self._communication_delay + self._estimator.horizon,
             realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._radio = Radio(scenario.sensing.message_loss, spec.seed)
@@ -178,7 +182,9 @@ class _Trial:
         if not self._plant.command_due:
             return
         estimate = self._estimator.estimate(now)
+        began = time.perf_counter()
         command = self._controller.command(estimate, self._on_board.reference(estimate))
+        log.command_ms.append(1000.0 * (time.perf_counter() - began))
         self._plant.send(command)
         self._estimator.commanded(now, command)
         pose = self._true_pose

@@ -16,7 +16,7 @@ from PIL import ImageDraw, ImageFont
 from kraft.driving.messages import ReferenceKind
 from kraft.trial.result import Outcome, TrialResult, TrialSpec, outcome_text
 from kraft.video import palette
-from kraft.video.mp4 import Image
+from kraft.video.film import Image
 from kraft.video.snapshot import Snapshot
 
 BAND: Final = 84

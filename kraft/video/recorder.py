@@ -1,4 +1,4 @@
-"""MP4 video of one trial, and single pictures of it."""
+"""Film of one trial, and single pictures of it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,11 @@ from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
-from kraft.video.mp4 import Image, Mp4Writer
+from kraft.video.film import FilmWriter, Image
 from kraft.video.overlay import BAND, Overlay
 from kraft.video.renderer import SceneRenderer
 from kraft.video.snapshot import SnapshotRecorder
 
-FPS: Final = 30
 SIZE: Final = (1280, 720)
 HOLD: Final = 1.5
 """Duration for which the last picture is shown, s."""
@@ -36,15 +35,15 @@ class VideoRecorder:
         with VideoRecorder(Path("drive.mp4"), spec) as film:
             film.finish(run_trial(spec, film.on_cycle, film.on_step, keep_trees=True))
 
-    A second of the video is a second of the trial.  Without `finish`, as when the trial is interrupted or fails, no
-    file is left.
+    A second of the film is a second of the trial; `kraft.video.film.FORMATS` has its formats by the suffix of the path.
+    Without `finish`, as when the trial is interrupted or fails, no file is left.
     """
 
     def __init__(self, path: Path, spec: TrialSpec) -> None:
         """Check that a video can be made.
 
         Raises:
-            InputError: if the suffix is not .mp4 or nothing can be written there.
+            InputError: if the suffix is neither .mp4 nor .webp, or nothing can be written there.
             MissingDependency: if nothing can be drawn without a window here.
         """
         check_video(path)
@@ -54,7 +53,7 @@ class VideoRecorder:
         self._overlay = Overlay(spec, SIZE, self._map_width)
         self._renderer: SceneRenderer | None = None
         self._world: TrueWorld | None = None
-        self._file = Mp4Writer(path, SIZE, FPS)
+        self._file = FilmWriter(path, SIZE)
 
     def __enter__(self) -> Self:
         return self
@@ -76,7 +75,7 @@ class VideoRecorder:
         if self._renderer is None:
             self._renderer, self._world = SceneRenderer(world, self._spec, SIZE, self._map_width, BAND), world
         snapshot = self._snapshots.on_step(world, step)
-        due = round(world.time * FPS) + 1 - self._file.frames
+        due = round(world.time * self._file.fps) + 1 - self._file.frames
         if due > 0:
             picture = self._overlay.over(self._renderer.picture(snapshot), snapshot)
             for _ in range(due):
@@ -93,7 +92,7 @@ class VideoRecorder:
         snapshot = self._snapshots.now(self._world)
         self._gl.make_current()
         picture = self._overlay.over(self._renderer.picture(snapshot), snapshot, result)
-        for _ in range(round(HOLD * FPS)):
+        for _ in range(round(HOLD * self._file.fps)):
             self._file.add(picture)
         self._file.finish()
 

@@ -18,7 +18,7 @@ from kraft.simulation.floor_frame import Surface
 from kraft.simulation.true_world import TrueWorld
 from kraft.trial.result import TrialSpec
 from kraft.video.drawing import Pen, draw_collision, draw_cycle, draw_snapshot
-from kraft.video.mp4 import Image
+from kraft.video.film import Image
 from kraft.video.snapshot import Snapshot
 from ompl_ext.arrays import Floats
 from ompl_ext.jit import compiled

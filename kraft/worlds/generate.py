@@ -15,8 +15,9 @@ import numpy as np
 
 from kraft.errors import Code, InputError, Unreachable
 from kraft.planning.feasibility import check_placement, check_reachable
+from kraft.planning.plan import finds_plan
 from kraft.planning.workspace import start_state
-from kraft.scenario import parse_scenario
+from kraft.scenario import Task, parse_scenario
 from kraft.text import counted, suggestion
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
@@ -30,6 +31,10 @@ from ompl_ext.vehicle import Footprint, Vehicle
 MIXED: Final = "mixed"
 ATTEMPTS: Final = 500
 """Layouts that are tried until one leaves a way to the goal."""
+SEARCHES: Final = 100
+"""Layouts with a way to the goal in which a plan is searched, until one has a plan."""
+ITERATIONS: Final = 20_000
+"""Iterations of each search: those of `kraft plan` by default."""
 DENSITY, DENSITY_MAX = 0.15, 0.5
 """Share of the floor that clutter covers, by default and at most."""
 LARGE: Final = math.hypot(0.51, 0.43)
@@ -223,26 +228,35 @@ def _reference(vehicle: str) -> str:
 
 
 def generate(kind: str, seed: int, vehicle: str | None = None, density: float | None = None) -> World:
-    """Make the world of a kind and a seed.
+    """Make the world of a kind and a seed: the first layout of the seed that counts.
 
-    Its start is free, and a path leads to its goal on which the footprint is free in every heading.
+    Its start is free, a path leads to its goal on which the footprint is free in every heading, and the planner finds a
+    plan for the vehicle within `ITERATIONS` iterations.
 
     Raises:
-        InputError: if the vehicle cannot be loaded, or after many attempts none leaves a way to the goal.
+        InputError: if the vehicle cannot be loaded, or after many attempts no layout counts.
     """
     reference = vehicle or USUAL.get(kind, "mushr")
     loaded = load_vehicle(reference)
     size = Size.of(loaded)
     wide = replace(loaded, footprint=Footprint(size.diagonal, size.diagonal))
-    name = f"{kind}-{seed:03d}"
+    name, searches = f"{kind}-{seed:03d}", 0
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, attempt] if attempt else seed)
         world = _world(kind, name, rng, size, reference, density or DENSITY)
-        if _has_way(world, loaded, wide):
+        task = _task_with_way(world, loaded, wide)
+        if task is None:
+            continue
+        searches += 1
+        if finds_plan(task, loaded, ITERATIONS):
             words = ["kraft generate", kind, f"--seed {seed}", *([f"--vehicle {vehicle}"] if vehicle else [])]
             words += [f"--density {density:g}"] if density and kind == "clutter" else []
             return replace(world, remark=f"Written by {' '.join(words)}{world.remark}.")
-    problem = f"{name}: none of {ATTEMPTS} layouts leaves {loaded.name} a way to the goal"
+        if searches == SEARCHES:
+            break
+    problem = f"{name}: none of {counted(attempt + 1, 'layout')} leaves {loaded.name} a way to the goal"
+    if searches:
+        problem += f" with a plan that is found in {counted(ITERATIONS, 'iteration')}"
     raise InputError.of_argument("density" if kind == "clutter" else "vehicle", problem, "expected a smaller one")
 
 
@@ -267,17 +281,17 @@ def _rounded(value: Any) -> Any:
     return round(value, 3) if isinstance(value, float) else value
 
 
-def _has_way(world: World, vehicle: Vehicle, wide: Vehicle) -> bool:
-    """Whether the start is free, and the disc around the footprint gets from the start to the goal."""
+def _task_with_way(world: World, vehicle: Vehicle, wide: Vehicle) -> Task | None:
+    """Task of a world; None unless the start is free and the disc around the footprint gets from it to the goal."""
     with TemporaryDirectory() as folder:
         for name, content in world.files.items():
             (Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
             (Path(folder) / name).write_bytes(content)
         text = json.dumps({"name": world.name, **world.content})
         try:
-            scenario = parse_scenario(text, world.name, Path(folder))
-            check_placement(scenario, vehicle, start_state(scenario, vehicle))
-            check_reachable(scenario, wide)
+            task = parse_scenario(text, world.name, Path(folder)).task()
+            check_placement(task, vehicle, start_state(task, vehicle))
+            check_reachable(task, wide)
         except (InputError, Unreachable):
-            return False
-    return True
+            return None
+    return task

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 RESOLUTION: Final = 0.05
 """Side of a cell of the map, m."""
@@ -86,9 +87,8 @@ def _map(line: Points, scale: float, name: str) -> dict[str, bytes]:
     columns, rows = (round(size * scale / RESOLUTION) for size in SIZE)
     x, y = (np.arange(columns) + 0.5) * RESOLUTION, (np.arange(rows) + 0.5) * RESOLUTION
     grid = np.stack(np.meshgrid(x, y), axis=-1)
-    distance = np.full((rows, columns), np.inf)
-    for point in line:
-        distance = np.minimum(distance, np.hypot(*(grid - point).transpose(2, 0, 1)))
+    nearest = line[cKDTree(line).query(grid)[1]]
+    distance = np.hypot(*(grid - nearest).transpose(2, 0, 1))
     wall = (distance >= HALF_WIDTH * scale) & (distance < HALF_WIDTH * scale + WALL)
     image = np.where(wall, 0, 254).astype(np.uint8)[::-1]  # the first row of an image is its top
     settings = (

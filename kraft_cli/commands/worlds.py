@@ -83,7 +83,7 @@ def generate(
     out: Out = Path("worlds"),
     json: Json = False,
 ) -> ExitStatus:
-    """Write random scenarios and a suite; the same seed gives the same world, with a way as wide as the car is long."""
+    """Write random scenarios and a suite; the same seed gives the same world, for which the vehicle has a plan."""
     from kraft.worlds.generate import generate_worlds
     from kraft_cli.work.worlds import generated_json
 

@@ -138,6 +138,9 @@ def run_json(run: Run) -> dict[str, Any]:
         "planning_ms_p50": percentile(planning, 0.5),
         "planning_ms_p99": percentile(planning, 0.99),
         "missed_deadlines": result.missed,
+        "command_ms_p50": percentile(result.command_ms, 0.5),
+        "command_ms_p99": percentile(result.command_ms, 0.99),
+        "late_commands": result.late_commands,
         "set": dict(run.settings),
         **measures_json(result.measures),
         "folder": str(run.request.out) if run.request.out else None,
@@ -161,6 +164,10 @@ def run_table(run: Run) -> list[tuple[str, str]]:
     if planning:
         slow = f", {result.missed} exceeded the planning time" if result.missed else ""
         rows.append(("planning", f"{percentile(planning, 0.5):.1f} ms median, {max(planning):.1f} ms worst{slow}"))
+    if result.command_ms:
+        late = f", {result.late_commands} took longer than the time between two" if result.late_commands else ""
+        median, worst = percentile(result.command_ms, 0.5), max(result.command_ms)
+        rows.append(("commands", f"{median:.2f} ms median, {worst:.1f} ms worst{late}"))
     outputs = run.request.outputs
     made = (("film", outputs.video), ("picture", outputs.plot), ("bag", outputs.bag), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """Requested outputs: a video (.mp4), a window in real time, a picture (.png, .svg, .pdf), a bag (.mcap)."""
+    """Requested outputs: a video (.mp4, .webp), a window in real time, a picture (.png, .svg, .pdf), a bag (.mcap)."""
 
     video: Path | None = None
     view: bool = False

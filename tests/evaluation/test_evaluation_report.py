@@ -24,6 +24,7 @@ from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element, script_data
 from kraft.evaluation.report.floor import floor_plan
 from kraft.scenario import OccupancyMap, load_scenario
+from kraft.trial.result import TrialResult, TrialSpec
 from kraft_cli.main import main
 from kraft_cli.work.run import run_command
 
@@ -59,6 +60,20 @@ def test_an_evaluation_ends_with_a_page_that_needs_nothing_else() -> None:
         for seed in (5, 6, 7)
     ]
     assert {link for link in links if link.startswith("#trial=")} == set(rows)
+
+
+def test_times_of_commands_and_those_that_came_late_are_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    run(out="before")
+    assert "% late" not in Path("before/report.html").read_text(encoding="utf-8")
+
+    def timed(spec: TrialSpec) -> TrialResult:
+        return replace(fake_trials.quick(spec), command_ms=(4.0, 5.0, 6.0, 40.0), late_commands=1)
+
+    fake_trials.use(monkeypatch, timed, inline=True)
+    run()
+    text = text_of(Tags(Path("out/report.html").read_text(encoding="utf-8")))
+    assert text.count("25.0% late") == len(METHODS)
+    assert text.count("command 5.00, 99 %: 40.00, 3 late") == 2 * len(METHODS)
 
 
 def test_every_trial_is_a_cell_that_says_how_it_ended_and_how_to_drive_it_again() -> None:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from math import comb
+from math import comb, prod
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kraft.evaluation.statistics import mcnemar, mean_interval, percentile, wilson
+from kraft.evaluation.statistics import (
+    mcnemar,
+    mean_interval,
+    paired_difference,
+    percentile,
+    ratio_interval,
+    wilson,
+)
 
 
 @pytest.mark.parametrize(
@@ -93,3 +100,54 @@ def test_a_percentile_is_a_value_that_so_many_do_not_exceed(values: list[float],
 def test_nothing_has_no_percentile() -> None:
     assert percentile([], 0.5) is None
     assert percentile([3.0, 1.0, 2.0, 4.0], 0.5) == 2.0
+
+
+def pairs(both: int, gained: int, lost: int, neither: int) -> tuple[list[bool], list[bool]]:
+    one = [True] * (both + gained) + [False] * (lost + neither)
+    other = [True] * both + [False] * gained + [True] * lost + [False] * neither
+    return one, other
+
+
+@pytest.mark.parametrize("shares", [(0.7, 0.2, 0.05, 0.05), (0.3, 0.3, 0.1, 0.3), (0.9, 0.04, 0.02, 0.04)])
+def test_the_interval_of_paired_shares_holds_the_true_difference_as_often_as_it_says(
+    shares: tuple[float, float, float, float],
+) -> None:
+    """Exact coverage over all outcomes of 12 pairs."""
+    n, covered = 12, 0.0
+    for both in range(n + 1):
+        for gained in range(n + 1 - both):
+            for lost in range(n + 1 - both - gained):
+                counts = (both, gained, lost, n - both - gained - lost)
+                low, high = paired_difference(*pairs(*counts)).interval
+                ways = comb(n, both) * comb(n - both, gained) * comb(n - both - gained, lost)
+                if low <= shares[1] - shares[2] <= high:
+                    covered += ways * prod(share**count for share, count in zip(shares, counts, strict=True))
+    assert 0.93 <= covered <= 1.0
+
+
+@given(st.tuples(*[st.integers(0, 40)] * 4).filter(any))
+def test_a_paired_difference_mirrors_and_holds_its_own_value(counts: tuple[int, int, int, int]) -> None:
+    one, other = pairs(*counts)
+    found, mirrored = paired_difference(one, other), paired_difference(other, one)
+    assert (found.gained, found.lost, found.pairs) == (counts[1], counts[2], sum(counts))
+    assert (mirrored.gained, mirrored.lost, mirrored.p) == (found.lost, found.gained, found.p)
+    assert mirrored.interval == pytest.approx((-found.interval[1], -found.interval[0]))
+    assert -1.0 - 1e-9 <= found.interval[0] <= found.difference <= found.interval[1] <= 1.0 + 1e-9
+    assert found.interval[0] < found.interval[1]
+
+
+def test_pairs_that_agree_narrow_the_interval_of_their_difference() -> None:
+    together, apart = paired_difference(*pairs(20, 5, 0, 15)), paired_difference(*pairs(10, 15, 10, 5))
+    assert together.difference == apart.difference == 0.125
+    assert together.interval[1] - together.interval[0] < 0.7 * (apart.interval[1] - apart.interval[0])
+    with pytest.raises(ValueError, match="pairs"):
+        paired_difference([], [])
+
+
+def test_the_bootstrapped_interval_of_ratios_repeats_and_holds_the_geometric_mean() -> None:
+    one, other = [8.0, 9.0, 12.0, 11.0, 7.0], [10.0, 10.0, 11.0, 13.0, 9.0]
+    found = ratio_interval(one, other)
+    assert found == ratio_interval(one, other)
+    assert found is not None
+    assert 0.77 < found[0] < prod(a / b for a, b in zip(one, other, strict=True)) ** 0.2 < found[1] < 1.1
+    assert ratio_interval(one[:2], other[:2]) is ratio_interval([2.0] * 5, [1.0] * 5) is None

@@ -41,7 +41,9 @@ def rows(experiment: Experiment) -> dict[Key, TrialRow]:
     for cell in experiment.cells:
         scenario, method = cell.key
         for seed, (outcome, t) in zip(experiment.seeds, endings[method], strict=True):
-            measured = Measured(planning_ms=(1.0, 2.0, float(seed)), missed=1, wall_s=0.5)
+            measured = Measured(
+                planning_ms=(1.0, 2.0, float(seed)), missed=1, command_us=(500, 100 * seed), late_commands=2, wall_s=0.5
+            )
             row = TrialRow(
                 scenario=scenario, method=method, seed=seed, outcome=outcome, t_s=t, cycles=3, contingencies=2,
                 min_clearance_m=0.01 * seed, measured=measured, error="it broke" if outcome == "failed" else None,
@@ -60,6 +62,7 @@ def test_counts_means_intervals_and_tests_are_those_of_the_rows(
     assert (kraft.contingencies, kraft.cycles, kraft.missed) == (8, 12, 4)
     assert kraft.min_clearance == pytest.approx(0.07)
     assert (kraft.planning_p50, kraft.planning_p99) == (2.0, 10.0)
+    assert (kraft.command_p50, kraft.command_p99, kraft.late_commands) == (0.5, 1.0, 8)
     assert kraft.against is None
     assert oneshot.against is not None
     assert (oneshot.against.gained, oneshot.against.lost, oneshot.against.p) == (1, 2, 1.0)
@@ -122,6 +125,8 @@ def test_a_table_drops_its_least_important_columns_until_it_fits(
     table = tables(summary.summarise(experiment, rows, 1.0))[0]
     assert "failed" in table.heading
     assert "missed" not in table.heading
+    cells = dict(zip(table.heading, table.rows[0], strict=True))
+    assert (cells["cmd ms p50/p99"], cells["late"]) == ("0.50/1.00", "8")
     for width in (200, 100, 80, 60, 40):
         fitted = table.fitted(width)
         widths = [max(map(len, column)) for column in zip(fitted.heading, *fitted.rows, strict=True)]

@@ -13,7 +13,7 @@ from support.diagnostics import located, raised
 
 from kraft.errors import Code, Defect
 from kraft.planning.feasibility import check_placement, memory_needed
-from kraft.planning.plan import PlanResult, plan_task
+from kraft.planning.plan import PlanResult, finds_plan, plan_task
 from kraft.planning.search import Budget, Previous
 from kraft.planning.workspace import fence, start_state, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
@@ -291,3 +291,16 @@ def test_a_goal_with_a_heading_needs_more_memory() -> None:
     vehicle, goals = load_vehicle("mushr"), ({}, {"goal.heading_deg": 0, "goal.heading_tolerance_deg": 10})
     plain, finer = (memory_needed(load_scenario("turns", settings).task(), vehicle) for settings in goals)
     assert finer > 2 * plain
+
+
+def test_a_plan_is_found_with_the_iterations_that_a_whole_search_needs(mushr: Vehicle) -> None:
+    task = room()
+    needed = next(n for n in range(1, 500) if plan_task(task, mushr, Budget(iterations=n)).solved)
+    assert needed > 1
+    assert not finds_plan(task, mushr, needed - 1)
+    assert finds_plan(task, mushr, needed)
+
+
+def test_no_plan_is_found_where_no_path_leads_to_the_goal(mushr: Vehicle) -> None:
+    wall = room(("size: [1, 1]", "size: [4, 0.5]"))
+    assert not finds_plan(wall, mushr, 100)

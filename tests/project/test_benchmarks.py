@@ -376,10 +376,17 @@ def test_worlds_take_turns_with_their_kinds_and_vehicles_and_their_times_are_ove
     assert worlds.line("posts", "jackal", drives) == ["posts, jackal", "4", "2", "1", "1", "6.5", "1.3"]
 
 
-def test_the_claims_of_the_peers_have_newcombes_interval_and_every_row_loads() -> None:
-    """Newcombe 1998, table II, method 10: 56 of 70 against 48 of 80."""
-    low, middle, high = peers_table.gain([k < 56 for k in range(70)], [k < 48 for k in range(80)])
-    assert (low, middle, high) == pytest.approx((5.24, 20.0, 33.39), abs=0.01)
+def test_the_rows_of_the_peers_load_and_their_claims_are_paired_by_entry_and_seed() -> None:
     assert [case.load().planner.is_safe for case in peers_table.cases() if not case.contingency] == [False] * 4
-    drives = [peers_table.Drive("mppi", "turns", outcome, 9.0, None, 1, 0) for outcome in ("success", "collision")]
+    outcomes = {"mppi": ("success", "collision"), "kraft-mppi": ("success", "success")}
+    drives = [
+        peers_table.Drive(name, "turns", seed, outcome, 9.0, None, 1, 0)
+        for name, ended in outcomes.items()
+        for seed, outcome in enumerate(ended)
+    ]
     assert peers_table.table_of(drives)[1][:5] == ["mppi", "2", f"1 ({interval(1, 2)})", "1", "0"]
+    (compared,) = peers_table.comparisons(drives[::-1])
+    assert (compared.success.pairs, compared.success.gained, compared.success.lost) == (2, 1, 0)
+    (found,) = peers_table.rows_of([compared])
+    assert found.quantity.startswith("long horizons, kraft-mppi against mppi: +50.0 points more successes")
+    assert found.median == pytest.approx(100.0 * compared.success.interval[0])

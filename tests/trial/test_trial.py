@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -145,6 +147,17 @@ def test_a_trial_ends_at_the_time_limit_of_its_kind_of_method(tmp_path: Path, me
     result = run_trial(spec(tmp_path, method, "trial: {timeout: 1.5, oneshot_timeout: 0.8}\n"))
     limit = 0.8 if method.startswith("oneshot") else 1.5
     assert (result.outcome, result.time) == (Outcome.TIMEOUT, pytest.approx(limit))
+
+
+@pytest.mark.parametrize(("seconds", "late"), [(0.03, False), (0.04, True)])
+def test_every_command_is_timed_and_late_after_the_time_between_two(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, late: bool
+) -> None:
+    readings = itertools.count(step=seconds)
+    monkeypatch.setattr("kraft.trial.trial.time", SimpleNamespace(perf_counter=lambda: next(readings)))
+    result = run_trial(spec(tmp_path, "kraft", AIMLESS))
+    assert result.command_ms == pytest.approx([1000.0 * seconds] * len(result.steps))
+    assert result.late_commands == (len(result.steps) if late else 0)
 
 
 def test_one_shot_decides_once(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import av
 import numpy as np
 import pytest
 from PIL import Image as Pillow
+from PIL import ImageSequence
 from support.paths import ROOT
 
 from kraft.driving.method import load_method
@@ -26,11 +27,12 @@ from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video import palette
-from kraft.video.mp4 import Image, Mp4Writer
+from kraft.video.film import FORMATS, FilmWriter, Image
 from kraft.video.overlay import font, wrapped
-from kraft.video.recorder import FPS, HOLD, SIZE, VideoRecorder, map_width, write_still
+from kraft.video.recorder import HOLD, SIZE, VideoRecorder, map_width, write_still
 from kraft.video.renderer import smoothed
 
+FPS = FORMATS[".mp4"].fps
 SECONDS = 0.4
 
 
@@ -137,7 +139,7 @@ def test_an_interrupted_video_leaves_the_old_file(drawing: None, tmp_path: Path)
 
 def test_a_file_is_there_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "new" / "a.mp4"
-    writer = Mp4Writer(path, (64, 48), 30)
+    writer = FilmWriter(path, (64, 48))
     for shade in (0, 128, 255):
         writer.add(np.full((48, 64, 3), shade, np.uint8))
     assert not path.exists()
@@ -146,6 +148,22 @@ def test_a_file_is_there_when_it_is_complete(tmp_path: Path) -> None:
     assert [round(float(picture.mean()), -1) for picture in pictures(path)] == [0, 130, 260]
     assert [file.name for file in path.parent.iterdir()] == ["a.mp4"]
     assert path.stat().st_mode & 0o444 == 0o444
+
+
+def test_a_film_for_pages_is_small_and_repeats(tmp_path: Path) -> None:
+    path = tmp_path / "a.webp"
+    writer = FilmWriter(path, (128, 64))
+    for shade in (0, 60, 120, 180, 240):
+        writer.add(np.full((64, 128, 3), shade, np.uint8))
+    writer.finish()
+    with Pillow.open(path) as film:
+        assert (film.format, film.size, film.n_frames, film.info["loop"]) == ("WEBP", (64, 32), 5, 0)
+        shades, durations = [], []
+        for frame in ImageSequence.Iterator(film):
+            shades.append(float(np.asarray(frame.convert("RGB")).mean()))
+            durations.append(film.info["duration"])
+    assert shades == pytest.approx([0, 60, 120, 180, 240], abs=4)
+    assert durations == [1000 / FORMATS[".webp"].fps] * 5
 
 
 @pytest.mark.parametrize("name", ["a.avi", "a", "file/a.mp4", "folder.mp4"])

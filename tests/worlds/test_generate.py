@@ -14,11 +14,12 @@ from support.paths import ROOT
 from kraft.errors import Code, InputError
 from kraft.evaluation.suite import load_suite
 from kraft.planning.feasibility import check_placement, geodesic_time
+from kraft.planning.plan import finds_plan, plan
 from kraft.planning.workspace import start_state
 from kraft.scenario import Box, OccupancyMap, load_scenario
 from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
-from kraft.worlds.generate import KINDS, MIXED, Size, generate, generate_worlds
+from kraft.worlds.generate import ITERATIONS, KINDS, MIXED, Size, generate, generate_worlds
 from kraft_cli.main import main
 from ompl_ext.vehicle import Footprint
 
@@ -40,6 +41,35 @@ def test_the_goal_of_every_kind_is_reached_by_the_disc_around_the_footprint(mixe
     for entry in entries:
         check_placement(entry.scenario, vehicle, start_state(entry.scenario, vehicle))
         assert 0.0 < geodesic_time(entry.scenario, vehicle) <= geodesic_time(entry.scenario, wide) < math.inf
+
+
+def test_the_vehicle_of_every_world_has_a_plan(mixed: Path) -> None:
+    entries = load_suite(mixed / "suite.yaml")
+    assert all(finds_plan(entry.scenario.task(), load_vehicle("mushr"), ITERATIONS) for entry in entries)
+
+
+def test_a_layout_with_a_way_and_without_a_plan_is_followed_by_the_next_one_of_the_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr("kraft.worlds.generate.finds_plan", lambda *_: True)
+        first = generate("rooms", 3)
+    chosen = generate("rooms", 3)
+    assert chosen.content["obstacles"] != first.content["obstacles"]
+    assert chosen == generate("rooms", 3)
+    solved = []
+    for name, world in (("first", first), ("chosen", chosen)):
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(world.text, encoding="utf-8")
+        solved.append(plan(path, iterations=ITERATIONS).solved)
+    assert solved == [False, True]
+
+
+def test_a_vehicle_without_a_plan_in_any_layout_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kraft.worlds.generate.finds_plan", lambda *_: False)
+    monkeypatch.setattr("kraft.worlds.generate.SEARCHES", 2)
+    with pytest.raises(InputError, match=r"rows-000: none of 2 layouts leaves mushr a way .* with a plan"):
+        generate("rows", 0)
 
 
 def test_a_seed_gives_the_same_files_whatever_else_is_generated(mixed: Path, tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from xml.etree.ElementTree import Element
 from kraft.evaluation.report.elements import NO_VALUE, element, number, svg
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.report.sweep_picture import nice_ticks
-from kraft.evaluation.statistics import mean_interval, wilson
+from kraft.evaluation.statistics import mean_interval, percentile, wilson
 from kraft.evaluation.summary import Result
-from kraft.text import percent
+from kraft.text import decimals, percent
 from kraft.trial.measures import BIN, Measures, pooled
 
 WIDTH, HEIGHT = 150.0, 26.0
@@ -25,7 +25,8 @@ LEFT, RIGHT, TOP, BOTTOM = 44.0, 10.0, 10.0, 34.0
 class _Total:
     """A method over all entries: its trials, numbers of outcomes, durations of its successes (s), and measures.
 
-    `ratios` are these durations over the lower bounds of their entries.
+    `ratios` are these durations over the lower bounds of their entries, `commands` the times of the controller's
+    commands (ms), none in older evaluations, of which `late` took longer than the time between two.
     """
 
     title: str
@@ -36,6 +37,8 @@ class _Total:
     durations: Sequence[float]
     ratios: Sequence[float]
     measures: Measures
+    commands: Sequence[float]
+    late: int
 
     @classmethod
     def of(cls, results: Results, method: str, rows: Sequence[Result]) -> _Total:
@@ -55,6 +58,13 @@ class _Total:
             [time for time, _ in ended],
             [time / bound for time, bound in ended if bound],
             pooled(row.measures for row in rows),
+            [
+                value / 1000.0
+                for entry in results.entries
+                for trial in results.of_cell(entry, method)
+                for value in trial.measured.command_us
+            ],
+            sum(row.late_commands for row in rows),
         )
 
 
@@ -97,7 +107,7 @@ DEVIATION: Final = (
 
 def _table(totals: Sequence[_Total]) -> Element:
     ticks = _ticks([t.durations for t in totals])
-    bounded = any(t.ratios for t in totals)
+    bounded, timed = any(t.ratios for t in totals), any(t.commands for t in totals)
     ratios = _ticks([t.ratios for t in totals])
     shares = [0.0, 0.25, 0.5, 0.75, 1.0]
     heading = element(
@@ -113,11 +123,12 @@ def _table(totals: Sequence[_Total]) -> Element:
         *([element("th", "time / bound", class_="number")] if bounded else []),
         *([element("th", _axis(ratios, [f"{tick:g}" for tick in ratios]))] if bounded else []),
         element("th", "δ(v) kept", class_="number"),
+        *([element("th", "command, ms", element("small", "99 %"), class_="number")] if timed else []),
     )
     return element(
         "table",
         element("thead", heading),
-        element("tbody", *(_row(total, ticks, ratios if bounded else None) for total in totals)),
+        element("tbody", *(_row(total, ticks, ratios if bounded else None, timed=timed) for total in totals)),
         class_="totals-table",
     )
 
@@ -130,7 +141,7 @@ def _ticks(each: Sequence[Sequence[float]]) -> list[float]:
     return nice_ticks(max(0.0, min(ends)), max(ends)) if ends else [0.0, 1.0]
 
 
-def _row(total: _Total, ticks: Sequence[float], ratios: Sequence[float] | None) -> Element:
+def _row(total: _Total, ticks: Sequence[float], ratios: Sequence[float] | None, *, timed: bool) -> Element:
     coverage = total.measures.clearance.coverage
     good, bad = wilson(total.success, total.trials), wilson(total.collision, total.trials)
     return element(
@@ -144,7 +155,20 @@ def _row(total: _Total, ticks: Sequence[float], ratios: Sequence[float] | None) 
         *_mean(total.durations, ticks),
         *(_mean(total.ratios, ratios) if ratios is not None else ()),
         element("td", percent(coverage, NO_VALUE), class_="number"),
+        *([_commands(total)] if timed else []),
     )  # fmt: skip
+
+
+def _commands(total: _Total) -> Element:
+    """Cell of the time of a command: the 99 % quantile, the median, and the share that were late."""
+    if not total.commands:
+        return element("td", NO_VALUE, class_="number")
+    median, most = (decimals(percentile(total.commands, share), 2) for share in (0.5, 0.99))
+    late = f"{total.late} of {len(total.commands)} commands took longer than the time between two"
+    share = f"{100.0 * total.late / len(total.commands):.1f}% late"
+    return element(
+        "td", most, element("small", f"median {median}"), element("small", share), class_="number", title=late
+    )
 
 
 def _share(text: str, interval: tuple[float, float]) -> Element:

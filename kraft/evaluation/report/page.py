@@ -196,13 +196,18 @@ def _row(results: Results, result: Result, longest: float) -> Element:
         element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number"),
         element("td", str(result.contingencies), _small(f"of {counted(result.cycles, 'cycle')}"), class_="number"),
         element("td", decimals(result.min_clearance, 3, NO_VALUE), element("small", "least"), class_="number"),
-        element("td", decimals(result.planning_p50, 1, NO_VALUE), _slowest(results, result), class_="number"),
+        element("td", *_planning_times(results, result), class_="number"),
     )
 
 
-def _slowest(results: Results, result: Result) -> Element:
+def _planning_times(results: Results, result: Result) -> Iterator[str | Element]:
+    """Times of planning and, except in older evaluations, of the controller's commands."""
+    yield decimals(result.planning_p50, 1, NO_VALUE)
     missed = f", {result.missed} missed" if results.summary.realtime else ""
-    return element("small", f"99 %: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
+    yield element("small", f"99 %: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
+    if result.command_p50 is not None:
+        late = f", {result.late_commands} late" if result.late_commands else ""
+        yield element("small", f"command {result.command_p50:.2f}, 99 %: {decimals(result.command_p99, 2)}{late}")
 
 
 def _small(text: str | None) -> Element | None:

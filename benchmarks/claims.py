@@ -1,0 +1,150 @@
+"""The paper's claims as paired tests: long horizons help, feedback helps, safety helps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import geometric_mean
+from typing import Final, TypeAlias
+
+from kraft.evaluation.report.results import Results
+from kraft.evaluation.statistics import PairedDifference, paired_difference, ratio_interval
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A part helps: a method does better than another one, from which it differs in this part alone."""
+
+    part: str
+    method: str
+    reference: str
+
+
+LONG_HORIZONS: Final = "long horizons"
+FEEDBACK: Final = "feedback"
+SAFETY: Final = "safety"
+THREE: Final = (
+    Claim(LONG_HORIZONS, "kraft-mppi", "mppi"),
+    Claim(LONG_HORIZONS, "kraft-nmpc", "nmpc"),
+    Claim(FEEDBACK, "kraft", "replanner-openloop"),
+    Claim(FEEDBACK, "oneshot-kinodynamic", "oneshot-openloop"),
+    Claim(SAFETY, "conservative-kraft", "kraft"),
+    Claim(SAFETY, "cons-replanner-openloop", "replanner-openloop"),
+    Claim(SAFETY, "adaptive-kraft", "adaptive-no-contingency"),
+)
+"""The three claims, each with the pairs of methods that test it."""
+
+HEADING: Final = (
+    "what helps", "method", "instead of", "pairs", "successes, points (95 %)", "gained / lost", "p",
+    "collisions, points (95 %)", "fewer / more", "p", "time, ratio (95 %)", "verdict",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How a trial ended; `time` is that of a success, s."""
+
+    success: bool
+    collision: bool
+    time: float | None = None
+
+
+Trials: TypeAlias = Mapping[tuple[str, str, int], Trial]
+"""Trials of a method by suite (empty without one), entry and seed."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A claim on the trials that both of its methods have.
+
+    Attributes:
+        success, collision: differences of the shares, method minus reference.
+        entries: number of entries with pairs that both finished successfully.
+        ratio: geometric mean over these entries of the method's mean time over the reference's; None without entries.
+        ratio_interval: its 95 % interval, bootstrapped over entries, since the seeds of one entry are alike.
+    """
+
+    claim: Claim
+    success: PairedDifference
+    collision: PairedDifference
+    entries: int
+    ratio: float | None
+    ratio_interval: tuple[float, float] | None
+
+    @property
+    def verdict(self) -> str:
+        """What the intervals exclude, in successes, collisions and times; they are not adjusted for their number."""
+        found = []
+        for name, (low, high) in (("successes", self.success.interval), ("collisions", self.collision.interval)):
+            if low > 0.0 or high < 0.0:
+                found.append(f"{'more' if low > 0.0 else 'fewer'} {name}")
+        if self.ratio_interval is not None and (self.ratio_interval[0] > 1.0 or self.ratio_interval[1] < 1.0):
+            found.append("slower" if self.ratio_interval[0] > 1.0 else "faster")
+        return ", ".join(found) or "no difference shown"
+
+
+def compare(claim: Claim, mine: Trials, theirs: Trials) -> Comparison | None:
+    """Compare the methods of a claim on the entries and seeds that both have; None if there are none."""
+    common = sorted(mine.keys() & theirs.keys())
+    if not common:
+        return None
+    one, other = _entry_times(mine, theirs, common)
+    return Comparison(
+        claim,
+        paired_difference([mine[key].success for key in common], [theirs[key].success for key in common]),
+        paired_difference([mine[key].collision for key in common], [theirs[key].collision for key in common]),
+        len(one),
+        geometric_mean(a / b for a, b in zip(one, other, strict=True)) if one else None,
+        ratio_interval(one, other),
+    )
+
+
+def _entry_times(mine: Trials, theirs: Trials, keys: Sequence[tuple[str, str, int]]) -> tuple[list[float], list[float]]:
+    """Mean times (s) of both methods in each entry, over the pairs in which both succeeded."""
+    times: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for key in keys:
+        one, other = mine[key].time, theirs[key].time
+        if one is not None and other is not None:
+            times.setdefault(key[:2], []).append((one, other))
+    means = [tuple(sum(column) / len(pairs) for column in zip(*pairs, strict=True)) for pairs in times.values()]
+    return [one for one, _ in means], [other for _, other in means]
+
+
+def trials_of(found: Sequence[Results], method: str) -> Trials:
+    """Trials of a method in results folders; a trial that failed by a defect is no success."""
+    return {
+        (str(each.manifest.arguments.get("suite") or ""), entry, row.seed): Trial(
+            row.outcome == "success", row.outcome == "collision", row.t_s if row.outcome == "success" else None
+        )
+        for each in found
+        if method in each.methods
+        for entry in each.entries
+        for row in each.of_cell(entry, method)
+    }
+
+
+def comparisons(found: Sequence[Results], claims: Sequence[Claim] = THREE) -> list[Comparison]:
+    """Claims of which the results folders have both methods."""
+    pairs = ((claim, trials_of(found, claim.method), trials_of(found, claim.reference)) for claim in claims)
+    return [each for claim, mine, theirs in pairs if (each := compare(claim, mine, theirs)) is not None]
+
+
+def table(compared: Sequence[Comparison], titles: Mapping[str, str]) -> list[list[str]]:
+    """Table of comparisons; `titles` has the names of methods that are shown."""
+    rows = [list(HEADING)]
+    for each in compared:
+        success, collision = each.success, each.collision
+        time = "-" if each.ratio is None else f"{each.ratio:.3f}"
+        if each.ratio_interval is not None:
+            time += " ({:.3f} to {:.3f})".format(*each.ratio_interval)
+        rows.append([
+            each.claim.part, *(titles.get(name, name) for name in (each.claim.method, each.claim.reference)),
+            str(success.pairs), _points(success), f"{success.gained} / {success.lost}", f"{success.p:.2g}",
+            _points(collision), f"{collision.lost} / {collision.gained}", f"{collision.p:.2g}", time, each.verdict,
+        ])  # fmt: skip
+    return rows
+
+
+def _points(found: PairedDifference) -> str:
+    low, high = found.interval
+    return f"{100 * found.difference:+.1f} ({100 * low:+.1f} to {100 * high:+.1f})"
