@@ -89,7 +89,7 @@ class Levels:
         """Record that a plan of a level is proposed; if the vehicle is `stalled`, the next plan may keep less."""
         self._steady = self._steady % STEADY + 1 if number == self.kept else 0
         self.kept = number
-        if stalled and number + 1 not in (self.wide, len(self.all)):
+        if stalled and number + 1 not in (self.wide, self.far, len(self.all)):
             self.kept, self._steady = number + 1, 0
 
     def drive_on(self, drives: bool) -> None:

@@ -159,7 +159,8 @@ class Proposer:
             number = waiting.pop(0)
             dirt = levels.set(number, eased=rest is not None and number == kept)
             found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting)
-            if number < kept and not self._may_keep_more(found, rest):
+            tolerance = STALLED if number < levels.far <= kept else RETAINED_TOLERANCE
+            if number < kept and not self._may_keep_more(found, rest, tolerance):
                 continue
             if proposal.plan is None or self._is_better(found, proposal):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
@@ -231,11 +232,11 @@ class Proposer:
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
         return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
 
-    def _may_keep_more(self, found: Proposal, rest: Rest | None) -> bool:
-        """Whether a plan that keeps more of the bound than the last one did leads to the goal and costs no more."""
+    def _may_keep_more(self, found: Proposal, rest: Rest | None, tolerance: float) -> bool:
+        """Whether a plan that keeps more than the last one did leads to the goal and costs hardly more."""
         if found.plan is None or not found.plan.reaches_goal:
             return False
-        return rest is None or total_cost(found.plan) <= rest.left + RETAINED_TOLERANCE
+        return rest is None or total_cost(found.plan) <= rest.left + tolerance
 
     def _is_good(self, proposal: Proposal, rest: Rest | None) -> bool:
         """Whether a plan leads to the goal and does not replace a lost rest that costs less."""

@@ -85,8 +85,10 @@ def test_after_steady_cycles_the_next_higher_level_is_tried_and_the_lowest_with_
     assert subject.upwards() == [1]
 
 
-@pytest.mark.parametrize(("number", "kept"), [(0, 1), (1, 2), (2, 2), (3, 4), (7, 7)])
-def test_a_vehicle_without_progress_keeps_less_but_never_gives_up_the_margin_for_it(number: int, kept: int) -> None:
+@pytest.mark.parametrize(("number", "kept"), [(0, 1), (1, 2), (2, 2), (3, 4), (4, 4), (5, 6), (7, 7)])
+def test_a_vehicle_without_progress_keeps_less_but_gives_up_neither_margin_nor_foresight_for_it(
+    number: int, kept: int
+) -> None:
     subject = levels()
     subject.keep(number, stalled=True)
     assert subject.kept == kept
