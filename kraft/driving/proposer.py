@@ -146,11 +146,7 @@ class Proposer:
         return proposal
 
     def _propose_at_levels(self, query: _Query) -> Proposal:
-        """Plan of the highest level of clearance that leaves a way to the goal, from the level of the last plan on.
-
-        If the rest of the last plan cannot be retained at its level and no plan is found that costs as little, the rest
-        is retained at a lower level, if that is possible at one.
-        """
+        """Plan of the first level of clearance that leaves a way to the goal, from the level of the last plan on."""
         levels, rest, self._budget = self._levels, query.rest, self._settings.largest_budget
         was_recovering, self._recovering = self._recovering, False
         kept, chosen, proposal = levels.kept, levels.kept, Proposal(None)
@@ -165,11 +161,7 @@ class Proposer:
             if proposal.plan is None or self._is_better(found, proposal):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
                 self._grown = None if found.plan is None else (dirt, found.plan)
-            if self._is_good(proposal, rest):
-                break
-            if number == kept and kept < levels.far and (holding := self._holding(query, kept + 1)) is not None:
-                waiting = levels.downwards(holding)
-            elif proposal.plan is not None and proposal.plan.reaches_goal:
+            if proposal.plan is not None and proposal.plan.reaches_goal:
                 break
         if proposal.plan is None and self._recovers(query.root, was_recovering):
             self._recovering = True
@@ -190,12 +182,6 @@ class Proposer:
                 higher[0] -= 1
             return higher + waiting
         return waiting
-
-    def _holding(self, query: _Query, first: int) -> int | None:
-        """Highest level from number `first` on at which the whole rest of the last plan can be retained, if any."""
-        if query.rest is None:
-            return None
-        return next((number for number in range(first, self._levels.wide) if self._holds(query, number)), None)
 
     def _holds(self, query: _Query, number: int) -> bool:
         """Whether the whole rest of the last plan can be retained at a level, at no higher cost."""
@@ -237,11 +223,6 @@ class Proposer:
         if found.plan is None or not found.plan.reaches_goal:
             return False
         return rest is None or total_cost(found.plan) <= rest.left + tolerance
-
-    def _is_good(self, proposal: Proposal, rest: Rest | None) -> bool:
-        """Whether a plan leads to the goal and does not replace a lost rest that costs less."""
-        plan = proposal.plan
-        return plan is not None and plan.reaches_goal and not self._is_worse(proposal, rest)
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""

@@ -123,16 +123,15 @@ def test_a_plan_keeps_share_and_margin_to_its_end() -> None:
     assert away >= found.kept * 0.05 + MARGIN - 1e-9
 
 
-def test_the_highest_level_at_which_a_rest_can_be_retained_is_found_and_never_one_without_the_margin() -> None:
+def test_a_rest_can_be_retained_without_a_search_at_the_levels_whose_clearance_it_keeps() -> None:
     subject, (found,) = driven(DeviationBound(0.04))
     plan, proposer = found.plan, subject._proposer
     assert plan is not None
     root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
     query = _Query(1, root, proposer._rest(plan), 0.0)
-    for bound, holding in ((0.04, 0), (0.1, 1), (0.2, 2), (0.6, None)):
+    for bound, expected in ((0.04, [True, True, True]), (0.1, [False, True, True]), (0.2, [False, False, True])):
         proposer._levels.bound = DeviationBound(bound)
-        assert proposer._holding(query, 0) == holding
-        assert all(proposer._holds(query, number) is (number == holding) for number in range((holding or 0) + 1))
+        assert [proposer._holds(query, number) for number in range(3)] == expected
 
 
 def test_plans_of_a_bound_that_grows_cost_hardly_more_than_what_was_left() -> None:
