@@ -23,8 +23,8 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.messages import Cycle, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, PlannerSettings
-from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety, Settings

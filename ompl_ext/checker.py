@@ -93,6 +93,11 @@ class EdgeChecker:
         self._problem.scalar[[at.DELTA, at.DELTA_PER_SPEED]] = delta, per_speed
         self._problem.scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = per_time, horizon
 
+    def set_cycle(self, seconds: float) -> None:
+        """Set the time for which plans keep the clearance and after which they have a contingency, s."""
+        self.safety = replace(self.safety, cycle=seconds)
+        self._problem.scalar[at.CYCLE] = seconds
+
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,), in its order; the cost-to-go stays that of the first ones."""
         names = self.vehicle.parameters

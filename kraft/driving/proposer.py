@@ -1,6 +1,7 @@
 """Proposals for the replanner: a plan for the next cycle, or the reason why there is none.
 
-Alg. 1 runs with the method's margin first and, if it finds no plan, once more without the margin.
+With a fixed clearance Alg. 1 runs with the method's margin first and, if it finds no plan, once more without it.  Where
+the bound of the deviation is measured, it runs at levels of clearance in turn, see `kraft.driving.levels`.
 """
 
 from __future__ import annotations
@@ -14,31 +15,35 @@ import numpy as np
 
 from kraft.driving.bound import DeviationBound
 from kraft.driving.geodesic import geodesic_plan
+from kraft.driving.levels import Levels
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
+from kraft.driving.rest import (  # fmt: skip
+    RETAINED_TOLERANCE,
+    Rest,
+    goes_same_way,
+    retain,
+    retained_plan,
+    start_with_best_corrections,
+    total_cost,
+)
+from kraft.driving.solvers import MIN_GOAL_RADIUS, Solvers
 from kraft.driving.stopping import least_slack
 from kraft.errors import Defect
-from kraft.planning.workspace import goal_of, settings_of, workspace_of
-from kraft.scenario import Task
 from kraft.text import counted
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
-from ompl_ext.query import Safety, remaining_edges
 from ompl_ext.query_tree import Progress
-from ompl_ext.retainment import RetainableEdges
 from ompl_ext.solver import DirtSolver
-from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import verify
 
 RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
-MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
-RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
-CORRECTION_ATTEMPTS = 8  # at retaining a rest with different random corrections
 STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
-HYSTERESIS = 0.8  # share of the clearance of a plan that suffices for its rest
-STEADY = 2  # cycles after which a larger share of the bound is tried
-ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
+PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
+PROBES = 2  # attempts at retaining a rest at another level
+LEVEL_TIME = 0.15  # share of the remaining time in which a search finds a way at a level, by the clock
+RESERVED_TIME = 0.2  # share of the time of a cycle that is left for other levels, by the clock
 
 
 @dataclass(frozen=True)
@@ -63,53 +68,18 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class Solvers:
-    """Two solvers of one task: `planning` requires the method's margin and foresight, `checking` only its clearance.
+class _Query:
+    """Predicted `root` (nx,) of cycle `number`, what is left of the last plan, and the time at which it began (s)."""
 
-    The margin is not required when a plan is checked again, so that small errors do not reject the plan.
-    """
+    number: int
+    root: Floats
+    rest: Rest | None
+    began: float
 
-    planning: DirtSolver
-    checking: DirtSolver
-
-    @classmethod
-    def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings) -> Solvers:
-        """Make the solvers for a method's settings; without a clearance in the settings, SAFETY is disabled."""
-        goal = goal_of(task)
-        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
-        workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
-        planner = "sst" if settings.type == "sst" else "dirt"
-        search = replace(settings_of(task, vehicle), polish=settings.polish, planner=planner)
-        checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
-        clearance = settings.bound or settings.safety
-        foresight = clearance.foresight if clearance else 0.0
-        if settings.margin == 0.0 and foresight <= settings.cycle:
-            return cls(checking, checking)
-        safety = replace(safety, cycle=max(foresight, settings.cycle))
-        larger = replace(shape, length=shape.length + 2 * settings.margin, width=shape.width + 2 * settings.margin)
-        larger_vehicle = replace(vehicle, footprint=larger)
-        return cls(DirtSolver(larger_vehicle, workspace, goal, safety, search, settings.capacity), checking)
-
-    def set_bound(self, bound: DeviationBound) -> None:
-        """Set the clearance that SAFETY asks for in both."""
-        for dirt in (self.checking, self.planning):
-            dirt.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
-
-    def set_parameters(self, values: Floats) -> None:
-        """Set the parameters of the vehicle (np,) in both."""
-        self.checking.set_parameters(values)
-        if self.planning is not self.checking:
-            self.planning.set_parameters(values)
-
-
-def method_safety(settings: PlannerSettings) -> Safety:
-    """SAFETY with the clearance of a method, disabled if the method has none."""
-    margin = settings.safety
-    if settings.bound is not None:  # the clearance is set in every cycle
-        return Safety(cycle=settings.cycle)
-    if margin is None:
-        return Safety(enabled=False, cycle=settings.cycle)
-    return Safety(cycle=settings.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
+    @property
+    def left(self) -> float:
+        """Cost that is left of the last plan, infinite without one, s."""
+        return math.inf if self.rest is None else self.rest.left
 
 
 class Proposer:
@@ -131,12 +101,11 @@ class Proposer:
         self._goal = self.dirt.goal
         self._delta = self.dirt.safety.delta
         self._recovering = False
-        self._bound: DeviationBound | None = None
-        self._shares = settings.bound.shares if settings.bound else (1.0,)
-        self._kept = 0  # index into the shares
-        self._steady = 0  # number of cycles with this share since a larger one was tried
+        self._levels = Levels(solvers, settings)
         self._grown: tuple[DirtSolver, Plan] | None = None
-        self._extra = 0
+        self._budget = (
+            0  # iterations that are left of the largest budget of the cycle, beyond `iterations` of each search
+        )
 
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
         """Plan for cycle `number` from the predicted root.
@@ -149,28 +118,82 @@ class Proposer:
         began, settings = clock.perf_counter(), self._settings
         if settings.type == "geodesic":
             return self._propose_geodesic(root, previous is not None, began)
-        radius, rest = self._goal_radius(root), self._rest(previous)
-        self._extra = settings.largest_budget - settings.iterations
-        last, self._grown, proposal = self._grown, None, Proposal(None)
-        for dirt, share, kept in self._attempts(root, rest is not None):
+        radius = self._goal_radius(root)
+        for dirt in (self._solvers.planning, self._solvers.checking):
             dirt.set_goal_radius(radius)
-            found = replace(self._search(number, dirt, root, rest, began, share), kept=kept)
-            if kept > self._shares[self._kept] and not self._may_keep_more(found, rest):
-                continue
-            if self._grown is None or self._is_better(found, proposal):
-                proposal = found
-                self._grown = None if found.plan is None else (dirt, found.plan)
-            if proposal.plan is None or (self._bound is not None and not proposal.plan.reaches_goal):
-                continue
-            if last is None or dirt is last[0] or not self._is_worse(proposal, rest):
-                break
-        self._keep(proposal, rest)
+        query = _Query(number, root, self._rest(previous), began)
+        proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
         seconds = clock.perf_counter() - began
         missed = seconds > settings.cycle - settings.lead
         if self._realtime and missed:
             reason = f"planning took {seconds:.3f} s, longer than the cycle allows"
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
         return replace(proposal, seconds=seconds, missed=missed)
+
+    def _propose_in_turn(self, query: _Query) -> Proposal:
+        """Plan with a fixed clearance: of the first solver that finds one, or of the one that keeps the rest."""
+        self._budget = self._settings.largest_budget - self._settings.iterations
+        last, self._grown, proposal = self._grown, None, Proposal(None)
+        for dirt, share in self._solvers_in_turn(query.root):
+            found = self._search(query, dirt, share)
+            if self._grown is None or self._is_better(found, proposal):
+                proposal = found
+                self._grown = None if found.plan is None else (dirt, found.plan)
+            if proposal.plan is None:
+                continue
+            if last is None or dirt is last[0] or not self._is_worse(proposal, query.rest):
+                break
+        return proposal
+
+    def _propose_at_levels(self, query: _Query) -> Proposal:
+        """Plan of the first level of clearance that leaves a way to the goal, from the level of the last plan on."""
+        levels, rest, self._budget = self._levels, query.rest, self._settings.largest_budget
+        was_recovering, self._recovering = self._recovering, False
+        kept, chosen, proposal = levels.kept, levels.kept, Proposal(None)
+        waiting, self._grown = self._first_levels(query), None
+        while waiting and self._budget > 0:
+            number = waiting.pop(0)
+            dirt = levels.set(number, eased=rest is not None and number == kept)
+            found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting)
+            tolerance = STALLED if number < levels.far <= kept else RETAINED_TOLERANCE
+            if number < kept and not self._may_keep_more(found, rest, tolerance):
+                continue
+            if proposal.plan is None or self._is_better(found, proposal):
+                proposal, chosen = replace(found, kept=levels.all[number].share), number
+                self._grown = None if found.plan is None else (dirt, found.plan)
+            if proposal.plan is not None and proposal.plan.reaches_goal:
+                break
+        if proposal.plan is None and self._recovers(query.root, was_recovering):
+            self._recovering = True
+            proposal = self._search(query, self.dirt, 1.0, is_last=True)
+            self._grown = None if proposal.plan is None else (self.dirt, proposal.plan)
+        elif proposal.plan is not None:
+            levels.keep(chosen, stalled=total_cost(proposal.plan) > query.left + STALLED)
+            levels.require()
+        return replace(proposal, iterations=self._settings.largest_budget - self._budget)
+
+    def _first_levels(self, query: _Query) -> list[int]:
+        """Levels to search at, in their order: from that of the last plan on, and now and then from a higher one."""
+        levels = self._levels
+        waiting = levels.downwards(levels.kept)
+        if levels.tries_higher:
+            higher = levels.upwards()
+            while higher[0] > 0 and self._holds(query, higher[0]) and self._holds(query, higher[0] - 1):
+                higher[0] -= 1
+            return higher + waiting
+        return waiting
+
+    def _holds(self, query: _Query, number: int) -> bool:
+        """Whether the whole rest of the last plan can be retained at a level, at no higher cost."""
+        dirt, rest = self._levels.set(number, eased=False), query.rest
+        if rest is None or dirt.start(query.root, self._seed_of(query)) < 0.0 or self._slack(dirt, query.root) < 0.0:
+            return False
+        if rest.edges is not None:
+            start_with_best_corrections(dirt, query.root, rest, self._seed_of(query), PROBES)
+        return retain(dirt, query.root, rest) is PlanLoss.NONE
+
+    def _seed_of(self, query: _Query) -> int:
+        return self._seed * 100_003 + query.number
 
     def _propose_geodesic(self, root: Floats, drives: bool, began: float) -> Proposal:
         """Path of least cost-to-go; a vehicle that stopped (not `drives`) keeps less of the bound than before.
@@ -179,16 +202,12 @@ class Proposer:
         """
         dirt = self.dirt
         dirt.set_goal_radius(self._goal_radius(root))
-        if self._bound is not None:
-            self._steady = self._steady + 1 if drives else 0
-            if not drives:
-                self._kept = min(self._kept + 1, len(self._shares) - 1)
-            elif self._steady > STEADY:
-                self._kept, self._steady = max(self._kept - 1, 0), 0
-            self._require(self._bound)
+        if self._settings.bound is not None:
+            self._levels.drive_on(drives)
+            self._levels.require()
         plan = geodesic_plan(dirt, root)
         reason = "" if plan is not None else "no path leads to the goal from the predicted start of the cycle"
-        return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=self._shares[self._kept])
+        return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=self._levels.share)
 
     def _goal_radius(self, root: Floats) -> float:
         """Radius of the region to aim for (m), at most half the distance of the vehicle to the goal's centre.
@@ -199,70 +218,40 @@ class Proposer:
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
         return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
 
-    def _attempts(self, root: Floats, has_rest: bool) -> Iterator[tuple[DirtSolver, float, float]]:
-        """Solvers in turn, each with its share of the remaining time and the share of the bound that plans keep.
-
-        The bound is tried in shares from the last one that left a way to the goal, so that its plan can be retained,
-        and now and then from the one before.  A rest needs a little less than what it was planned with, because
-        estimate and bound change.
-        """
-        if self._bound is None:
-            yield from ((dirt, share, 1.0) for dirt, share in self._solvers_in_turn(root))
-            return
-        first = self._kept - 1 if self._steady >= STEADY else self._kept
-        for number in range(max(first, 0), len(self._shares)):
-            eased = HYSTERESIS if number == self._kept and has_rest else 1.0
-            bound = self._bound.scaled(self._shares[number] * eased)
-            self._delta = bound.delta
-            self._solvers.set_bound(bound)
-            for dirt, share in self._solvers_in_turn(root, recover=number == len(self._shares) - 1):
-                yield dirt, share, self._shares[number]
-
-    def _may_keep_more(self, found: Proposal, rest: Rest | None) -> bool:
-        """Whether a plan that keeps more of the bound than the last one did leads to the goal and costs no more."""
+    def _may_keep_more(self, found: Proposal, rest: Rest | None, tolerance: float) -> bool:
+        """Whether a plan that keeps more than the last one did leads to the goal and costs hardly more."""
         if found.plan is None or not found.plan.reaches_goal:
             return False
-        return rest is None or total_cost(found.plan) <= rest.left + RETAINED_TOLERANCE
-
-    def _keep(self, proposal: Proposal, rest: Rest | None) -> None:
-        """Ask for the share of the bound that the proposed plan keeps until the next proposal.
-
-        If the vehicle makes no progress, the next plan may keep less.
-        """
-        if self._bound is not None and proposal.plan is not None and not self._recovering:
-            before, self._kept = self._kept, self._shares.index(proposal.kept)
-            self._steady = self._steady % STEADY + 1 if self._kept == before else 0
-            if rest is not None and total_cost(proposal.plan) > rest.left + STALLED:
-                self._kept, self._steady = min(self._kept + 1, len(self._shares) - 1), 0
-            self._require(self._bound)
+        return rest is None or total_cost(found.plan) <= rest.left + tolerance
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""
-        self._bound = bound
-        self._require(bound)
+        self._levels.bound = bound
+        self._levels.require()
 
-    def _require(self, bound: DeviationBound) -> None:
-        """Require what suffices when a plan is checked again."""
-        assert self._settings.bound is not None, "it was set because of the settings"
-        self._solvers.set_bound(bound.scaled(self._shares[self._kept] * self._settings.bound.recheck))
-        self._delta = self.dirt.safety.delta
-
-    def _solvers_in_turn(self, root: Floats, recover: bool = True) -> Iterator[tuple[DirtSolver, float]]:
+    def _solvers_in_turn(self, root: Floats) -> Iterator[tuple[DirtSolver, float]]:
         """Solvers to run in turn, each with its share of the remaining time; the first plan that is found is taken."""
-        planning, checking, delta = self._solvers.planning, self._solvers.checking, self._delta
-        checking.set_delta(delta)
+        planning, checking = self._solvers.planning, self._solvers.checking
+        checking.set_delta(self._delta)
         was_recovering, self._recovering = self._recovering, False
         if planning is not checking and self._slack(planning, root) >= 0.0:
             yield planning, 0.5
         yield checking, 1.0  # returns at once if the root lacks clearance, which leaves all the time to the recovery
-        slack = self._slack(checking, root)
+        self._recovering = self._recovers(root, was_recovering)
+        if self._recovering:
+            yield checking, 1.0
+
+    def _recovers(self, root: Floats, was_recovering: bool) -> bool:
+        """Whether a vehicle without a plan may leave with less than the present clearance, which is required then."""
+        checking = self._solvers.checking
+        delta, slack = checking.safety.delta, self._slack(checking, root)
         if self._settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
             slack = min(slack, least_slack(checking, root[None, :], 0.0))
         resting = all(abs(root[k]) <= checking.safety.rest_speed for k in checking.vehicle.rest_indices)
-        self._recovering = recover and self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
-        if self._recovering:
+        recovers = self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
+        if recovers:
             checking.set_delta(max(0.0, delta + slack - RECOVERY_MARGIN))
-            yield checking, 1.0
+        return recovers
 
     def _slack(self, dirt: DirtSolver, root: Floats) -> float:
         """Clearance of a state minus the required clearance, m."""
@@ -291,24 +280,23 @@ class Proposer:
         gain = self._settings.switch_gain
         return not proposal.plan.reaches_goal or total_cost(found.plan) <= total_cost(proposal.plan) - gain
 
-    def _search(
-        self, number: int, dirt: DirtSolver, root: Floats, rest: Rest | None, began: float, share: float
-    ) -> Proposal:
+    def _search(self, query: _Query, dirt: DirtSolver, share: float, is_last: bool = False) -> Proposal:
         """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
-        if dirt.start(root, self._seed * 100_003 + number) < 0.0:
+        root, rest = query.root, query.rest
+        if dirt.start(root, self._seed_of(query)) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision")
         if self._slack(dirt, root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
         lost = PlanLoss.NONE
         if rest is not None:
             if rest.edges is not None:
-                _start_with_best_corrections(dirt, root, rest, self._seed * 100_003 + number)
+                start_with_best_corrections(dirt, root, rest, self._seed_of(query))
             lost = retain(dirt, root, rest)  # ll. 1-8
-        kept = None if rest is None or self._settings.switch_gain == 0.0 else _retained_plan(dirt, rest)
-        progress = self._grow(dirt, math.inf if rest is None else rest.left, began, share)
+        kept = None if rest is None or self._settings.switch_gain == 0.0 else retained_plan(dirt, rest)
+        progress = self._grow(dirt, query, share, is_last)
         plan, refused = self._choose(dirt, kept)
         if plan is not None:
-            self._verify(number, dirt, plan)
+            self._verify(query.number, dirt, plan)
         reason = "" if plan is not None else _failure_reason(progress)
         tree = dirt.tree() if self._keep_trees else None
         return Proposal(
@@ -330,31 +318,57 @@ class Proposer:
                 return plan, True
         return kept, True
 
-    def _grow(self, dirt: DirtSolver, left: float, began: float, share: float) -> Progress:
-        """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan.
+    def _grow(self, dirt: DirtSolver, query: _Query, share: float, is_last: bool) -> Progress:
+        """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan."""
+        if not self._realtime:
+            if self._settings.bound is not None:
+                return self._grow_at_level(dirt, query.left, is_last)
+            return self._grow_iterations(dirt, query.left)
+        ends = query.began + self._settings.clock_budget
+        progress = dirt.grow(seconds=share * (ends - clock.perf_counter()))
+        if dirt.plan() is None:
+            return progress
+        if self._settings.bound is not None and not is_last:
+            ends -= RESERVED_TIME * self._settings.clock_budget
+        return dirt.grow(seconds=ends - clock.perf_counter())
+
+    def _grow_at_level(self, dirt: DirtSolver, left: float, is_last: bool) -> Progress:
+        """Spend iterations of the cycle's budget until the plan is settled, or few if they find no way to the goal.
+
+        As many as these few are left of the budget for the levels after it, unless there are none.
+        """
+        iterations = self._settings.iterations
+        quarter, patience = max(1, iterations // 4), max(1, round(PATIENCE * iterations))
+        spent, cost, progress = 0, math.inf, dirt.progress
+        most = self._budget if is_last else min(self._budget, max(patience, self._budget - patience))
+        while spent < most:
+            count = min(patience if spent == 0 else quarter, most - spent)
+            cost, progress = dirt.best_cost, dirt.grow(iterations=count)
+            spent += count
+            if not (is_last or dirt.best_node()[1]):
+                break
+            if spent >= iterations and _is_settled(dirt, left, cost):
+                break
+        self._budget -= spent
+        return progress
+
+    def _grow_iterations(self, dirt: DirtSolver, left: float) -> Progress:
+        """Spend `iterations`, and what is left of `max_iterations` while the plan is not settled.
 
         `left` is the cost that was left of the last plan (s): a plan that costs more is not settled.
         """
-        if not self._realtime:
-            return self._grow_iterations(dirt, left)
-        ends = began + self._settings.clock_budget
-        progress = dirt.grow(seconds=share * (ends - clock.perf_counter()))
-        return progress if dirt.plan() is None else dirt.grow(seconds=ends - clock.perf_counter())
-
-    def _grow_iterations(self, dirt: DirtSolver, left: float) -> Progress:
-        """Spend `iterations`, and what is left of `max_iterations` while the plan is not settled."""
         iterations = self._settings.iterations
-        if self._extra == 0:
+        if self._budget == 0:
             return dirt.grow(iterations=iterations)
         chunk = max(1, iterations // 4)
         if iterations > chunk:
             dirt.grow(iterations=iterations - chunk)
         cost = dirt.best_cost
         progress = dirt.grow(iterations=chunk)
-        while self._extra > 0 and not _is_settled(dirt, left, cost):
-            cost, count = dirt.best_cost, min(chunk, self._extra)
+        while self._budget > 0 and not _is_settled(dirt, left, cost):
+            cost, count = dirt.best_cost, min(chunk, self._budget)
             progress = dirt.grow(iterations=count)
-            self._extra -= count
+            self._budget -= count
         return progress
 
     def _verify(self, number: int, dirt: DirtSolver, plan: Plan) -> None:
@@ -392,120 +406,3 @@ def _is_settled(dirt: DirtSolver, left: float, before: float) -> bool:
     """
     cost = dirt.best_cost
     return dirt.best_node()[1] and cost <= left + RETAINED_TOLERANCE and before - cost < CONVERGED
-
-
-@dataclass(frozen=True)
-class Rest:
-    """Rest of a plan after `elapsed` s, with the edges of its tree that are retained too, if any."""
-
-    plan: Plan
-    elapsed: float
-    edges: RetainableEdges | None = None
-
-    @property
-    def left(self) -> float:
-        """Cost that is left of the plan, s."""
-        return total_cost(self.plan) - self.elapsed
-
-
-def total_cost(plan: Plan) -> float:
-    """Cost of a plan and cost-to-go from its end, s."""
-    return plan.cost + plan.cost_to_go
-
-
-def _retained_plan(dirt: DirtSolver, rest: Rest) -> Plan | None:
-    """Plan that consists of what was retained of a rest; None if an edge is missing or a plan may not end there."""
-    _, _, durations = remaining_edges(rest.plan.controls, rest.plan.durations, rest.elapsed)
-    last = int(dirt.retained_nodes[len(durations) - 1])
-    if last < 0:
-        return None
-    plan = dirt.plan_to(last)
-    return plan if plan.reaches_goal or not dirt.safety.enabled or plan.cost >= dirt.safety.cycle else None
-
-
-def _start_with_best_corrections(dirt: DirtSolver, root: Floats, rest: Rest, seed: int) -> None:
-    """Start a query at `root` (nx,) with the seed that retains most of a rest, of several, the cheapest one if all.
-
-    Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.
-    """
-    assert rest.edges is not None
-    edges, best = rest.edges, (-1, -math.inf, seed)
-    part = slice(0, edges.rest)
-    for attempt in range(CORRECTION_ATTEMPTS):
-        dirt.start(root, seed + attempt * ATTEMPT_SEEDS)
-        retained = dirt.retain_edges(edges.parents[part], edges.controls[part], edges.durations[part], edges.targets)
-        best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
-        if retained == edges.rest and dirt.best_cost <= rest.left + RETAINED_TOLERANCE:
-            break
-    dirt.start(root, best[2])
-
-
-def retain(dirt: DirtSolver, root: Floats, rest: Rest) -> PlanLoss:
-    """Retain the rest of a plan, and edges of its tree if there are any, in a query that begins at `root` (nx,).
-
-    Returns the reason of a loss: of an edge that was not retained or, if all were, of a cost that is higher from the
-    new root.  Obstacles do not move, so an edge is in collision from the state that the plan predicted only if more
-    distance is required now than when it was planned.
-    """
-    plan, elapsed, edges = rest.plan, rest.elapsed, rest.edges
-    _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
-    if edges is None:
-        dirt.retain(plan, elapsed, optimised=True)
-    else:
-        dirt.retain_edges(edges.parents, edges.controls, edges.durations, edges.targets, optimised=True)
-    if dirt.retained_nodes[len(durations) - 1] >= 0:
-        return PlanLoss.ESTIMATE if dirt.best_cost > rest.left + RETAINED_TOLERANCE else PlanLoss.NONE
-    first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))
-    begun = elapsed - float(plan.durations[:first].sum())
-    planned = dirt.edge(plan.states[first], plan.controls[first], max(begun, 0.0))[0][-1]
-    from_root, from_planned = (_first_loss(dirt, state, controls, durations) for state in (root, planned))
-    if PlanLoss.NONE in (from_planned, from_root):
-        return PlanLoss.ESTIMATE
-    return from_root
-
-
-def _first_loss(dirt: DirtSolver, state: Floats, controls: Floats, durations: Floats) -> PlanLoss:
-    """Reason for which an edge of a path from `state` cannot be executed; none if all can."""
-    safety, time = dirt.safety, 0.0
-    for control, duration in zip(controls, durations, strict=True):
-        samples, slack = dirt.edge(state, control, float(duration))
-        if slack < 0.0:
-            return PlanLoss.COLLISION
-        ends = time + float(duration)
-        if safety.enabled and time < safety.cycle:
-            if dirt.edge(state, control, float(duration), time)[1] < 0.0:
-                return PlanLoss.UNSAFE
-            if ends >= safety.cycle:
-                leaves, _ = dirt.edge(state, control, min(safety.cycle - time, float(duration)))
-                if dirt.contingency(leaves[-1]) is None:
-                    return PlanLoss.UNSAFE
-        state, time = samples[-1], ends
-    if safety.enabled and time < safety.cycle and not math.isclose(time, safety.cycle):
-        return PlanLoss.NONE if dirt.contingency(state) is not None else PlanLoss.UNSAFE
-    return PlanLoss.NONE
-
-
-WAY_HORIZON = 5.0  # time over which ways are compared (s)
-WAY_WIDTH = 0.5  # distance at which one plan leaves the way of another (m)
-
-
-def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
-    """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
-    one, two = (_positions(dirt, each) for each in (plan, other))
-    return _follows(dirt, one[plan.times <= WAY_HORIZON], two) and _follows(dirt, two[other.times <= WAY_HORIZON], one)
-
-
-def _positions(dirt: DirtSolver, plan: Plan) -> Matrix:
-    positions: Matrix = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
-    return positions
-
-
-def _follows(dirt: DirtSolver, points: Matrix, path: Matrix) -> bool:
-    """Whether points (n, 2) are near a path (m, 2), with no obstacle between each of them and its nearest point."""
-    away = np.linalg.norm(points[:, None] - path[None], axis=2)
-    nearest = away.argmin(axis=1)
-    if away[np.arange(len(points)), nearest].max() > WAY_WIDTH:
-        return False
-    shares = np.linspace(0.0, 1.0, 12)[:, None, None]
-    between = points + shares * (path[nearest] - points)
-    return not dirt.is_occupied(between.reshape(-1, 2)).any()

@@ -27,9 +27,11 @@ from kraft.driving.messages import (  # fmt: skip
     Reference,
     ReferenceKind,
     Stop,
+    Uncertainty,
 )
 from kraft.driving.method import PlannerSettings
-from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer, Solvers
+from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
+from kraft.driving.solvers import Solvers
 from kraft.driving.stopping import (  # fmt: skip
     ClosedLoopPredictor,
     contingency_reference,
@@ -117,8 +119,13 @@ class Replanner:
         """Set the delay from the replanner to the effect of a command (s), as far as it is known now."""
         self._cycle_offset = max(0.0, delay - self._settings.lead)
 
-    def begin(self, state: Floats) -> Commitment:
-        """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest."""
+    def begin(self, state: Floats, uncertainty: Uncertainty | None = None) -> Commitment:
+        """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest.
+
+        With a bound, the first plan keeps the one of this uncertainty, or only the margin if none is stated.
+        """
+        if self._calibration is not None and uncertainty is not None:
+            self._set_bound(self._calibration.bound(uncertainty))
         self._proposal = self._proposer.propose(0, state, None)
         return Commitment(self._standing(state, 0.0))
 
@@ -148,6 +155,8 @@ class Replanner:
             assert self._model is not None, "a ranking has a model"
             self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
         self._delta = self.dirt.safety.delta
+        if self._bound is not None:
+            self._set_bound(self._bound)
 
     def step(self, estimate: Estimate, current: Commitment) -> Cycle:
         """Commit a plan or a contingency for the next cycle, and plan for the cycle after it.
@@ -192,9 +201,12 @@ class Replanner:
         """Compare the last prediction with the estimate, and set the bound for this cycle."""
         if self._calibration is not None and estimate.uncertainty is not None:
             self._calibration.observe(estimate.time, estimate.state)
-            self._bound = self._calibration.bound(estimate.uncertainty)
-            self._proposer.set_bound(self._bound)
-            self._delta = self.dirt.safety.delta
+            self._set_bound(self._calibration.bound(estimate.uncertainty))
+
+    def _set_bound(self, bound: DeviationBound) -> None:
+        self._bound = bound
+        self._proposer.set_bound(bound)
+        self._delta = self.dirt.safety.delta
 
     def _stands(self, estimate: Estimate, current: Commitment) -> bool:
         """Whether the contingency on board has stopped the vehicle; its estimated speed is noise then."""

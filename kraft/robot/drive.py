@@ -23,8 +23,8 @@ from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.messages import Cycle, Estimate
 from kraft.driving.method import Method, Oracle
-from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
@@ -237,7 +237,7 @@ class Planner:
         self._solvers = Solvers.of(self._task, vehicle, method.planner)
         self._replanner = self._new_replanner()
         self._warm_up(state)
-        return Begin(state, self._replanner.begin(state))
+        return Begin(state, self._replanner.begin(state, self._estimator.uncertainty(0.0)))
 
     def _warm_up(self, state: Floats) -> None:
         """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""

@@ -67,6 +67,9 @@ class OracleEstimator:
             self._model.set_parameters(parameters)
         return replace(self.estimate(time), parameters=parameters)
 
+    def uncertainty(self, time: float) -> None:
+        """No bound rests on this estimator: it states no uncertainty."""
+
 
 def true_model(vehicle: Vehicle, world: TrueWorld, gap: VehicleGap) -> Vehicle:
     """Model with the parameters of the true robot, as far as they are known.

@@ -19,8 +19,8 @@ from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.messages import Commitment, Cycle, Observation
 from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
-from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.cause import Cause, collision_cause, timeout_cause
@@ -121,7 +121,8 @@ class _Trial:
             realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._radio = Radio(scenario.sensing.message_loss, spec.seed)
-        self._on_board = OnBoard(method.planner, solvers.checking.safety, model, self._replanner.begin(start))
+        standing = self._replanner.begin(start, self._estimator.uncertainty(0.0))
+        self._on_board = OnBoard(method.planner, solvers.checking.safety, model, standing)
         self._sent: list[tuple[float, Commitment]] = []
         self._in_flight: list[Observation] = []
         self._true_poses: dict[float, tuple[float, float, float]] = {}  # at the time of each observation in flight

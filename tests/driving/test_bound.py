@@ -9,9 +9,10 @@ import pytest
 from support.replanner import mushr, replanner, start
 
 from kraft.driving.bound import BoundCalibration, DeviationBound
+from kraft.driving.levels import HYSTERESIS, STEADY
 from kraft.driving.messages import Estimate, PredictedMotion, Uncertainty
 from kraft.driving.method import CalibratedBound
-from kraft.driving.proposer import HYSTERESIS, STEADY, Proposal
+from kraft.driving.proposer import Proposal
 from kraft.driving.replanner import Replanner
 
 SETTINGS = CalibratedBound()
@@ -156,11 +157,8 @@ def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_onc
 
 def test_the_rest_of_a_plan_needs_a_little_less_than_a_new_plan() -> None:
     subject, _ = proposals(WIDE)
-    proposer = subject._proposer
-    new, rest = (
-        next(subject.dirt.safety.delta for _, _, kept in proposer._attempts(start(), has_rest) if kept == 1.0)
-        for has_rest in (False, True)
-    )
+    levels = subject._proposer._levels
+    new, rest = (levels.set(0, eased).safety.delta for eased in (False, True))
     assert (new, rest) == (pytest.approx(WIDE.delta), pytest.approx(HYSTERESIS * WIDE.delta))
 
 

@@ -22,7 +22,7 @@ from kraft.driving.control.symbolic import symbolic_derivative
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Kinodynamic, Nmpc, PlannerSettings
-from kraft.driving.proposer import Solvers
+from kraft.driving.solvers import Solvers
 from kraft.driving.stopping import contingency_reference, plan_reference
 from kraft.errors import Code, MissingDependency
 from kraft.planning.workspace import pose_of

@@ -13,8 +13,8 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.messages import Commitment, Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Clearance, Geometric, PlannerSettings
-from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.driving.stopping import emergency_reference
 from ompl_ext.arrays import Floats
 

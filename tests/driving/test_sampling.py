@@ -18,8 +18,8 @@ from kraft.driving.control.sampling import DwaController, MppiController, Rollou
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, Dwa, Kinodynamic, Mppi, PlannerSettings, load_method
-from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.driving.stopping import contingency_reference, plan_reference
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import pose_of

@@ -14,6 +14,7 @@ from support.paths import ROOT
 from kraft.config import bundled
 from kraft.driving.estimation.adaptive import DRIVE_MAX, PRIOR_CORRELATION, PRIOR_POSES
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.levels import HYSTERESIS, NARROW, SOON, STEADY
 from kraft.driving.method import (  # fmt: skip
     Adaptive,
     CalibratedBound,
@@ -31,7 +32,8 @@ from kraft.driving.method import (  # fmt: skip
     RolloutCost,
     load_method,
 )
-from kraft.driving.proposer import HYSTERESIS, RETAINED_TOLERANCE, STALLED, STEADY
+from kraft.driving.proposer import PATIENCE, STALLED
+from kraft.driving.rest import CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
 from kraft.simulation.noise import BLURRED_SPEED, PRESETS
 
@@ -159,7 +161,8 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"its rest needs only {HYSTERESIS:g} of the clearance", f"costs over {STALLED:g} s more than what was left",
         f"costs at most {RETAINED_TOLERANCE:g} s more", f"a stop of less than {DRIVE_MAX:g} s",
         f"the settings count as {PRIOR_POSES:g} poses, and as {PRIOR_CORRELATION:g} correlation times",
-        f"from 0 to {DELAY_MAX:g} s",
+        f"from 0 to {DELAY_MAX:g} s", f"| none | {SOON:g} cycles |",
+        f"has not reached the goal after {PATIENCE:g} `iterations` gives way",
     ):  # fmt: skip
         assert text in words
-    assert STEADY == 2
+    assert (STEADY, NARROW, CORRECTION_ATTEMPTS) == (2, (1.0, 0.5), 4)

@@ -11,8 +11,8 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.messages import Cycle, Estimate
 from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, PlannerSettings
-from kraft.driving.proposer import Solvers
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
 from kraft.vehicles.load import load_vehicle

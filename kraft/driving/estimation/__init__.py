@@ -7,7 +7,7 @@ from typing import Protocol
 from kraft.driving.estimation.dead_reckoning import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.estimation.sloping_floor import LevelCamera
-from kraft.driving.messages import Estimate, Observation, PoseBelief
+from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import Adaptive, Filter, Latest
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
@@ -41,6 +41,9 @@ class Estimator(Protocol):
 
     def replanning_estimate(self, time: float) -> Estimate:
         """Estimate for a decision that holds for a whole cycle; it may combine several observations."""
+
+    def uncertainty(self, time: float) -> Uncertainty | None:
+        """Uncertainty of the estimate at `time` (s); None if the estimator states none."""
 
 
 def make_estimator(

@@ -128,14 +128,15 @@ class AdaptiveEstimator:
     def replanning_estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s) plus the horizon, after an update of the identification, with its uncertainty."""
         self._identify(time)
-        estimate = self.estimate(time)
-        identified, covariance = self._identified, self._filter.covariance_at(time + self.horizon)
+        estimate, identified = self.estimate(time), self._identified
         parameters = None
         if identified is not None and self._settings.identify:
             parameters = self._window.parameters.model_values(identified.rho)
-        return Estimate(
-            estimate.time, estimate.state, estimate.age, parameters, Uncertainty(covariance, self._delay_deviation)
-        )
+        return Estimate(estimate.time, estimate.state, estimate.age, parameters, self.uncertainty(time))
+
+    def uncertainty(self, time: float) -> Uncertainty:
+        """Covariance of the estimate at `time` (s) plus the horizon, and the deviation of the delay."""
+        return Uncertainty(self._filter.covariance_at(time + self.horizon), self._delay_deviation)
 
     @property
     def _delay_deviation(self) -> float:

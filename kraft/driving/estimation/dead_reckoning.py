@@ -152,3 +152,6 @@ class LatestPose:
         turned = states[:, self._model.theta] - states[-1, self._model.theta]
         states[:, self._model.theta] -= math.tau * np.round(turned / math.tau)  # outliers may be a full turn apart
         return Estimate(time, states.mean(axis=0), time - self._newest_time)
+
+    def uncertainty(self, time: float) -> None:
+        """No bound rests on this estimator: it states no uncertainty."""

@@ -130,6 +130,9 @@ class PoseFilter:
         """Estimate at `time` (s), the same as `estimate`, which already rests on all observations."""
         return self.estimate(time)
 
+    def uncertainty(self, time: float) -> None:
+        """No bound rests on this estimator: it states no uncertainty."""
+
     def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
         mean, covariance = posterior.mean, posterior.covariance
         for control, duration in self._reckoning.commands.between(posterior.time, time):

@@ -1,0 +1,138 @@
+"""Rest of the plan that is being executed: what the next query retains of it, and whether another plan goes its way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kraft.driving.messages import PlanLoss
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.plan import Plan
+from ompl_ext.query import remaining_edges
+from ompl_ext.retainment import RetainableEdges
+from ompl_ext.solver import DirtSolver
+
+RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
+CORRECTION_ATTEMPTS = 4  # at retaining a rest with different random corrections
+ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Rest of a plan after `elapsed` s, with the edges of its tree that are retained too, if any."""
+
+    plan: Plan
+    elapsed: float
+    edges: RetainableEdges | None = None
+
+    @property
+    def left(self) -> float:
+        """Cost that is left of the plan, s."""
+        return total_cost(self.plan) - self.elapsed
+
+
+def total_cost(plan: Plan) -> float:
+    """Cost of a plan and cost-to-go from its end, s."""
+    return plan.cost + plan.cost_to_go
+
+
+def retained_plan(dirt: DirtSolver, rest: Rest) -> Plan | None:
+    """Plan that consists of what was retained of a rest; None if an edge is missing or a plan may not end there."""
+    _, _, durations = remaining_edges(rest.plan.controls, rest.plan.durations, rest.elapsed)
+    last = int(dirt.retained_nodes[len(durations) - 1])
+    if last < 0:
+        return None
+    plan = dirt.plan_to(last)
+    return plan if plan.reaches_goal or not dirt.safety.enabled or plan.cost >= dirt.safety.cycle else None
+
+
+def start_with_best_corrections(
+    dirt: DirtSolver, root: Floats, rest: Rest, seed: int, attempts: int = CORRECTION_ATTEMPTS
+) -> None:
+    """Start a query at `root` (nx,) with the seed that retains most of a rest, of several, the cheapest one if all.
+
+    Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.
+    """
+    assert rest.edges is not None
+    edges, best = rest.edges, (-1, -math.inf, seed)
+    part = slice(0, edges.rest)
+    for attempt in range(attempts):
+        dirt.start(root, seed + attempt * ATTEMPT_SEEDS)
+        retained = dirt.retain_edges(edges.parents[part], edges.controls[part], edges.durations[part], edges.targets)
+        best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
+        if retained == edges.rest and dirt.best_cost <= rest.left + RETAINED_TOLERANCE:
+            break
+    dirt.start(root, best[2])
+
+
+def retain(dirt: DirtSolver, root: Floats, rest: Rest) -> PlanLoss:
+    """Retain the rest of a plan, and edges of its tree if there are any, in a query that begins at `root` (nx,).
+
+    Returns the reason of a loss: of an edge that was not retained or, if all were, of a cost that is higher from the
+    new root.  Obstacles do not move, so an edge is in collision from the state that the plan predicted only if more
+    distance is required now than when it was planned.
+    """
+    plan, elapsed, edges = rest.plan, rest.elapsed, rest.edges
+    _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
+    if edges is None:
+        dirt.retain(plan, elapsed, optimised=True)
+    else:
+        dirt.retain_edges(edges.parents, edges.controls, edges.durations, edges.targets, optimised=True)
+    if dirt.retained_nodes[len(durations) - 1] >= 0:
+        return PlanLoss.ESTIMATE if dirt.best_cost > rest.left + RETAINED_TOLERANCE else PlanLoss.NONE
+    first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))
+    begun = elapsed - float(plan.durations[:first].sum())
+    planned = dirt.edge(plan.states[first], plan.controls[first], max(begun, 0.0))[0][-1]
+    from_root, from_planned = (_first_loss(dirt, state, controls, durations) for state in (root, planned))
+    if PlanLoss.NONE in (from_planned, from_root):
+        return PlanLoss.ESTIMATE
+    return from_root
+
+
+def _first_loss(dirt: DirtSolver, state: Floats, controls: Floats, durations: Floats) -> PlanLoss:
+    """Reason for which an edge of a path from `state` cannot be executed; none if all can."""
+    safety, time = dirt.safety, 0.0
+    for control, duration in zip(controls, durations, strict=True):
+        samples, slack = dirt.edge(state, control, float(duration))
+        if slack < 0.0:
+            return PlanLoss.COLLISION
+        ends = time + float(duration)
+        if safety.enabled and time < safety.cycle:
+            if dirt.edge(state, control, float(duration), time)[1] < 0.0:
+                return PlanLoss.UNSAFE
+            if ends >= safety.cycle:
+                leaves, _ = dirt.edge(state, control, min(safety.cycle - time, float(duration)))
+                if dirt.contingency(leaves[-1]) is None:
+                    return PlanLoss.UNSAFE
+        state, time = samples[-1], ends
+    if safety.enabled and time < safety.cycle and not math.isclose(time, safety.cycle):
+        return PlanLoss.NONE if dirt.contingency(state) is not None else PlanLoss.UNSAFE
+    return PlanLoss.NONE
+
+
+WAY_HORIZON = 5.0  # time over which ways are compared (s)
+WAY_WIDTH = 0.5  # distance at which one plan leaves the way of another (m)
+
+
+def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
+    """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
+    one, two = (_positions(dirt, each) for each in (plan, other))
+    return _follows(dirt, one[plan.times <= WAY_HORIZON], two) and _follows(dirt, two[other.times <= WAY_HORIZON], one)
+
+
+def _positions(dirt: DirtSolver, plan: Plan) -> Matrix:
+    positions: Matrix = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
+    return positions
+
+
+def _follows(dirt: DirtSolver, points: Matrix, path: Matrix) -> bool:
+    """Whether points (n, 2) are near a path (m, 2), with no obstacle between each of them and its nearest point."""
+    away = np.linalg.norm(points[:, None] - path[None], axis=2)
+    nearest = away.argmin(axis=1)
+    if away[np.arange(len(points)), nearest].max() > WAY_WIDTH:
+        return False
+    shares = np.linspace(0.0, 1.0, 12)[:, None, None]
+    between = points + shares * (path[nearest] - points)
+    return not dirt.is_occupied(between.reshape(-1, 2)).any()

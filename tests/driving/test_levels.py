@@ -1,0 +1,180 @@
+"""Levels of clearance under a measured bound: their order, the budget that they share, the rest that they keep."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+
+import numpy as np
+import pytest
+from support.replanner import mushr, replanner, start, turns
+
+from kraft.driving.bound import BoundCalibration, DeviationBound
+from kraft.driving.levels import NARROW, SOON, STEADY, Level, Levels, levels_of
+from kraft.driving.messages import Uncertainty
+from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
+from kraft.driving.proposer import STALLED, Proposal, _Query
+from kraft.driving.replanner import Replanner
+from kraft.driving.rest import RETAINED_TOLERANCE, total_cost
+from kraft.driving.solvers import Solvers
+
+FORESIGHT, MARGIN = 60.0, 0.03
+BOUND = CalibratedBound(foresight=FORESIGHT, shares=(1.0, 0.5, 0.25))
+UNCERTAIN = Uncertainty(np.diag([0.02**2, 0.01**2, 0.03**2, 0.05**2]), 0.01)
+
+
+def settings(margin: float = MARGIN, bound: CalibratedBound = BOUND, **more: object) -> PlannerSettings:
+    return PlannerSettings(mode="replanning", margin=margin, bound=bound, **more)  # type: ignore[arg-type]
+
+
+@cache
+def solvers() -> Solvers:
+    return Solvers.of(turns(), mushr(), settings())
+
+
+def levels() -> Levels:
+    return Levels(solvers(), settings())
+
+
+def driven(*bounds: DeviationBound, seed: int = 0, **more: object) -> tuple[Replanner, list[Proposal]]:
+    """Proposals with a bound each, from the start of Turns and then from where each plan leads in a cycle."""
+    chosen = {"bound": BOUND, "margin": MARGIN, "iterations": 600, "max_iterations": 1200, "retain": "tree", **more}
+    subject, root, found = replanner(seed, switch_gain=0.5, **chosen), start(), list[Proposal]()
+    for number, bound in enumerate(bounds):
+        subject._proposer.set_bound(bound)
+        found.append(subject._proposer.propose(number, root, found[-1].plan if found else None))
+        plan = found[-1].plan
+        assert plan is not None
+        root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
+    return subject, found
+
+
+# Order
+
+
+def test_margin_then_foresight_are_given_up_after_the_smallest_share() -> None:
+    far = [Level(share, MARGIN, FORESIGHT) for share in BOUND.shares]
+    narrow = [Level(0.25 * part, 0.0, FORESIGHT) for part in NARROW]
+    soon = [Level(share, 0.0, SOON) for share in (1.0, 0.25)]
+    assert levels_of(settings()) == (*far, *narrow, *soon, Level(0.25, 0.0, 1.0))
+
+
+def test_what_the_settings_do_not_ask_for_is_no_level() -> None:
+    short = CalibratedBound(shares=BOUND.shares)
+    assert levels_of(settings(0.0, short)) == tuple(Level(share, 0.0, 1.0) for share in BOUND.shares)
+    assert len(levels_of(settings(MARGIN, short))) == len(BOUND.shares) + len(NARROW)
+    assert levels_of(PlannerSettings(mode="replanning", safety=Clearance())) == (Level(1.0),)
+
+
+def test_every_second_level_is_tried_as_long_as_plans_keep_their_foresight() -> None:
+    subject = levels()
+    assert (subject.wide, subject.far, len(subject.all)) == (3, 5, 8)
+    assert subject.downwards(0) == [0, 2, 4, 5, 6, 7]
+    assert subject.downwards(6) == [6, 7]
+
+
+def test_after_steady_cycles_the_next_higher_level_is_tried_and_the_lowest_with_foresight() -> None:
+    subject = levels()
+    subject.keep(6, stalled=False)
+    for _ in range(STEADY):
+        assert not subject.tries_higher
+        subject.keep(6, stalled=False)
+    assert subject.tries_higher
+    assert subject.upwards() == [4, 5]
+    subject.keep(2, stalled=False)
+    assert subject.upwards() == [1]
+
+
+@pytest.mark.parametrize(("number", "kept"), [(0, 1), (1, 2), (2, 2), (3, 4), (4, 4), (5, 6), (7, 7)])
+def test_a_vehicle_without_progress_keeps_less_but_gives_up_neither_margin_nor_foresight_for_it(
+    number: int, kept: int
+) -> None:
+    subject = levels()
+    subject.keep(number, stalled=True)
+    assert subject.kept == kept
+
+
+def test_a_level_asks_for_its_share_its_margin_and_its_foresight() -> None:
+    subject = levels()
+    subject.bound = DeviationBound(0.1, 0.2, 0.05, 1.5)
+    for number, level in enumerate(subject.all):
+        safety = subject.set(number, eased=False).safety
+        assert safety.delta == pytest.approx(0.1 * level.share + level.margin)
+        assert (safety.delta_per_speed, safety.delta_per_time) == pytest.approx((0.2 * level.share, 0.05 * level.share))
+        assert (safety.cycle, safety.delta_horizon) == (level.foresight, 1.5)
+    assert solvers().checking.safety.cycle == 1.0
+
+
+# Search
+
+
+def test_the_searches_of_a_cycle_share_its_budget() -> None:
+    """The bound leaves no way at any level that keeps the margin."""
+    for most in (600, 700, 1200):
+        _, found = driven(*[DeviationBound(1.2)] * 2, max_iterations=most)
+        assert all(proposal.iterations <= most for proposal in found)
+
+
+def test_a_plan_keeps_share_and_margin_to_its_end() -> None:
+    subject, (found,) = driven(DeviationBound(0.05))
+    assert found.plan is not None
+    assert found.plan.reaches_goal
+    away = subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min()
+    assert away >= found.kept * 0.05 + MARGIN - 1e-9
+
+
+def test_a_rest_can_be_retained_without_a_search_at_the_levels_whose_clearance_it_keeps() -> None:
+    subject, (found,) = driven(DeviationBound(0.04))
+    plan, proposer = found.plan, subject._proposer
+    assert plan is not None
+    root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
+    query = _Query(1, root, proposer._rest(plan), 0.0)
+    for bound, expected in ((0.04, [True, True, True]), (0.1, [False, True, True]), (0.2, [False, False, True])):
+        proposer._levels.bound = DeviationBound(bound)
+        assert [proposer._holds(query, number) for number in range(3)] == expected
+
+
+def test_plans_of_a_bound_that_grows_cost_hardly_more_than_what_was_left() -> None:
+    for seed in range(4):
+        _, found = driven(DeviationBound(0.04), DeviationBound(0.04), DeviationBound(0.1), seed=seed)
+        costs = [total_cost(proposal.plan) for proposal in found if proposal.plan is not None]
+        assert all(after <= before - 1.0 + STALLED for before, after in itertools.pairwise(costs))
+
+
+def test_the_same_rest_is_retained_in_every_run() -> None:
+    bounds = [DeviationBound(0.04), DeviationBound(0.1), DeviationBound(0.06), DeviationBound(0.12)]
+    one, two = (driven(*bounds)[1] for _ in range(2))
+    for a, b in zip(one, two, strict=True):
+        assert (a.iterations, a.nodes, a.retained, a.kept) == (b.iterations, b.nodes, b.retained, b.kept)
+        assert a.plan is not None
+        assert b.plan is not None
+        assert a.plan.trajectory.tobytes() == b.plan.trajectory.tobytes()
+
+
+def test_a_rest_that_is_kept_costs_no_more_than_what_was_left() -> None:
+    _, found = driven(*[DeviationBound(0.04)] * 5)
+    costs = [total_cost(proposal.plan) for proposal in found if proposal.plan is not None]
+    assert all(after <= before - 1.0 + RETAINED_TOLERANCE for before, after in itertools.pairwise(costs))
+
+
+# In the replanner
+
+
+def test_the_first_plan_keeps_the_bound_of_the_stated_uncertainty() -> None:
+    subject = replanner(bound=BOUND, margin=MARGIN, iterations=600)
+    expected = BoundCalibration(BOUND, mushr()).bound(UNCERTAIN)
+    subject.begin(start(), UNCERTAIN)
+    plan = subject._proposal.plan
+    assert plan is not None
+    needed = MARGIN + subject._proposal.kept * expected.at(plan.times, plan.trajectory[:, 3])
+    assert np.all(subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-9)
+
+
+def test_solvers_of_another_task_ask_for_the_same_bound() -> None:
+    subject = replanner(bound=BOUND, margin=MARGIN, iterations=100)
+    subject.begin(start(), UNCERTAIN)
+    bound = subject._bound
+    assert bound is not None
+    subject.set_solvers(Solvers.of(turns(), mushr(), subject._settings))
+    assert subject._proposer._levels.bound is bound
+    assert subject.dirt.safety.delta == pytest.approx(BOUND.recheck * bound.delta)
