@@ -19,8 +19,9 @@ from kraft.errors import Code, InputError
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.growth import error_growth
 from kraft.sysid.initial_values import smooth_chains
-from kraft.sysid.multistep import MultiStep, Variation, error_growth, fit, windows_of
+from kraft.sysid.multistep import MultiStep, fit
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, variation_of, vehicle_of
@@ -29,6 +30,8 @@ from kraft.sysid.result import PredictionErrors
 from kraft.sysid.selection import check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, constant_motion, measured_noise, thinned
+from kraft.sysid.variation import Variation
+from kraft.sysid.windows import windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle

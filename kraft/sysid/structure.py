@@ -24,7 +24,7 @@ import numpy as np
 
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
-from kraft.sysid.multistep import MultiStep, Variation, fit, in_parallel, windows_of
+from kraft.sysid.multistep import MultiStep, fit
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import (
     OnIteration,
@@ -39,6 +39,9 @@ from kraft.sysid.problem import Point
 from kraft.sysid.result import AT_BOUND
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
+from kraft.sysid.threads import in_parallel
+from kraft.sysid.variation import Variation
+from kraft.sysid.windows import windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -65,7 +68,7 @@ FIRST_ITERATIONS: Final = 20
 """Most iterations of a fit whose weights are not final."""
 WORSE_MAX: Final = 3
 """Structures in a row that are not as good as the best, after which the search ends."""
-NEGLIGIBLE: Final = 0.05
+NEGLIGIBLE: Final = 0.02
 """Share by which a simpler structure may predict worse."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
