@@ -28,7 +28,7 @@ from kraft.sysid.smoothing import NEIGHBOURS
 from kraft.sysid.threads import in_parallel
 from kraft.sysid.variation import Variation
 from kraft.sysid.windows import Acting, Windows, controls_in_parts, places
-from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 
 START_NOISE = 3.0
 """Standard deviation of an initial pose from the smoothed one, over the noise of a pose."""
@@ -84,7 +84,7 @@ class MultiStep:
         self.variation = variation
         self._within, self._between = variation.within**-2.0, np.maximum(variation.between, 1e-9) ** -2.0
         self._free = np.flatnonzero(parameters.free)
-        self._commands: dict[bytes, Acting] = {}
+        self._commands: dict[bytes, tuple[Acting, Ints, Matrix]] = {}
         self._commands_before: dict[bytes, Acting] = {}
         self._expected: dict[bytes, Matrix] = {}
         acts = ("delay", "lag_", "dead_band_")
@@ -207,8 +207,9 @@ class MultiStep:
         controls = [self._controls(rho) for rho in rhos]
 
         def predict_one(i: int) -> None:
-            states = self._simulated(starts[i], rhos[i], controls[i])
-            observation.of_windows(states, *places(controls[i], w), rhos[i], poses[i])
+            acting, step, share = controls[i]
+            states = self._simulated(starts[i], rhos[i], acting)
+            observation.of_windows(states, step, share, rhos[i], poses[i])
 
         in_parallel(predict_one, range(len(rhos)))
         return poses
@@ -222,16 +223,17 @@ class MultiStep:
 
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""
-        states = self._simulated(point.states, point.rho, self._controls(point.rho))
+        states = self._simulated(point.states, point.rho, self._controls(point.rho)[0])
         return stacked(states[::2], self.problem.chains)
 
-    def _controls(self, rho: Floats) -> Acting:
-        """Controls that act in the windows; those of the last few actuator parameters are kept."""
+    def _controls(self, rho: Floats) -> tuple[Acting, Ints, Matrix]:
+        """Controls that act in the windows, and `places` of the poses; those of a few actuator parameters are kept."""
         key = rho[self._acting].tobytes()
         if key not in self._commands:
             if len(self._commands) >= COMMANDS_KEPT:
                 del self._commands[next(iter(self._commands))]
-            self._commands[key] = controls_in_parts(self.problem.actuators, self.problem.chains, rho)
+            acting = controls_in_parts(self.problem.actuators, self.problem.chains, rho)
+            self._commands[key] = (acting, *places(acting, self.windows))
         return self._commands[key]
 
     def residuals(self, point: Point) -> Floats:
@@ -387,8 +389,17 @@ class MultiStep:
         return replace(self._point, states=states, rho=rho)
 
 
-def fit(graph: MultiStep, start: Point, most: int, on_iteration: OnIteration = ignore_iteration) -> Optimum:
-    """Minimise the cost within the bounds of the parameters, in at most `most` steps (Levenberg-Marquardt)."""
+def fit(
+    graph: MultiStep,
+    start: Point,
+    most: int,
+    on_iteration: OnIteration = ignore_iteration,
+    tolerance: float = CONVERGED,
+) -> Optimum:
+    """Minimise the cost within the bounds of the parameters, in at most `most` steps (Levenberg-Marquardt).
+
+    The fit has converged after two steps that decrease the cost by a share of at most `tolerance`.
+    """
     p = graph.problem.parameters
     point, cost, damping, converged, iterations = start, graph.cost(start), DAMPING_INITIAL, False, 0
     small = False
@@ -399,7 +410,7 @@ def fit(graph: MultiStep, start: Point, most: int, on_iteration: OnIteration = i
         candidate = graph.moved(change)
         lower = graph.cost(candidate)
         if lower <= cost:
-            before, small = small, cost - lower <= CONVERGED * cost
+            before, small = small, cost - lower <= tolerance * cost
             iterations, converged = iterations + 1, before and small
             point, cost, damping = candidate, lower, max(0.2 * damping, DAMPING_MIN)
             graph.linearise(point)

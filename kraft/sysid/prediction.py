@@ -45,8 +45,8 @@ WINDOW_LENGTH = 3.0
 HISTORY_PROCESS_FACTOR = 3.0
 """Process noise in the history of a window over that of an identification: the initial state shall follow the poses
 even if the parameters are wrong."""
-HISTORY_ITERATIONS = 15
-"""Most iterations of the fit of a history."""
+HISTORY_ITERATIONS, HISTORY_CONVERGED = 15, 1e-4
+"""Most iterations of the fit of a history, and the relative decrease of its cost below which it has converged."""
 HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
 RECENT = 0.3
@@ -173,7 +173,7 @@ class Predictor:
                 self._last, rho=rho.copy(), states=self.graph.shifted(self._last.states, self._last.rho, rho)
             )
             start = min(start, again, key=self.graph.cost)
-        self._last = fit(self.graph, start, HISTORY_ITERATIONS).point
+        self._last = fit(self.graph, start, HISTORY_ITERATIONS, tolerance=HISTORY_CONVERGED).point
         states = self._last.states.copy()
         for w in np.flatnonzero(self._resting):
             states[w] = 0.0
