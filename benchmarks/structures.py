@@ -13,8 +13,8 @@ from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.synthetic_logs import CommandSeries, synthetic_logs
 from kraft.logs.log import Log
+from kraft.sysid.growth import process_noise
 from kraft.sysid.model_choice import identify_car
-from kraft.sysid.multistep import process_noise
 from kraft.sysid.prediction import predict_windows, window_errors
 from kraft.sysid.settings import Settings
 from kraft.sysid.structure import StructureSearch
@@ -87,6 +87,8 @@ def random_truth(rng: np.random.Generator) -> dict[str, float]:
         size, sign = rng.uniform(low, high), rng.choice([-1.0, 1.0]) if name in SIGNED else 1.0
         if rng.random() < ON:
             truth[name] = sign * size
+    if truth["slide"] == truth["understeer"] == 0.0:  # the front wheels do not slip: skid has no effect
+        truth["skid"] = 0.0
     return truth
 
 

@@ -5,6 +5,9 @@ over a step is a difference of integrals.  Where the delay or the lag is unknown
 (triangular) function twice as wide as the step instead of a box: the derivative with respect to delay and lag is then
 continuous, so that the optimiser does not stop where a jump of the command crosses into the next step.  Both functions
 have the same area and centre.
+
+What moves a vehicle with a dead zone or brakes is not the mean of two commands.  `ActuatorModel.split` therefore splits
+each step where a command jumps; the length of the two parts is a continuous function of the delay.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
     from kraft.logs.log import Part
 
 
+SPLIT_MIN = 0.01
+"""Least share of a step that is split off."""
 LAG_MIN = 1e-6
 """Lag below which a control counts as immediate, s."""
 
@@ -37,6 +42,7 @@ class ActuatorModel:
         self._controls = list(parameters.vehicle.controls)
         bounds = parameters.vehicle.control_bounds
         self._rest = np.clip(0.0, bounds[:, 0], bounds[:, 1])
+        self._ranges = np.maximum(np.ptp(bounds, axis=1), 1e-9)
         self._delays = [
             [k for name in ("delay", f"delay_{control}") if (k := parameters.auxiliary_index(name)) >= 0]
             for control in self._controls
@@ -67,11 +73,57 @@ class ActuatorModel:
                     slopes[drive.rows, k, j] = slope
         return means, slopes
 
+    def split(self, rho: Floats) -> tuple[Floats, Floats]:
+        """Share (N,) of each step after which a command jumps, and mean controls (N, 2, nu) before and after that.
+
+        Of several jumps in a step the largest counts; a step without one is split in the middle.
+        """
+        total = sum(s.steps for s in self._stretches)
+        shares, means = np.empty(total), np.empty((total, 2, len(self._controls)))
+        for drive in self._drives:
+            share = self._jumps(drive, rho)
+            shares[drive.rows] = share
+            edges = np.stack([drive.begin, drive.begin + share * drive.h, drive.begin + drive.h])
+            for k in range(len(self._controls)):
+                times, values = self._commanded(drive, k)
+                if (j := self._dead_bands[k]) >= 0:
+                    values = np.sign(values) * np.maximum(np.abs(values) - rho[j], 0.0)
+                lag = float(rho[self._lags[k]]) if self._lags[k] >= 0 else 0.0
+                once = _integrals(times, values, (edges - self._delay(k, rho)).ravel(), lag).once.reshape(edges.shape)
+                means[drive.rows, :, k] = (np.diff(once, axis=0) / np.diff(edges, axis=0)).T
+        return shares, means
+
+    def _jumps(self, drive: _Drive, rho: Floats) -> Floats:
+        """Share (n,) of each step of a drive after which its largest jump acts, a half for those without one."""
+        jumps, sizes = [], []
+        for k, full in enumerate(self._ranges):
+            times, values = self._commanded(drive, k)
+            change = np.abs(np.diff(values)) / full
+            jumps.append(times[change > 0.0] + self._delay(k, rho))
+            sizes.append(change[change > 0.0])
+        order = np.argsort(np.concatenate(jumps), kind="stable")
+        at, size = np.concatenate(jumps)[order], np.concatenate(sizes)[order]
+        low, high = (np.searchsorted(at, drive.begin + s * drive.h) for s in (SPLIT_MIN, 1.0 - SPLIT_MIN))
+        share, largest = np.full(len(drive.begin), 0.5), np.zeros(len(drive.begin))
+        for i in range(int((high - low).max(initial=0))):
+            own = np.flatnonzero(low + i < high)
+            found = low[own] + i
+            larger = size[found] > largest[own]
+            own, found = own[larger], found[larger]
+            largest[own], share[own] = size[found], (at[found] - drive.begin[own]) / drive.h[own]
+        return share
+
+    def _commanded(self, drive: _Drive, k: int) -> tuple[Floats, Floats]:
+        """Times (n,) of the commands of a control, and its values (n + 1,) before the first and from each on."""
+        times, values = drive.part.command_times, drive.part.commands[:, k]
+        return times, np.concatenate([[self._rest[k] if drive.resting else values[0]], values])
+
+    def _delay(self, k: int, rho: Floats) -> float:
+        return sum(float(rho[j]) for j in self._delays[k])
+
     def _one(self, drive: _Drive, k: int, rho: Floats) -> _Acting:
         """Means of one control in the steps of all segments of a drive."""
-        times, values = drive.part.command_times, drive.part.commands[:, k]
-        before = self._rest[k] if drive.resting else values[0]
-        values, slopes = np.concatenate([[before], values]), {}
+        (times, values), slopes = self._commanded(drive, k), {}
         if (j := self._dead_bands[k]) >= 0:
             signs = np.where(np.abs(values) > rho[j], np.sign(values), 0.0)
             slopes[j] = -self._means(drive, times, signs, k, rho).values
@@ -85,7 +137,7 @@ class ActuatorModel:
     def _means(self, drive: _Drive, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
         """Means of control k over the steps of a drive, delayed and lagged, with derivatives."""
         delays, lag = self._delays[k], self._lags[k]
-        begin = drive.begin - sum(float(rho[j]) for j in delays)
+        begin = drive.begin - self._delay(k, rho)
         if not delays and lag < 0:
             return box_means(times, values, begin, drive.h)
         return hat_means(times, values, begin, drive.h, float(rho[lag]) if lag >= 0 else 0.0)

@@ -67,18 +67,18 @@ class Dynamics:
         return after, full
 
     def simulate(self, start: Matrix, u: Floats, rho: Floats, h: Floats, own: Matrix | None = None) -> Floats:
-        """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu) and steps of `h` (m,) s.
+        """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu) and steps of `h` s.
 
-        `own` (m, np) are parameters of the model of each motion in place of those of rho.
+        `h` is (m,) or (steps, m).  `own` (m, np) are parameters of the model of each motion in place of those of rho.
         """
         own = np.tile(self._parameters.model_values(rho), (len(start), 1)) if own is None else own
         if self._friction < 0:
             return self.discrete_model.simulate(start, u, own, h)
         states = np.empty((len(u) + 1, *start.shape))
         states[0] = start
-        for k, controls in enumerate(u):
-            left = self._effective_controls(states[k], controls, rho, h, own)[0]
-            states[k + 1] = self.discrete_model.simulate(states[k], left[None], own, h)[1]
+        for k, (controls, step) in enumerate(zip(u, np.broadcast_to(h, u.shape[:2]), strict=True)):
+            left = self._effective_controls(states[k], controls, rho, step, own)[0]
+            states[k + 1] = self.discrete_model.simulate(states[k], left[None], own, step)[1]
         return states
 
     def _effective_controls(
@@ -167,9 +167,12 @@ class DiscreteModel:
         return after, jacobian
 
     def simulate(self, start: Matrix, u: Floats, p: Matrix, h: Floats) -> Floats:
-        """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu), `p` (m, np), `h` (m,)."""
+        """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu) and `p` (m, np).
+
+        `h` is (m,) or (steps, m), s.
+        """
         states = np.empty((len(u) + 1, *start.shape))
-        self._kernels.simulate(start, u, p, h, self._block(), states)
+        self._kernels.simulate(start, u, p, np.array(np.broadcast_to(h, u.shape[:2]), order="C"), self._block(), states)
         return states
 
     def _block(self) -> Floats:

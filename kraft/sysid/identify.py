@@ -17,8 +17,8 @@ from kraft.sysid.checks import Solution, at_bound, unidentified, warnings_of
 from kraft.sysid.data import screen_logs, usable_logs
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.growth import process_noise
 from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chains
-from kraft.sysid.multistep import process_noise
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at_bounds, ignore_iteration, optimise
 from kraft.sysid.parameters import DELAY_MIN, Parameters, parameters_of, vehicle_of

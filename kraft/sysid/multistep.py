@@ -10,30 +10,25 @@ lacks an effect is fitted to predict over the whole window instead of being bent
 from __future__ import annotations
 
 import math
-import os
-import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
-from kraft.sysid.chains import Segment, pose_steps
+from kraft.sysid.actuators import ActuatorModel
+from kraft.sysid.chains import Segment, chains_of
 from kraft.sysid.dynamics import DIFFERENCE_STEP
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
 from kraft.sysid.observation import NoiseModel
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
-from kraft.sysid.problem import Point, Problem, assemble, padded, stacked
-from kraft.sysid.smoothing import NEIGHBOURS, smoothed
+from kraft.sysid.problem import Point, Problem, assemble, stacked
+from kraft.sysid.smoothing import NEIGHBOURS
+from kraft.sysid.threads import in_parallel
+from kraft.sysid.variation import Variation
+from kraft.sysid.windows import Acting, Windows, controls_in_parts, places
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
-
-if TYPE_CHECKING:
-    from kraft.logs.log import Part
-    from ompl_ext.vehicle import Vehicle
-
 
 START_NOISE = 3.0
 """Standard deviation of an initial pose from the smoothed one, over the noise of a pose."""
@@ -43,12 +38,11 @@ curves; others, which follow from the commands, in their unit."""
 CONVERGED = 1e-5
 """Relative decrease of the cost by a step below which a fit has converged, if the one before was as small."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-7, 1e7
-SETTLING = 1.0
-"""Time for which the first command is held to find components of an initial state that poses do not show, s."""
+LEAD, SETTLING = 1.0, 1.0
+"""Time before a window whose commands show components of its initial state that poses do not show, and time for which
+the command before is held, s."""
 VARIATION_MIN = 0.1
 """Least ratio of the estimated variation of a parameter to the one before, and of that to it."""
-WITHIN_SHARE = 0.05
-"""Variation within a drive over the one between drives."""
 MISFIT_FREEDOM = 3.0
 """Degrees of freedom of Student's distribution of a window's misfit: its poses err together, so that a window which the
 model does not explain (a start against stiction, a hand on the car) counts little as a whole."""
@@ -56,98 +50,6 @@ COMMANDS_KEPT = 8
 """Number of actuator parameters whose commands are kept."""
 EXPECTED_KEPT = 3
 """Number of points whose expected initial states are kept."""
-Item = TypeVar("Item")
-Found = TypeVar("Found")
-
-
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """Poses of windows in common arrays: W windows of at most n poses."""
-
-    segments: tuple[Segment, ...]
-    steps: int
-    """of the longest window"""
-    h: Floats
-    """(W,) s"""
-    poses: Floats
-    """(W, n, 3) observed, zeros beyond the last pose of a window"""
-    seen: Bools
-    """(W, n) whether there is such a pose"""
-    since: Matrix
-    """(W, n) time since the beginning of the window, s"""
-    step: Ints
-    """(W, n)"""
-    share: Matrix
-    """(W, n) of the step"""
-    fold: Ints
-    """(W,)"""
-    known: Floats
-    """(W,) time in the window at which the model's error is 0, s: 0 in a fit, in a history its end"""
-    first: SmoothedPoses
-    """(W, 3) poses and rates at the beginnings, smoothed with those before and after"""
-    interval: float
-    """between the poses that they were smoothed from, s"""
-
-    @property
-    def folds(self) -> int:
-        """Number of folds."""
-        return int(self.fold.max()) + 1
-
-
-def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, known: Floats | None = None) -> Windows:
-    """Arrays of some windows; `parts` (W,) are the parts with all poses, `fold` (W,) is the fold of each.
-
-    With `known` (W,) the windows are histories up to that time, whose later poses are not seen.
-    """
-    beginnings = [
-        smoothed(part.pose_times, part.poses, np.array([s.begin])) for s, part in zip(segments, parts, strict=True)
-    ]
-    first = SmoothedPoses(*(np.concatenate(each) for each in zip(*beginnings, strict=True)))
-    apart = [np.median(np.diff(part.pose_times)) for part in parts if len(part.pose_times) > 1]
-    interval = float(np.median(apart)) if apart else max(s.h for s in segments)
-    most = max(len(s.part.pose_times[s.poses]) for s in segments)
-    shape = (len(segments), most)
-    poses, seen, since = np.zeros((*shape, 3)), np.zeros(shape, dtype=bool), np.zeros(shape)
-    step, share = np.zeros(shape, dtype=np.int64), np.zeros(shape)
-    for w, s in enumerate(segments):
-        times = s.part.pose_times[s.poses]
-        own = slice(0, len(times))
-        poses[w, own], since[w, own] = s.part.poses[s.poses], times - s.begin
-        seen[w, own] = True if known is None else since[w, own] <= known[w] + 1e-9
-        step[w, own], share[w, own] = pose_steps(s)
-    h, steps = np.array([s.h for s in segments]), max(s.steps for s in segments)
-    known = np.zeros(len(segments)) if known is None else known
-    return Windows(tuple(segments), steps, h, poses, seen, since, step, share, fold, known, first, interval)
-
-
-@dataclass(frozen=True, eq=False)
-class Variation:
-    """How far nv parameters vary: standard deviations in their units."""
-
-    names: tuple[str, ...]
-    between: Floats
-    """(nv,) of a drive's mean from rho"""
-    within: Floats
-    """(nv,) of a window from the mean of its drive"""
-
-    @classmethod
-    def of(cls, names: Sequence[str], between: Floats) -> Variation:
-        """Variation of which a fixed share is within a drive.
-
-        That share is chosen, not estimated: the windows of a drive whose commands change slowly are explained as well
-        by a parameter that varies with them as by the effect of the commands.
-        """
-        return cls(tuple(names), between, WITHIN_SHARE * between)
-
-    @classmethod
-    def independent(cls, stated: Mapping[str, float]) -> Variation:
-        """Variation of windows of which no two are of the same drive."""
-        return cls(tuple(stated), np.zeros(len(stated)), np.array(list(stated.values())))
-
-    @property
-    def total(self) -> dict[str, float]:
-        """Standard deviation of a window from rho, by parameter."""
-        return dict(zip(self.names, map(float, np.hypot(self.within, self.between)), strict=True))
 
 
 class MultiStep:
@@ -182,7 +84,8 @@ class MultiStep:
         self.variation = variation
         self._within, self._between = variation.within**-2.0, np.maximum(variation.between, 1e-9) ** -2.0
         self._free = np.flatnonzero(parameters.free)
-        self._commands: dict[bytes, Floats] = {}
+        self._commands: dict[bytes, tuple[Acting, Ints, Matrix]] = {}
+        self._commands_before: dict[bytes, Acting] = {}
         self._expected: dict[bytes, Matrix] = {}
         acts = ("delay", "lag_", "dead_band_")
         self._acting = [
@@ -196,22 +99,31 @@ class MultiStep:
 
     @cached_property
     def _observed(self) -> tuple[Matrix, Floats]:
-        """Initial states (W, nx) as the smoothed poses of the tracked point show them, and deviations (nx,)."""
+        """Initial states (W, nx) as the smoothed poses of the tracked point show them, and deviations (W, nx)."""
         vehicle, noise = self.problem.parameters.vehicle, self.noise.noise
+        states = initial_states(vehicle, np.arange(len(self.windows.segments)), self.windows.first)
         slope = START_NOISE / (
             self.windows.interval * math.sqrt(NEIGHBOURS * (NEIGHBOURS**2 - 1) / 12.0)
         )  # of a parabola's middle
-        spread = np.full(self._nx, HIDDEN_FREE)
+        spread = np.full(states.shape, HIDDEN_FREE)
         for k, name in enumerate(vehicle.state):
             if name in ("x", "y"):
-                spread[k] = max(START_NOISE * noise.position, POSITION_FREE)
+                spread[:, k] = max(START_NOISE * noise.position, POSITION_FREE)
             elif name == "theta":
-                spread[k] = max(START_NOISE * noise.yaw, YAW_FREE)
+                spread[:, k] = max(START_NOISE * noise.yaw, YAW_FREE)
             elif name in YAW_RATES:
-                spread[k] = max(slope * noise.yaw, YAW_RATE_FREE)
+                spread[:, k] = max(slope * noise.yaw, YAW_RATE_FREE)
             elif k == speed_index(vehicle):
-                spread[k] = max(slope * noise.position, SPEED_FREE)
-        return initial_states(vehicle, np.arange(len(self.windows.segments)), self.windows.first), spread
+                spread[:, k] = np.hypot(max(slope * noise.position, SPEED_FREE), self._rounded_off)
+        return states, spread
+
+    @property
+    def _rounded_off(self) -> Floats:
+        """(W,) speed that a parabola through poses of a turn loses, m/s: to first order a share of v r^2."""
+        rates = self.windows.first.rates
+        lost = (3.0 * NEIGHBOURS**2 - 7.0) / 120.0 * self.windows.interval**2  # mean of t^4 over that of t^2, over 6
+        speed: Floats = np.hypot(rates[:, 0], rates[:, 1])
+        return lost * speed * rates[:, 2] ** 2
 
     def prior_states(self, rho: Floats) -> Matrix:
         """(W, nx + nv) expected initial states: smoothed poses and rates, and what the first command leads to.
@@ -221,20 +133,42 @@ class MultiStep:
         key = rho.tobytes()
         found = self._expected.pop(key, None)
         if found is None:
-            found = self._expect(rho, self._controls(rho))
+            found = self._expect(rho)
             if len(self._expected) >= EXPECTED_KEPT:
                 del self._expected[next(iter(self._expected))]
         self._expected[key] = found  # the last one is the newest
         return found.copy()
 
-    def _expect(self, rho: Floats, acting: Floats) -> Matrix:
+    def _expect(self, rho: Floats) -> Matrix:
         states = self._shown_alike(self._observed[0], np.zeros(len(rho)), rho)
         if self._hidden:
-            steps = round(SETTLING / float(self.windows.h.min()))
-            controls = np.repeat(acting[:1], steps, axis=0)
-            settled = self.problem.dynamics.simulate(states, controls, rho, self.windows.h)[-1]
-            states[:, self._hidden] = settled[:, self._hidden]
+            acting = self._controls_before(rho)
+            before = self.problem.dynamics.simulate(states, acting.controls, rho, acting.h)[-1]
+            states[:, self._hidden] = before[:, self._hidden]
         return np.hstack([states, np.zeros((len(states), len(self._varying)))])
+
+    def _controls_before(self, rho: Floats) -> Acting:
+        """Controls before the windows, the first of them held until the state has settled."""
+        key = rho[self._acting].tobytes()
+        if key not in self._commands_before:
+            if len(self._commands_before) >= COMMANDS_KEPT:
+                del self._commands_before[next(iter(self._commands_before))]
+            led = controls_in_parts(self._actuators_before, chains_of(self._leads, len(self._leads)), rho)
+            settling = round(SETTLING / float(self.windows.h.min()))
+            held = np.repeat(led.controls[:1], settling, axis=0)
+            durations = np.concatenate([np.tile(self.windows.h, (settling, 1)), led.h])
+            self._commands_before[key] = Acting(np.concatenate([held, led.controls]), durations)
+        return self._commands_before[key]
+
+    @cached_property
+    def _leads(self) -> list[Segment]:
+        """The time before each window, in as many steps for each."""
+        steps = math.ceil(LEAD / float(self.windows.h.min()))
+        return [replace(s, begin=s.begin - steps * s.h, steps=steps) for s in self.windows.segments]
+
+    @cached_property
+    def _actuators_before(self) -> ActuatorModel:
+        return ActuatorModel(self._leads, self.problem.parameters)
 
     @cached_property
     def _hidden(self) -> list[int]:
@@ -273,31 +207,33 @@ class MultiStep:
         controls = [self._controls(rho) for rho in rhos]
 
         def predict_one(i: int) -> None:
-            states = self._simulated(starts[i], rhos[i], controls[i])
-            observation.of_windows(states, w.step, w.share, rhos[i], poses[i])
+            acting, step, share = controls[i]
+            states = self._simulated(starts[i], rhos[i], acting)
+            observation.of_windows(states, step, share, rhos[i], poses[i])
 
         in_parallel(predict_one, range(len(rhos)))
         return poses
 
-    def _simulated(self, start: Matrix, rho: Floats, controls: Floats) -> Floats:
-        """States (steps + 1, W, nx) of all windows from their unknowns (W, nx + nv)."""
+    def _simulated(self, start: Matrix, rho: Floats, acting: Acting) -> Floats:
+        """States (2 steps + 1, W, nx) of all windows from their unknowns (W, nx + nv)."""
         values = np.tile(self.problem.parameters.model_values(rho), (len(start), 1))
         values[:, self._varying] += start[:, self._nx :]
         states = np.ascontiguousarray(start[:, : self._nx])
-        return self.problem.dynamics.simulate(states, controls, rho, self.windows.h, values)
+        return self.problem.dynamics.simulate(states, acting.controls, rho, acting.h, values)
 
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""
-        states = self._simulated(point.states, point.rho, self._controls(point.rho))
-        return stacked(states, self.problem.chains)
+        states = self._simulated(point.states, point.rho, self._controls(point.rho)[0])
+        return stacked(states[::2], self.problem.chains)
 
-    def _controls(self, rho: Floats) -> Floats:
-        """(steps, W, nu) controls that act; those of the last few actuator parameters are kept."""
+    def _controls(self, rho: Floats) -> tuple[Acting, Ints, Matrix]:
+        """Controls that act in the windows, and `places` of the poses; those of a few actuator parameters are kept."""
         key = rho[self._acting].tobytes()
         if key not in self._commands:
             if len(self._commands) >= COMMANDS_KEPT:
                 del self._commands[next(iter(self._commands))]
-            self._commands[key] = padded(self.problem.actuators.mean(rho)[0], self.problem.chains)
+            acting = controls_in_parts(self.problem.actuators, self.problem.chains, rho)
+            self._commands[key] = (acting, *places(acting, self.windows))
         return self._commands[key]
 
     def residuals(self, point: Point) -> Floats:
@@ -346,8 +282,7 @@ class MultiStep:
         pose = [p.vehicle.index(name) for name in ("x", "y", "theta") if name in p.vehicle.state]
         others = [k for k in range(nx) if k not in pose]
         changed = [point.rho + changes * (np.arange(len(changes)) == k) for k in self._free.tolist()]
-        controls = [self._controls(rho) for rho in changed]
-        expected = in_parallel(lambda i: self._expect(changed[i], controls[i]), range(len(changed)))
+        expected = in_parallel(lambda i: self._expect(changed[i]), range(len(changed)))
         starts = [point.states]  # a lever turns about the tracked point
         starts += [self._shifted(point.states, point.rho, *each) for each in zip(changed, expected, strict=True)]
         rhos = [point.rho, *changed]
@@ -390,7 +325,7 @@ class MultiStep:
         b = self._by_rho.reshape(count, rows, known)
         w, r = weight.reshape(count, rows), self._off.reshape(count, rows)
         self._mean, varied = self._means(self._point.states)
-        prior = np.concatenate([self._observed[1] ** -2.0, self._within])
+        prior = np.hstack([self._observed[1] ** -2.0, np.tile(self._within, (count, 1))])
         deviation = self._point.states - self.prior_states(self._point.rho)
         deviation[:, nx:] = varied
         wa, diagonal, ends = a * w[..., None], np.arange(nx + nv), np.arange(nv)
@@ -454,60 +389,17 @@ class MultiStep:
         return replace(self._point, states=states, rho=rho)
 
 
-def in_parallel(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found]:
-    """Results of a function of each item, on all cores; in turn if this is one of the threads that do so already.
+def fit(
+    graph: MultiStep,
+    start: Point,
+    most: int,
+    on_iteration: OnIteration = ignore_iteration,
+    tolerance: float = CONVERGED,
+) -> Optimum:
+    """Minimise the cost within the bounds of the parameters, in at most `most` steps (Levenberg-Marquardt).
 
-    Compiled kernels and large arrays release Python's global lock.
+    The fit has converged after two steps that decrease the cost by a share of at most `tolerance`.
     """
-    if getattr(_thread, "working", False):
-        return [function(item) for item in items]
-
-    def work(item: Item) -> Found:
-        _thread.working = True
-        return function(item)
-
-    return list(_pool().map(work, items))
-
-
-_thread = threading.local()
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return ThreadPoolExecutor(cores, "sysid")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked process has no threads
-
-
-def process_noise(vehicle: Vehicle, growth: Floats, horizon: float) -> dict[str, float]:
-    """Random walks of speed and turning, by component, that make errors as large as the model's at the horizon."""
-    found = {}
-    per_rate = math.sqrt(3.0 / horizon)  # a random walk of a rate, integrated: q sqrt(t^3 / 3)
-    if (k := speed_index(vehicle)) >= 0:
-        found[vehicle.state[k]] = float(growth[0]) * per_rate
-    for name in vehicle.state:
-        if name in YAW_RATES:
-            found[name] = float(growth[2]) * per_rate
-    if "theta" in vehicle.state and not set(YAW_RATES) & set(vehicle.state):
-        found["theta"] = float(growth[2]) * math.sqrt(horizon)
-    return found
-
-
-def error_growth(vehicle: Vehicle, process: Floats, horizon: float) -> Floats:
-    """(3,) growth of the error in x, y and yaw that process noise (nx,) leads to: the inverse of `process_noise`."""
-    named = dict(zip(vehicle.state, map(float, process), strict=True))
-    per_rate, per_position = math.sqrt(3.0 / horizon), math.sqrt(horizon)
-    speed = speed_index(vehicle)
-    moving = [float(process[speed]) / per_rate] if speed >= 0 else [named[k] / per_position for k in ("x", "y")]
-    turning = [named[k] / per_rate for k in YAW_RATES if k in named] or [named.get("theta", 0.0) / per_position]
-    return np.array([max(moving), max(moving), max(turning)])
-
-
-def fit(graph: MultiStep, start: Point, most: int, on_iteration: OnIteration = ignore_iteration) -> Optimum:
-    """Minimise the cost within the bounds of the parameters, in at most `most` steps (Levenberg-Marquardt)."""
     p = graph.problem.parameters
     point, cost, damping, converged, iterations = start, graph.cost(start), DAMPING_INITIAL, False, 0
     small = False
@@ -518,7 +410,7 @@ def fit(graph: MultiStep, start: Point, most: int, on_iteration: OnIteration = i
         candidate = graph.moved(change)
         lower = graph.cost(candidate)
         if lower <= cost:
-            before, small = small, cost - lower <= CONVERGED * cost
+            before, small = small, cost - lower <= tolerance * cost
             iterations, converged = iterations + 1, before and small
             point, cost, damping = candidate, lower, max(0.2 * damping, DAMPING_MIN)
             graph.linearise(point)

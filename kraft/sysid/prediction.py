@@ -19,8 +19,9 @@ from kraft.errors import Code, InputError
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
 from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.growth import error_growth
 from kraft.sysid.initial_values import smooth_chains
-from kraft.sysid.multistep import MultiStep, Variation, error_growth, fit, windows_of
+from kraft.sysid.multistep import MultiStep, fit
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, variation_of, vehicle_of
@@ -29,6 +30,8 @@ from kraft.sysid.result import PredictionErrors
 from kraft.sysid.selection import check_settings
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, constant_motion, measured_noise, thinned
+from kraft.sysid.variation import Variation
+from kraft.sysid.windows import windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -42,8 +45,8 @@ WINDOW_LENGTH = 3.0
 HISTORY_PROCESS_FACTOR = 3.0
 """Process noise in the history of a window over that of an identification: the initial state shall follow the poses
 even if the parameters are wrong."""
-HISTORY_ITERATIONS = 15
-"""Most iterations of the fit of a history."""
+HISTORY_ITERATIONS, HISTORY_CONVERGED = 15, 1e-4
+"""Most iterations of the fit of a history, and the relative decrease of its cost below which it has converged."""
 HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
 RECENT = 0.3
@@ -170,7 +173,7 @@ class Predictor:
                 self._last, rho=rho.copy(), states=self.graph.shifted(self._last.states, self._last.rho, rho)
             )
             start = min(start, again, key=self.graph.cost)
-        self._last = fit(self.graph, start, HISTORY_ITERATIONS).point
+        self._last = fit(self.graph, start, HISTORY_ITERATIONS, tolerance=HISTORY_CONVERGED).point
         states = self._last.states.copy()
         for w in np.flatnonzero(self._resting):
             states[w] = 0.0

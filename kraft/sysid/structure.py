@@ -24,7 +24,7 @@ import numpy as np
 
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
-from kraft.sysid.multistep import MultiStep, Variation, fit, in_parallel, windows_of
+from kraft.sysid.multistep import CONVERGED, MultiStep, fit
 from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import (
     OnIteration,
@@ -39,6 +39,9 @@ from kraft.sysid.problem import Point
 from kraft.sysid.result import AT_BOUND
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
+from kraft.sysid.threads import in_parallel
+from kraft.sysid.variation import Variation
+from kraft.sysid.windows import windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -61,11 +64,11 @@ FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
 FOLDS_MIN: Final = 5
 """Least number of folds: fewer logs are cut into blocks of windows."""
-FIRST_ITERATIONS: Final = 20
-"""Most iterations of a fit whose weights are not final."""
+FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
+"""Most iterations of a fit whose weights are not final, and the relative decrease of its cost below which it ends."""
 WORSE_MAX: Final = 3
 """Structures in a row that are not as good as the best, after which the search ends."""
-NEGLIGIBLE: Final = 0.05
+NEGLIGIBLE: Final = 0.02
 """Share by which a simpler structure may predict worse."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
@@ -165,13 +168,16 @@ class StructureSearch:
     def full(self) -> Structure:
         """Fit of all terms, from the best of several first values."""
         graph = self.graph(self.candidates)
-        fits = [self._optimise(graph, graph.start(rho), FIRST_ITERATIONS) for rho in self._first_values(graph)]
+        firsts = self._first_values(graph)
+        fits = [self._optimise(graph, graph.start(rho), FIRST_ITERATIONS, FIRST_CONVERGED) for rho in firsts]
         optimum = min(fits, key=lambda found: found.cost)
-        for _ in range(GROWTH_ROUNDS):
+        for made in range(GROWTH_ROUNDS):
             self.growth = _error_growth(graph, optimum.point)
             self.variation = graph.found_variation(optimum.point.states)
             graph = self.graph(self.candidates)
-            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS)
+            final = made == GROWTH_ROUNDS - 1
+            tolerance = CONVERGED if final else FIRST_CONVERGED
+            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS, tolerance)
         return self._judged(self.candidates, graph, optimum)
 
     def _first_values(self, graph: MultiStep) -> list[Floats]:
@@ -194,13 +200,16 @@ class StructureSearch:
         found = self._optimise(few, few.start(search.best()), FIRST_ITERATIONS).point.rho
         return [nominal, np.where(p.free & q.free, found, p.nominal)]
 
-    def _optimise(self, graph: MultiStep, start: Point, iterations: int | None = None) -> Optimum:
+    def _optimise(
+        self, graph: MultiStep, start: Point, iterations: int | None = None, tolerance: float = CONVERGED
+    ) -> Optimum:
         before = self.iterations
         optimum = fit(
             graph,
             start,
             iterations or self.settings.iterations,
             lambda made, cost: self._on_iteration(before + made, cost),
+            tolerance,
         )
         self.iterations += optimum.iterations
         return optimum

@@ -64,7 +64,7 @@ def acceleration(v: float, effective: float, lateral: float, turned: float, slid
     brake = p[14] + p[16] * (drag if drag > 0.0 else -drag) + p[20] * (sliding if sliding > 0.0 else -sliding)
     beyond = (pushed - brake if pushed > brake else 0.0) + (pushed + brake if pushed < -brake else 0.0)
     left = brake - (pushed if pushed > 0.0 else -pushed)  # friction that the drive does not use up
-    held = HOLD * v * left / brake if left > 0.0 else 0.0
+    held = HOLD * v * left / sqrt(brake * brake + HOLD * HOLD * v * v) if left > 0.0 else 0.0  # less than friction
     speed = sqrt(v * v + STANDSTILL * STANDSTILL)
     moving = v * v / (speed * speed)
     driven = moving * (pushed - brake * v / speed) + (1.0 - moving) * (beyond - held)

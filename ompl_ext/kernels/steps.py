@@ -94,10 +94,10 @@ def _linearise(
                 block[j * WIDTH + i] += change[j]
 
 
-def _simulate(start: Matrix, u: Floats, p: Matrix, h: Floats, block: Floats, states: Floats) -> None:
+def _simulate(start: Matrix, u: Floats, p: Matrix, h: Matrix, block: Floats, states: Floats) -> None:
     """Open-loop motions: `states` (steps + 1, m, nx) from `start` (m, nx) with controls `u` (steps, m, nu).
 
-    Lane i of m has parameters `p` (m, np) and steps of h[i] s.
+    Lane i of m has parameters `p` (m, np); its step k takes h[k, i] s.
     """
     for first in range(0, len(start), WIDTH):
         lanes = min(WIDTH, len(start) - first)
@@ -107,9 +107,9 @@ def _simulate(start: Matrix, u: Floats, p: Matrix, h: Floats, block: Floats, sta
                 states[0, first + i, k] = start[first + i, k]
             for k in range(NP):
                 block[AT_PARAMETERS + k * WIDTH + i] = p[first + i, k]
-            block[AT_STEP + i] = h[first + i]
         for step in range(len(u)):
             for i in range(lanes):
+                block[AT_STEP + i] = h[step, first + i]
                 for k in range(NU):
                     block[AT_CONTROL + k * WIDTH + i] = u[step, first + i, k]
             step_lanes(block, lanes)
@@ -126,4 +126,4 @@ linearise = compiled(
     folder=FOLDER,
     signature=types.void(_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _CUBE),
 )
-simulate = compiled(_simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _VECTOR, _VECTOR, _CUBE))
+simulate = compiled(_simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _MATRIX, _VECTOR, _CUBE))

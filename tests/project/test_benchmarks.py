@@ -282,6 +282,9 @@ def test_random_cars_have_the_terms_that_they_state() -> None:
     assert truth == structures.random_truth(np.random.default_rng(3))
     there = structures.terms_of(truth)
     assert 0 < len(there) < len(structures.RANGES)
+    many = [structures.terms_of(structures.random_truth(np.random.default_rng(seed))) for seed in range(50)]
+    assert any("skid" in terms for terms in many)
+    assert all(terms & {"slide", "understeer"} for terms in many if "skid" in terms)  # else it has no effect
     (log,) = structures.drives(truth, [7])
     assert log.controls == ("throttle", "steering")
     errors = {"auto": 0.02, "all terms": 0.03, "terms that are there": 0.025}

@@ -10,11 +10,15 @@ import pytest
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Settings, identify, prediction_errors
+from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
+from kraft.sysid.chains import whole_segment
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.identify import identify_terms
+from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import constant_windows, window_errors
 from kraft.sysid.smoothing import thinned
+from kraft.sysid.structure import StructureSearch
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import configured, load_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -61,6 +65,52 @@ def test_friction_holds_the_car_at_rest_and_brings_it_to_rest() -> None:
         assert (np.diff(coasting[:, 3]) <= 1e-9).all()
         resting = model.simulate(0.0 * moving, controls, car().parameter_array[None], np.array([0.05]))[:, 0]
         assert np.abs(resting[:, 3]).max() < 1e-6
+
+
+def test_friction_that_vanishes_has_no_effect_on_a_coasting_car() -> None:
+    start, controls = np.array([[0.0, 0.0, 0.0, 0.05]]), np.zeros((40, 1, 2))
+    ends = []
+    for friction in (0.0, 1e-6):
+        model = car(friction=friction)
+        ends.append(
+            DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([0.05]))[-1, 0]
+        )
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-4)
+
+
+def test_the_wheels_at_the_beginning_of_a_window_follow_from_the_commands_before_it() -> None:
+    model = load_vehicle("car-lag", parameters={**TRUTH, "tau_steer": 0.3, "rate_limit": 0.1})
+    log = drive(model, 4, 12.0)
+    search = StructureSearch(load_vehicle_config("car-lag"), [log], Settings(), lambda *_: None)
+    graph = search.graph(search.candidates)
+    p = graph.problem.parameters
+    expected = graph.prior_states(
+        np.array([model.parameters.get(n, v) for n, v in zip(p.names, p.nominal, strict=True)])
+    )
+    (part,), delta = log.parts, model.index("delta")
+    levels = np.ascontiguousarray(part.commands[:, None, :])
+    states = DiscreteModel(model).simulate(np.zeros((1, 6)), levels, model.parameter_array[None], np.array([STEP]))[
+        :, 0
+    ]
+    for window, state in zip(graph.windows.segments, expected, strict=True):
+        assert state[delta] == pytest.approx(states[round(window.begin / STEP), delta], abs=0.01)
+
+
+def test_a_step_is_split_where_a_command_jumps() -> None:
+    times, levels = np.array([0.0, 0.11, 0.325]), np.array([[0.2, 0.0], [1.0, 0.0], [-0.5, 0.3]])
+    poses = np.zeros((11, 3))
+    part = Part(times, levels, np.linspace(0.0, 0.5, 11), poses)
+    vehicle = load_vehicle_config("car")
+    parameters = parameters_of(vehicle, Settings(), ("delay",))
+    actuators = ActuatorModel([whole_segment(part, 0, 0.05)], parameters)
+    rho = parameters.nominal.copy()
+    rho[parameters.index("delay")] = 0.02
+    share, means = actuators.split(rho)
+    assert share[[2, 6]] == pytest.approx([0.6, 0.9])  # 0.13 and 0.345 s
+    np.testing.assert_allclose(means[2], [[0.2, 0.0], [1.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(means[6], [[1.0, 0.0], [-0.5, 0.3]], atol=1e-12)
+    others = np.delete(share, [0, 2, 6])
+    np.testing.assert_allclose(others, 0.5)
 
 
 def test_neutral_values_switch_the_terms_off() -> None:

@@ -1,0 +1,109 @@
+"""Windows of logs in common arrays, and the controls that act in them, each step in two parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kraft.sysid.actuators import ActuatorModel
+from kraft.sysid.chains import Chains, Segment, pose_steps
+from kraft.sysid.initial_values import SmoothedPoses
+from kraft.sysid.problem import padded
+from kraft.sysid.smoothing import smoothed
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Part
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Poses of windows in common arrays: W windows of at most n poses."""
+
+    segments: tuple[Segment, ...]
+    steps: int
+    """of the longest window"""
+    h: Floats
+    """(W,) s"""
+    poses: Floats
+    """(W, n, 3) observed, zeros beyond the last pose of a window"""
+    seen: Bools
+    """(W, n) whether there is such a pose"""
+    since: Matrix
+    """(W, n) time since the beginning of the window, s"""
+    step: Ints
+    """(W, n)"""
+    share: Matrix
+    """(W, n) of the step"""
+    fold: Ints
+    """(W,)"""
+    known: Floats
+    """(W,) time in the window at which the model's error is 0, s: 0 in a fit, in a history its end"""
+    first: SmoothedPoses
+    """(W, 3) poses and rates at the beginnings, smoothed with those before and after"""
+    interval: float
+    """between the poses that they were smoothed from, s"""
+
+    @property
+    def folds(self) -> int:
+        """Number of folds."""
+        return int(self.fold.max()) + 1
+
+
+def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, known: Floats | None = None) -> Windows:
+    """Arrays of some windows; `parts` (W,) are the parts with all poses, `fold` (W,) is the fold of each.
+
+    With `known` (W,) the windows are histories up to that time, whose later poses are not seen.
+    """
+    beginnings = [
+        smoothed(part.pose_times, part.poses, np.array([s.begin])) for s, part in zip(segments, parts, strict=True)
+    ]
+    first = SmoothedPoses(*(np.concatenate(each) for each in zip(*beginnings, strict=True)))
+    apart = [np.median(np.diff(part.pose_times)) for part in parts if len(part.pose_times) > 1]
+    interval = float(np.median(apart)) if apart else max(s.h for s in segments)
+    most = max(len(s.part.pose_times[s.poses]) for s in segments)
+    shape = (len(segments), most)
+    poses, seen, since = np.zeros((*shape, 3)), np.zeros(shape, dtype=bool), np.zeros(shape)
+    step, share = np.zeros(shape, dtype=np.int64), np.zeros(shape)
+    for w, s in enumerate(segments):
+        times = s.part.pose_times[s.poses]
+        own = slice(0, len(times))
+        poses[w, own], since[w, own] = s.part.poses[s.poses], times - s.begin
+        seen[w, own] = True if known is None else since[w, own] <= known[w] + 1e-9
+        step[w, own], share[w, own] = pose_steps(s)
+    h, steps = np.array([s.h for s in segments]), max(s.steps for s in segments)
+    known = np.zeros(len(segments)) if known is None else known
+    return Windows(tuple(segments), steps, h, poses, seen, since, step, share, fold, known, first, interval)
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """Controls that act in W windows, each step in two parts."""
+
+    controls: Floats
+    """(2 steps, W, nu)"""
+    h: Matrix
+    """(2 steps, W) durations, s"""
+
+
+def controls_in_parts(actuators: ActuatorModel, chains: Chains, rho: Floats) -> Acting:
+    """Controls in the steps of all chains, split where commands jump; zeros beyond the last step of a chain."""
+    share, means = actuators.split(rho)
+    parts = np.column_stack([share, 1.0 - share]) * chains.h[:, None]
+    both = padded(np.concatenate([means, parts[..., None]], axis=2).reshape(len(means), -1), chains)
+    steps, count, size = both.shape
+    halves = np.moveaxis(both.reshape(steps, count, 2, size // 2), 2, 1).reshape(2 * steps, count, size // 2)
+    return Acting(np.ascontiguousarray(halves[..., :-1]), np.ascontiguousarray(halves[..., -1]))
+
+
+def places(acting: Acting, windows: Windows) -> tuple[Ints, Matrix]:
+    """Part of a step (W, n) in which each pose was observed, and share (W, n) of that part."""
+    row = np.arange(len(windows.step))[:, None]
+    first, second = acting.h[2 * windows.step, row], acting.h[2 * windows.step + 1, row]
+    since = windows.share * (first + second)
+    late = since > first
+    part = np.where(late, second, first)
+    return 2 * windows.step + late, (since - np.where(late, first, 0.0)) / np.where(part > 0.0, part, 1.0)
