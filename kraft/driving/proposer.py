@@ -138,6 +138,10 @@ class Proposer:
         self._grown: tuple[DirtSolver, Plan] | None = None
         self._extra = 0
 
+    def set_settings(self, settings: PlannerSettings) -> None:
+        """Use settings with another budget from the next proposal on."""
+        self._settings = settings
+
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
         """Plan for cycle `number` from the predicted root.
 

@@ -27,6 +27,7 @@ from kraft.driving.messages import (  # fmt: skip
     Reference,
     ReferenceKind,
     Stop,
+    Uncertainty,
 )
 from kraft.driving.method import PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer, Solvers
@@ -117,9 +118,16 @@ class Replanner:
         """Set the delay from the replanner to the effect of a command (s), as far as it is known now."""
         self._cycle_offset = max(0.0, delay - self._settings.lead)
 
-    def begin(self, state: Floats) -> Commitment:
-        """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest."""
+    def begin(self, state: Floats, uncertainty: Uncertainty | None = None) -> Commitment:
+        """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest.
+
+        `uncertainty` is that of the estimate at the start: the first plan keeps the bound by which it will be checked.
+        """
+        if self._calibration is not None and uncertainty is not None:
+            self._set_bound(self._calibration.bound(uncertainty))
+        self._proposer.set_settings(self._settings.for_first_plan)
         self._proposal = self._proposer.propose(0, state, None)
+        self._proposer.set_settings(self._settings)
         return Commitment(self._standing(state, 0.0))
 
     @property
@@ -192,9 +200,12 @@ class Replanner:
         """Compare the last prediction with the estimate, and set the bound for this cycle."""
         if self._calibration is not None and estimate.uncertainty is not None:
             self._calibration.observe(estimate.time, estimate.state)
-            self._bound = self._calibration.bound(estimate.uncertainty)
-            self._proposer.set_bound(self._bound)
-            self._delta = self.dirt.safety.delta
+            self._set_bound(self._calibration.bound(estimate.uncertainty))
+
+    def _set_bound(self, bound: DeviationBound) -> None:
+        self._bound = bound
+        self._proposer.set_bound(bound)
+        self._delta = self.dirt.safety.delta
 
     def _stands(self, estimate: Estimate, current: Commitment) -> bool:
         """Whether the contingency on board has stopped the vehicle; its estimated speed is noise then."""
@@ -237,7 +248,7 @@ class Replanner:
                 root, cycle_start, current, f"the newest observation is {estimate.age:.2f} s old"
             )
         cycle_end = cycle_start + self._settings.cycle
-        reference = plan_reference(self.dirt.vehicle, plan, cycle_start)
+        reference = plan_reference(self.dirt.vehicle, plan, cycle_start, self._settings.cycle)
         predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
         if self._one_shot:
             return Decision(reference, predicted, "", plan)

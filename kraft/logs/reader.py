@@ -153,9 +153,7 @@ def _merged(commands: Table, guard: Table) -> Table:
     if "time" not in commands.columns or set(commands.columns) != set(guard.columns):
         problem = f"has other columns than {commands.name}: {_listed(list(guard.columns))}"
         raise InputError([guard.diagnostic(problem, f"expected {_listed(list(commands.columns))}")])
-    columns = {
-        name: np.concatenate([values, guard.columns[name]]) for name, values in commands.columns.items()
-    }
+    columns = {name: np.concatenate([values, guard.columns[name]]) for name, values in commands.columns.items()}
     order = np.argsort(columns["time"], kind="stable")
     before = np.searchsorted(commands.columns["time"], guard.columns["time"], side="right") - 1
     rows = np.concatenate([commands.rows, commands.rows[np.maximum(before, 0)]])

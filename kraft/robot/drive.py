@@ -217,7 +217,8 @@ class Planner:
         self._solvers = Solvers.of(self._task, vehicle, method.planner)
         self._replanner = self._new_replanner()
         self._warm_up(state)
-        return Begin(state, self._replanner.begin(state))
+        uncertainty = self._estimator.replanning_estimate(0.0).uncertainty
+        return Begin(state, self._replanner.begin(state, uncertainty))
 
     def _warm_up(self, state: Floats) -> None:
         """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""

@@ -27,6 +27,7 @@ from kraft.trial.measures import ClosestApproach, Measures, Step, measure
 from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio, level_camera
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
@@ -117,7 +118,7 @@ class _Trial:
             realtime=spec.realtime, keep_trees=keep_trees,
         )  # fmt: skip
         self._radio = Radio(scenario.sensing.message_loss, spec.seed)
-        self._on_board = OnBoard(method.planner, solvers.checking.safety, model, self._replanner.begin(start))
+        self._on_board = OnBoard(method.planner, solvers.checking.safety, model, self._begin(start))
         self._sent: list[tuple[float, Commitment]] = []
         self._in_flight: list[Observation] = []
         self._true_poses: dict[float, tuple[float, float, float]] = {}  # at the time of each observation in flight
@@ -126,6 +127,10 @@ class _Trial:
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
         exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
         self.approach = ClosestApproach(exact.distance, vehicle.footprint.reach)
+
+    def _begin(self, start: Floats) -> Commitment:
+        """What the car has on board at the start."""
+        return self._replanner.begin(start, self._estimator.replanning_estimate(0.0).uncertainty)
 
     @property
     def outcome(self) -> Outcome | None:

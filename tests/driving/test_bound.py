@@ -9,7 +9,7 @@ import pytest
 from support.replanner import mushr, replanner, start
 
 from kraft.driving.bound import BoundCalibration, DeviationBound
-from kraft.driving.messages import Estimate, PredictedMotion, Uncertainty
+from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import HYSTERESIS, STEADY, Proposal
 from kraft.driving.replanner import Replanner
@@ -109,6 +109,22 @@ def test_an_estimate_outside_the_prediction_is_not_compared(time: float) -> None
     subject.committed(straight(), uncertainty())
     subject.observe(time, np.array([5.0, 5.0, 0.0, 0.5]))
     assert subject.factor == pytest.approx(SETTINGS.initial)
+
+
+# First plan
+
+
+def test_the_first_plan_keeps_the_bound_of_the_estimate_at_the_start() -> None:
+    subject = replanner(bound=SHARES, iterations=600)
+    subject.begin(start(), uncertainty(position=0.05))
+    plan, bound = subject._proposal.plan, BoundCalibration(SHARES, mushr()).bound(uncertainty(position=0.05))
+    assert plan is not None
+    needed = bound.at(plan.times, plan.trajectory[:, 3])
+    assert (subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-6).all()
+    cycle = subject.decide(
+        Estimate(0.0, start(), 0.0, uncertainty=uncertainty(position=0.05)), Commitment(subject._standing(start(), 0.0))
+    )
+    assert cycle.kind is ReferenceKind.PLAN
 
 
 # Shares

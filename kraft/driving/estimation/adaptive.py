@@ -35,6 +35,8 @@ GRAVITY_SHARE_ERROR: Final = 0.25
 """Standard deviation of the share of gravity that a vehicle feels, as a share of it."""
 MOVING: Final = 0.05
 """Speed or turning rate above which the vehicle moves, m/s or rad/s."""
+CONTRADICTION: Final = 2.0
+"""Difference between a stated delay and what poses say, in standard deviations, above which it is doubted."""
 SAME_TURN: Final = 1.0
 """Time for which the error of a turning rate by wrong parameters counts as the same, s."""
 SPREAD_STEP: Final = 1e-3
@@ -97,7 +99,8 @@ class AdaptiveEstimator:
         self.learned: Learned | None = None
         self._history = _History(start_state, model)
         self._delay_index = parameters.index(DELAY)
-        self.horizon = 0.0
+        self.horizon = 0.0 if self._delay_index < 0 else parameters.specs[self._delay_index].value
+        self._filter.set_delay(self.horizon)
 
     @property
     def belief(self) -> PoseBelief | None:
@@ -144,7 +147,7 @@ class AdaptiveEstimator:
         if k < 0:
             return 0.0
         if self._identified is None:
-            return self._settings.delay_std
+            return self._window.parameters.specs[k].std
         return math.sqrt(float(self._identified.covariance[k, k]))
 
     def _identify(self, time: float) -> None:
@@ -171,6 +174,25 @@ class AdaptiveEstimator:
         if self._delay_index >= 0:
             self.horizon = float(identified.rho[self._delay_index])
             self._filter.set_delay(self.horizon)
+            self._doubt_delay(float(identified.covariance[self._delay_index, self._delay_index]))
+
+    def _doubt_delay(self, variance: float) -> None:
+        """Widen the prior of a delay that the vehicle's file states, if the poses contradict it.
+
+        The estimate, of this `variance`, joins the prior and what the poses alone say.  If these differ significantly,
+        the prior gets the variance with which their difference is as likely as it can be (maximum likelihood of the
+        second kind), so that another delay than the stated one is found.
+        """
+        stated, k = self._model.vehicle.delay, self._delay_index
+        if stated is None:
+            return
+        (value, std), used = stated, self._window.parameters.specs[k].std
+        information = 1.0 / variance - used**-2.0
+        if information > 0.0:
+            alone = (self.horizon / variance - value / used**2) / information
+            difference = (alone - value) ** 2
+            contradicts = difference > CONTRADICTION**2 * (std**2 + 1.0 / information)
+            self._window.set_std(k, math.sqrt(difference - 1.0 / information) if contradicts else std)
 
     def _covariance_of(self, identified: Identified) -> Matrix:
         """Covariance (np, np) of the vehicle's parameters."""
@@ -238,7 +260,8 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     ]  # fmt: skip
     frozen = frozenset() if settings.identify else frozenset(vehicle.parameters)
     if settings.compensate:
-        specs.append(ParameterSpec(DELAY, 0.0, 0.0, DELAY_MAX, settings.delay_std, "s", "", True))
+        delay, std = vehicle.delay or (0.0, settings.delay_std)
+        specs.append(ParameterSpec(DELAY, delay, 0.0, DELAY_MAX, std, "s", "", True))
     return Parameters(vehicle, tuple(specs), frozen)
 
 
