@@ -99,7 +99,7 @@ class PlannerSettings(StrictModel):
     max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
     """largest budget of a cycle, used while the plan is not settled; `iterations` if left out"""
     first_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
-    """planning budget of the first plan, which is made before the vehicle drives; `iterations` if left out"""
+    """planning budget of a first plan that keeps the bound, before the vehicle drives; `iterations` if left out"""
     retain: Literal["plan", "tree"] = "plan"
     """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
     switch_gain: NonNegative = 0.0

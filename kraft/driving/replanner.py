@@ -47,6 +47,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 
 SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
+KEEPING_COST = 0.5  # by which a first plan that keeps the bound may exceed one that does not, which is often lost (s)
 NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
 
@@ -95,6 +96,7 @@ class Replanner:
         keep_trees: bool = False,
     ) -> None:
         self._settings, self._solvers, self.dirt = settings, solvers, solvers.checking
+        self._realtime = realtime
         self._propose_with = partial(Proposer, settings=settings, seed=seed, realtime=realtime, keep_trees=keep_trees)
         self._proposer = self._propose_with(solvers)
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
@@ -121,14 +123,35 @@ class Replanner:
     def begin(self, state: Floats, uncertainty: Uncertainty | None = None) -> Commitment:
         """Plan the first cycle from the start (nx,), before the clock runs; the result keeps the vehicle at rest.
 
-        `uncertainty` is that of the estimate at the start: the first plan keeps the bound by which it will be checked.
+        `uncertainty` is that of the estimate at the start, if there is a bound that the plan will be checked against.
         """
-        if self._calibration is not None and uncertainty is not None:
-            self._set_bound(self._calibration.bound(uncertainty))
-        self._proposer.set_settings(self._settings.for_first_plan)
+        standing = Commitment(self._standing(state, 0.0))
         self._proposal = self._proposer.propose(0, state, None)
+        if self._calibration is not None and uncertainty is not None:
+            self._begin_with(self._calibration.bound(uncertainty), state, standing)
+        return standing
+
+    def _begin_with(self, bound: DeviationBound, state: Floats, standing: Commitment) -> None:
+        """Make a first plan that keeps the bound, and take the one made with the margin alone only if that saves much.
+
+        The one with the margin alone may fail its check against the bound; then it does not count.  By the clock it is
+        taken if it passes: the vehicle waits for the plan.
+        """
+        self._set_bound(bound)
+        cost = _cost(self._decide(state, self._cycle_offset, Estimate(0.0, state, 0.0), standing).plan)
+        if self._realtime and cost < math.inf:
+            return
+        self._proposer = self._propose_with(self._solvers, settings=self._settings.for_first_plan)
+        self._set_bound(bound)
+        found = self._proposer.propose(0, state, None)
         self._proposer.set_settings(self._settings)
-        return Commitment(self._standing(state, 0.0))
+        if _cost(found.plan) <= cost + KEEPING_COST:
+            self._proposal = found
+            return
+        self._solvers.set_bound(DeviationBound(0.0))
+        self._proposer = self._propose_with(self._solvers)
+        self._proposal = self._proposer.propose(0, state, None)  # again, because the trees hold the other plan
+        self._set_bound(bound)
 
     @property
     def next_step(self) -> float:
@@ -399,3 +422,8 @@ class Replanner:
             parameters=estimate.parameters,
             proposed=proposal.plan is not None,
         )
+
+
+def _cost(plan: Plan | None) -> float:
+    """Cost of a plan and cost-to-go from its end, infinite without a plan, s."""
+    return math.inf if plan is None else plan.cost + plan.cost_to_go

@@ -13,6 +13,7 @@ from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Refere
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import HYSTERESIS, STEADY, Proposal
 from kraft.driving.replanner import Replanner
+from ompl_ext.plan import Plan
 
 SETTINGS = CalibratedBound()
 SHARES = CalibratedBound(foresight=60.0, shares=(1.0, 0.5, 0.25))
@@ -114,17 +115,30 @@ def test_an_estimate_outside_the_prediction_is_not_compared(time: float) -> None
 # First plan
 
 
-def test_the_first_plan_keeps_the_bound_of_the_estimate_at_the_start() -> None:
+def first_plan(monkeypatch: pytest.MonkeyPatch, keeping_cost: float) -> tuple[Replanner, Plan]:
+    """Replanner with a bound and its first plan; one that keeps the bound may cost so much more (s)."""
+    monkeypatch.setattr("kraft.driving.replanner.KEEPING_COST", keeping_cost)
     subject = replanner(bound=SHARES, iterations=600)
-    subject.begin(start(), uncertainty(position=0.05))
-    plan, bound = subject._proposal.plan, BoundCalibration(SHARES, mushr()).bound(uncertainty(position=0.05))
+    subject.begin(start(), uncertainty())
+    plan = subject._proposal.plan
     assert plan is not None
-    needed = bound.at(plan.times, plan.trajectory[:, 3])
+    return subject, plan
+
+
+def test_the_first_plan_keeps_the_bound_of_the_estimate_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    subject, plan = first_plan(monkeypatch, math.inf)
+    needed = BoundCalibration(SHARES, mushr()).bound(uncertainty()).at(plan.times, plan.trajectory[:, 3])
     assert (subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-6).all()
-    cycle = subject.decide(
-        Estimate(0.0, start(), 0.0, uncertainty=uncertainty(position=0.05)), Commitment(subject._standing(start(), 0.0))
-    )
-    assert cycle.kind is ReferenceKind.PLAN
+    estimate = Estimate(0.0, start(), 0.0, uncertainty=uncertainty())
+    assert subject.decide(estimate, Commitment(subject._standing(start(), 0.0))).kind is ReferenceKind.PLAN
+
+
+def test_a_first_plan_that_passes_its_check_is_kept_where_the_bound_costs_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, plan = first_plan(monkeypatch, -math.inf)
+    alone = replanner(bound=SHARES, iterations=600)
+    alone.begin(start())
+    assert alone._proposal.plan is not None
+    np.testing.assert_array_equal(plan.trajectory, alone._proposal.plan.trajectory)
 
 
 # Shares
