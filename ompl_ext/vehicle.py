@@ -90,6 +90,8 @@ class Vehicle:
     """of the parameters that may be estimated while the vehicle drives; planning does not use them"""
     gravity_share: float | None = None
     """share of gravity along a slope that accelerates the vehicle, the rest the drive takes; None if it is not known"""
+    delay: tuple[float, float] | None = None
+    """delay of commands and its standard deviation (s), which only estimators use; None if it is not known"""
     file: str = field(default="", compare=False)
     """file that its numbers were read from, for messages; empty for a vehicle in code alone"""
 

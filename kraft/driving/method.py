@@ -98,6 +98,8 @@ class PlannerSettings(StrictModel):
     """planning budget of a cycle, or of the one plan, in iterations"""
     max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
     """largest budget of a cycle, used while the plan is not settled; `iterations` if left out"""
+    first_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
+    """planning budget of the first plan, before the vehicle drives; `iterations` if left out"""
     retain: Literal["plan", "tree"] = "plan"
     """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
     switch_gain: NonNegative = 0.0
@@ -135,12 +137,18 @@ class PlannerSettings(StrictModel):
     @property
     def capacity(self) -> int:
         """Number of nodes that the tree has memory for."""
-        return max(10_000, min(200_000, 4 * self.largest_budget))
+        return max(10_000, min(200_000, 4 * max(self.largest_budget, self.first_iterations or 0)))
 
     @property
     def largest_budget(self) -> int:
         """Largest number of iterations of a cycle."""
         return self.iterations if self.max_iterations is None else self.max_iterations
+
+    @property
+    def for_first_plan(self) -> PlannerSettings:
+        """Settings with the budget of the first plan: as much again is spent while it is not settled."""
+        first = self.first_iterations
+        return self if first is None else self.model_copy(update={"iterations": first, "max_iterations": 2 * first})
 
     @property
     def is_safe(self) -> bool:

@@ -107,6 +107,10 @@ class Proposer:
             0  # iterations that are left of the largest budget of the cycle, beyond `iterations` of each search
         )
 
+    def set_settings(self, settings: PlannerSettings) -> None:
+        """Use settings with another budget from the next proposal on."""
+        self._settings = settings
+
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
         """Plan for cycle `number` from the predicted root.
 

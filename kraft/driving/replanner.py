@@ -124,9 +124,11 @@ class Replanner:
 
         With a bound, the first plan keeps the one of this uncertainty, or only the margin if none is stated.
         """
+        self._proposer.set_settings(self._settings.for_first_plan)
         if self._calibration is not None and uncertainty is not None:
             self._set_bound(self._calibration.bound(uncertainty))
         self._proposal = self._proposer.propose(0, state, None)
+        self._proposer.set_settings(self._settings)
         return Commitment(self._standing(state, 0.0))
 
     @property
@@ -249,7 +251,7 @@ class Replanner:
                 root, cycle_start, current, f"the newest observation is {estimate.age:.2f} s old"
             )
         cycle_end = cycle_start + self._settings.cycle
-        reference = plan_reference(self.dirt.vehicle, plan, cycle_start)
+        reference = plan_reference(self.dirt.vehicle, plan, cycle_start, self._settings.cycle)
         predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
         if self._one_shot:
             return Decision(reference, predicted, "", plan)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +19,25 @@ from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 
-def plan_reference(vehicle: Vehicle, plan: Plan, start: float) -> Reference:
-    """Reference of a plan that starts at `start` s of the trial; after its end the vehicle is held."""
+def plan_reference(vehicle: Vehicle, plan: Plan, start: float, cycle: float = 0.0) -> Reference:
+    """Reference of a plan that starts at `start` s of the trial; after its end the vehicle is held.
+
+    A plan that ends within its `cycle` (s), in the goal, is followed by its contingency: the vehicle may be fast there.
+    """
     edges = np.searchsorted(np.cumsum(plan.durations), plan.times[:-1] + 1e-9, side="right")
     controls = plan.controls[np.minimum(edges, max(0, len(plan.durations) - 1))]
     rest = holding_control(vehicle, plan.trajectory[-1])
-    return Reference(ReferenceKind.PLAN, start + plan.times, plan.trajectory, controls, rest)
+    reference = Reference(ReferenceKind.PLAN, start + plan.times, plan.trajectory, controls, rest)
+    if plan.contingency is None or plan.cost >= cycle:
+        return reference
+    stop = contingency_reference(vehicle, plan.contingency)
+    return replace(
+        reference,
+        times=np.concatenate([reference.times, reference.end + stop.times[1:] - stop.start]),
+        states=np.vstack([reference.states, stop.states[1:]]),
+        controls=np.vstack([controls, stop.controls]),
+        rest=stop.rest,
+    )
 
 
 def contingency_reference(vehicle: Vehicle, contingency: Contingency) -> Reference:

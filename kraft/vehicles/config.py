@@ -58,6 +58,15 @@ def _speed(value: object) -> float | str:
 _SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
 
 
+class Delay(StrictModel):
+    """Delay of commands, as far as it is known before a drive."""
+
+    value: Annotated[float, Field(ge=0, le=0.5)]
+    """time until a command takes effect, s"""
+    std: Positive
+    """standard deviation, with what may change from day to day, s"""
+
+
 class VehicleConfig(StrictModel):
     """Vehicle file. The parameters have the order of the model."""
 
@@ -77,6 +86,8 @@ class VehicleConfig(StrictModel):
     """speed that the vehicle never exceeds, m/s, or the parameter that is that speed"""
     gravity_share: Annotated[float, Field(gt=0, le=1)] | None = None
     """share of gravity along a slope that accelerates the vehicle; the rest the inertia of the drive takes"""
+    delay: Delay | None = None
+    """delay of commands {value, std}, from which estimators start that estimate it"""
     truth: Robot | None = None
     """the true robot in trials whose scenario states none {car} or {mjcf, body, actuators, geoms} or {model}"""
     identification: IdentificationRecord | None = None

@@ -84,6 +84,7 @@ def configured(config: VehicleConfig) -> Vehicle:
         top_speed=config.speed_limit,
         ranges=config.ranges,
         gravity_share=config.gravity_share,
+        delay=None if config.delay is None else (config.delay.value, config.delay.std),
         file=config.source.file,
     )
 

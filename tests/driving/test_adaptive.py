@@ -123,6 +123,30 @@ def test_the_horizon_converges_to_the_delay(delay: float) -> None:
     assert estimate.age < 0.05
 
 
+def stating(delay: float, std: float) -> AdaptiveEstimator:
+    """Estimator of a vehicle whose file states the delay of its commands."""
+    return AdaptiveEstimator(DEFAULT, CarModel(replace(vehicle(), delay=(delay, std))), BEGIN)
+
+
+def test_a_stated_delay_is_known_from_the_start() -> None:
+    subject = stating(0.05, 0.01)
+    estimate = subject.replanning_estimate(0.0)
+    assert subject.horizon == 0.05
+    assert estimate.time == pytest.approx(0.05)
+    assert estimate.uncertainty is not None
+    assert estimate.uncertainty.delay == 0.01
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.2])
+def test_a_stated_delay_that_the_poses_contradict_yields(delay: float) -> None:
+    states, commands = driven(exciting, 10.0, OTHER, delay)
+    subject = stating(0.03, 0.01)
+    _, estimate = drive(subject, states, commands, correlated(np.random.default_rng(1), len(states), ACCURATE, 0.0))
+    assert subject.horizon == pytest.approx(delay, abs=0.03)
+    assert estimate.uncertainty is not None
+    assert abs(subject.horizon - delay) < 3.0 * estimate.uncertainty.delay
+
+
 def test_parameters_of_the_car_appear_in_the_estimate_and_in_the_model() -> None:
     states, commands = driven(exciting, 10.0, OTHER, 0.1)
     model = CarModel(vehicle())

@@ -10,7 +10,7 @@ from support.replanner import mushr, replanner, start
 
 from kraft.driving.bound import BoundCalibration, DeviationBound
 from kraft.driving.levels import HYSTERESIS, STEADY
-from kraft.driving.messages import Estimate, PredictedMotion, Uncertainty
+from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
 from kraft.driving.replanner import Replanner
@@ -110,6 +110,29 @@ def test_an_estimate_outside_the_prediction_is_not_compared(time: float) -> None
     subject.committed(straight(), uncertainty())
     subject.observe(time, np.array([5.0, 5.0, 0.0, 0.5]))
     assert subject.factor == pytest.approx(SETTINGS.initial)
+
+
+# First plan
+
+
+def test_the_first_plan_keeps_the_bound_of_the_estimate_at_the_start() -> None:
+    subject = replanner(bound=SHARES, iterations=600)
+    subject.begin(start(), uncertainty())
+    plan = subject._proposal.plan
+    assert plan is not None
+    needed = BoundCalibration(SHARES, mushr()).bound(uncertainty()).at(plan.times, plan.trajectory[:, 3])
+    assert (subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-6).all()
+    estimate = Estimate(0.0, start(), 0.0, uncertainty=uncertainty())
+    assert subject.decide(estimate, Commitment(subject._standing(start(), 0.0))).kind is ReferenceKind.PLAN
+
+
+def test_the_first_plan_has_a_budget_of_its_own() -> None:
+    spent = {}
+    for first in (None, 2000):
+        subject = replanner(bound=SHARES, iterations=600, first_iterations=first)
+        subject.begin(start(), uncertainty())
+        spent[first] = subject._proposal.iterations
+    assert spent[None] <= 600 < 2000 <= spent[2000] <= 4000
 
 
 # Shares

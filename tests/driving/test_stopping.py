@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.replanner import FARSIGHTED, mushr, replanner, start
+from support.replanner import FARSIGHTED, MARGIN, mushr, replanner, start
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
@@ -88,6 +88,28 @@ def test_a_plan_becomes_a_reference_with_the_control_of_each_step() -> None:
     for k, end in enumerate(ends):
         np.testing.assert_array_equal(reference.control_at(2.0 + end - 1e-6), plan.controls[k])
     np.testing.assert_array_equal(reference.control_at(2.0 + plan.cost + 1e-6), np.zeros(2))
+
+
+def test_a_plan_that_ends_in_its_cycle_is_followed_by_its_contingency_and_a_longer_one_is_not() -> None:
+    subject = replanner(safety=MARGIN)
+    subject.begin(np.array([1.0, 4.5, math.pi / 2, 0.3]))
+    plan = subject._proposal.plan
+    assert plan is not None
+    assert plan.contingency is not None
+    assert plan.reaches_goal
+    assert plan.cost < 1.0
+    vehicle = subject.dirt.vehicle
+    stops, ends = plan_reference(vehicle, plan, 2.0, 1.0), plan_reference(vehicle, plan, 2.0, plan.cost)
+    assert ends.end == pytest.approx(2.0 + plan.cost)
+    assert stops.end == pytest.approx(2.0 + plan.contingency.times[-1])
+    assert (np.diff(stops.times) > 0.0).all()
+    assert stops.kind is ReferenceKind.PLAN
+    assert abs(ends.states[-1][3]) > 0.1 > abs(stops.states[-1][3])
+    stop = vehicle.manoeuvres.index(plan.contingency.manoeuvre)
+    expected = stop_control(vehicle, plan.contingency.states[0], stop)
+    np.testing.assert_array_equal(stops.control_at(2.0 + plan.cost + 1e-3), expected)
+    for time in (2.0, 2.0 + 0.5 * plan.cost):
+        np.testing.assert_array_equal(stops.state_at(time), ends.state_at(time))
 
 
 def test_a_vehicle_without_a_stop_function_stops_with_zero_control() -> None:

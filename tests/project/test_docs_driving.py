@@ -12,8 +12,9 @@ from pydantic.fields import FieldInfo
 from support.paths import ROOT
 
 from kraft.config import bundled
-from kraft.driving.estimation.adaptive import DRIVE_MAX, PRIOR_CORRELATION, PRIOR_POSES
+from kraft.driving.estimation.adaptive import DRIVE_MAX
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.estimation.noise_estimate import PRIOR_CORRELATION, PRIOR_POSES
 from kraft.driving.levels import HYSTERESIS, NARROW, SOON, STEADY
 from kraft.driving.method import (  # fmt: skip
     Adaptive,

@@ -9,7 +9,8 @@ from support.diagnostics import located, raised
 
 from kraft.config import bundled
 from kraft.errors import Code
-from kraft.vehicles.config import Footprint, load_vehicle_config
+from kraft.vehicles.config import Footprint, VehicleConfig, load_vehicle_config
+from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR_LAG
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
@@ -20,6 +21,26 @@ parameters:
 footprint: {length: 0.4, width: 0.28}
 top_speed: 1.0
 """
+
+
+def car(folder: Path, text: str) -> VehicleConfig:
+    path = folder / "car.yaml"
+    path.write_text(text)
+    return load_vehicle_config(path)
+
+
+def test_a_delay_of_commands_may_be_stated(tmp_path: Path) -> None:
+    assert car(tmp_path, CAR).delay is None
+    stated = car(tmp_path, CAR + "delay: {value: 0.02, std: 0.005}\n").delay
+    assert stated is not None
+    assert (stated.value, stated.std) == (0.02, 0.005)
+    assert load_vehicle("f1tenth").delay == (0.01, 0.01)
+    assert load_vehicle("mushr").delay is None
+
+
+@pytest.mark.parametrize("delay", ["{value: -0.1, std: 0.01}", "{value: 0.6, std: 0.01}", "{value: 0.1, std: 0}"])
+def test_a_delay_that_no_estimate_could_have_is_refused(tmp_path: Path, delay: str) -> None:
+    assert len(problems_of(tmp_path, CAR + f"delay: {delay}\n")) == 1
 
 
 def problems_of(folder: Path, text: str) -> list[str]:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.estimation.noise_estimate import NoiseEstimate
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
 from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
 from kraft.driving.estimation.sloping_floor import FLOOR_SIZE, LevelCamera
@@ -25,7 +26,6 @@ from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ran
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
-from kraft.sysid.settings import Noise
 from kraft.vehicles.config import FORCE, GRAVITY, load_vehicle_config
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -35,20 +35,14 @@ GRAVITY_SHARE_ERROR: Final = 0.25
 """Standard deviation of the share of gravity that a vehicle feels, as a share of it."""
 MOVING: Final = 0.05
 """Speed or turning rate above which the vehicle moves, m/s or rad/s."""
+CONTRADICTION: Final = 2.0
+"""Difference between a stated delay and what poses say, in standard deviations, above which it is doubted."""
 SAME_TURN: Final = 1.0
 """Time for which the error of a turning rate by wrong parameters counts as the same, s."""
 SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
-PRIOR_POSES: Final = 40.0
-"""Number of poses that the stated noise counts for beside the measured residuals."""
-PRIOR_CORRELATION: Final = 4.0
-"""Number of correlation times of residuals that weigh as much as the stated share."""
-LAG: Final = 0.2
-"""Time over which the correlation of residuals is measured, s."""
-SHARE_MAX: Final = 0.95
-"""Largest share of the pose error that counts as correlated."""
 DRIVE_MAX: Final = 30.0
 """Age of the oldest poses that are kept for the window, s."""
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
@@ -97,7 +91,8 @@ class AdaptiveEstimator:
         self.learned: Learned | None = None
         self._history = _History(start_state, model)
         self._delay_index = parameters.index(DELAY)
-        self.horizon = 0.0
+        self.horizon = 0.0 if self._delay_index < 0 else parameters.specs[self._delay_index].value
+        self._filter.set_delay(self.horizon)
 
     @property
     def belief(self) -> PoseBelief | None:
@@ -145,7 +140,7 @@ class AdaptiveEstimator:
         if k < 0:
             return 0.0
         if self._identified is None:
-            return self._settings.delay_std
+            return self._window.parameters.specs[k].std
         return math.sqrt(float(self._identified.covariance[k, k]))
 
     def _identify(self, time: float) -> None:
@@ -172,6 +167,25 @@ class AdaptiveEstimator:
         if self._delay_index >= 0:
             self.horizon = float(identified.rho[self._delay_index])
             self._filter.set_delay(self.horizon)
+            self._doubt_delay(float(identified.covariance[self._delay_index, self._delay_index]))
+
+    def _doubt_delay(self, variance: float) -> None:
+        """Widen the prior of a delay that the vehicle's file states, if the poses contradict it.
+
+        The estimate, of this `variance`, joins the prior and what the poses alone say.  If these differ significantly,
+        the prior gets the variance with which their difference is as likely as it can be (maximum likelihood of the
+        second kind), so that another delay than the stated one is found.
+        """
+        stated, k = self._model.vehicle.delay, self._delay_index
+        if stated is None:
+            return
+        (value, std), used = stated, self._window.parameters.specs[k].std
+        information = 1.0 / variance - used**-2.0
+        if information > 0.0:
+            alone = (self.horizon / variance - value / used**2) / information
+            difference = (alone - value) ** 2
+            contradicts = difference > CONTRADICTION**2 * (std**2 + 1.0 / information)
+            self._window.set_std(k, math.sqrt(difference - 1.0 / information) if contradicts else std)
 
     def _covariance_of(self, identified: Identified) -> Matrix:
         """Covariance (np, np) of the vehicle's parameters."""
@@ -239,48 +253,9 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     ]  # fmt: skip
     frozen = frozenset() if settings.identify else frozenset(vehicle.parameters)
     if settings.compensate:
-        specs.append(ParameterSpec(DELAY, 0.0, 0.0, DELAY_MAX, settings.delay_std, "s", "", True))
+        delay, std = vehicle.delay or (0.0, settings.delay_std)
+        specs.append(ParameterSpec(DELAY, delay, 0.0, DELAY_MAX, std, "s", "", True))
     return Parameters(vehicle, tuple(specs), frozen)
-
-
-@dataclass(frozen=True)
-class NoiseEstimate:
-    """Noise of poses: variances (3,), of which the share `share` (3,) decays with the time constant `time` (s)."""
-
-    variance: Floats
-    share: Floats
-    time: float
-    stated_variance: Floats
-    stated_share: Floats
-
-    @classmethod
-    def of(cls, settings: Adaptive) -> NoiseEstimate:
-        """Noise that the settings state."""
-        sigmas = np.array([settings.position_noise, settings.position_noise, math.radians(settings.heading_noise_deg)])
-        share = np.full(3, settings.correlated_share if settings.correlated else 0.0)
-        return cls(sigmas**2, share, settings.correlation_time, sigmas**2, share)
-
-    def updated(self, identified: Identified, interval: float) -> NoiseEstimate:
-        """Noise measured by residuals, weighed with the stated noise as `PRIOR_POSES` poses."""
-        residuals, count = identified.residuals, len(identified.residuals)
-        squares = np.minimum(residuals**2, 16.0 * self.variance)  # outliers are the robust loss's
-        variance = (PRIOR_POSES * self.stated_variance + squares.sum(axis=0)) / (PRIOR_POSES + count)
-        share = self.share
-        lag = max(1, round(LAG / interval))
-        if self.stated_share.any() and count > 2 * lag:
-            products = np.clip(residuals[lag:] * residuals[:-lag], -4.0 * self.variance, 4.0 * self.variance)
-            correlation = products.mean(axis=0) / np.maximum(squares.mean(axis=0), 1e-9)
-            weight = count * interval / self.time / PRIOR_CORRELATION
-            measured = np.clip(correlation * math.exp(lag * interval / self.time), 0.0, SHARE_MAX)
-            share = (self.stated_share + weight * measured) / (1.0 + weight)
-        return NoiseEstimate(variance, share, self.time, self.stated_variance, self.stated_share)
-
-    def of_one_pose(self, interval: float) -> Noise:
-        """Noise of a pose as if poses, `interval` s apart, were independent: with the same information together."""
-        kept = math.exp(-interval / self.time)
-        inflation = 1.0 - self.share + self.share * (1.0 + kept) / (1.0 - kept)
-        sigma = np.sqrt(self.variance * inflation)
-        return Noise(float(math.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2))), float(sigma[2]))
 
 
 class CorrelatedFilter(PoseFilter):

@@ -8,7 +8,7 @@ parameters, so a stop does not make the window forget.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -102,6 +102,12 @@ class SlidingWindow:
         self._length, self._step, self._iterations = length, step, iterations
         self._process, self._control = process, control
         self.rho = parameters.nominal.copy()
+
+    def set_std(self, k: int, std: float) -> None:
+        """Set the standard deviation of the prior of parameter `k`."""
+        specs = list(self.parameters.specs)
+        specs[k] = replace(specs[k], std=std)
+        self.parameters = replace(self.parameters, specs=tuple(specs))
 
     def update(self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Noise) -> Identified | None:
         """Identify from a drive; `moving` are the times (begin, end) in which the vehicle moved, ascending (s).
