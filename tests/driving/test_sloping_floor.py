@@ -129,3 +129,12 @@ def test_uncertain_parameters_make_the_heading_of_a_turning_car_uncertain() -> N
         assert uncertainty is not None
         spreads.append(math.sqrt(uncertainty.state[2, 2]))
     assert spreads[0] > 2.0 * spreads[1]
+
+
+def test_a_floor_is_no_steeper_than_floors_are() -> None:
+    """A vehicle that something else holds, such as a box that it pushes, has an estimate of a slope that is none."""
+    subject = AdaptiveEstimator(Adaptive(kind="adaptive"), CarModel(vehicle()), BEGIN, CAMERA)
+    subject._filter.set_slope(np.array([3.0, -4.0]), 0.01 * np.eye(2))
+    assert np.linalg.norm(subject.floor) == pytest.approx(math.sin(math.radians(40.0)))
+    assert subject.floor[0] / subject.floor[1] == pytest.approx(-0.75)
+    assert np.isfinite(CAMERA.on_floor(poses(), subject.floor)).all()

@@ -43,6 +43,8 @@ SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
+STEEPEST: Final = math.sin(math.radians(40.0))
+"""Largest slope of the floor; a larger estimate has another cause, such as a box that the vehicle pushes."""
 DRIVE_MAX: Final = 30.0
 """Age of the oldest poses that are kept for the window, s."""
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
@@ -280,8 +282,9 @@ class CorrelatedFilter(PoseFilter):
 
     @property
     def floor(self) -> Floats:
-        """Estimated slope (2,) of the floor, see `LevelCamera`."""
-        return self.posterior.mean[self._part(FLOOR)]
+        """Estimated slope (2,) of the floor, see `LevelCamera`, at most `STEEPEST`."""
+        floor = self.posterior.mean[self._part(FLOOR)]
+        return floor * min(1.0, STEEPEST / max(float(np.linalg.norm(floor)), 1e-9))
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
         """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""
