@@ -150,7 +150,9 @@ def check(world: World, out: Path, folder: Path) -> Scenario:
 
 
 def _at_source(world: World, found: Diagnostic) -> Diagnostic:
-    """Problem at the place of its value in the source, if that is known."""
+    """Problem at the place of its value in the source, if that is known; an argument is one value, without keys."""
     key = re.split(r"[.\[]", found.path)[0]
     place = world.places.get(key)
-    return found if place is None else place.diagnostic(found.path, found.problem, found.expected, found.code)
+    if place is None:
+        return found
+    return place.diagnostic("" if place.argument else found.path, found.problem, found.expected, found.code)

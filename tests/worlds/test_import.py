@@ -208,21 +208,21 @@ def test_a_map_stays_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize(
-    ("options", "name"),
+    ("options", "message"),
     [
-        (["--start", "2,4,0"], "--goal"),
-        (["--start", "2,4", "--goal", "6,4"], "--start"),
-        (["--start", "2,4,0", "--goal", "6,nan"], "--goal"),
-        (["--start", "4,5.9,0", "--goal", "6,4"], "--start: start"),
-        (["--start", "2,4,0", "--goal", "40,4"], "--goal: goal.center"),
+        (["--start", "2,4,0"], "--goal: is not given"),
+        (["--start", "2,4", "--goal", "6,4"], "--start: is '2,4'"),
+        (["--start", "2,4,0", "--goal", "6,nan"], "--goal: is '6,nan"),
+        (["--start", "4,5.9,0", "--goal", "6,4"], "--start: mushr at (4, 5.9) heading 0 deg is"),
+        (["--start", "2,4,0", "--goal", "40,4"], "--goal: the goal's centre is out of bounds"),
     ],
 )
 def test_a_start_or_goal_of_a_map_that_is_missing_or_wrong_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], name: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
 ) -> None:
     out = tmp_path / "out"
     assert main(["import", "map", str(map_file(tmp_path)), *options, "--out", str(out)]) == 2
-    assert capsys.readouterr().err.startswith(f"{name}: ")
+    assert capsys.readouterr().err.startswith(message)
     assert not out.exists()
 
 
