@@ -13,7 +13,7 @@ from kraft.config.overrides import parse_overrides
 from kraft.driving.control import needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import check_vehicle, load_method
-from kraft.errors import InputError
+from kraft.errors import InputError, out_of_range
 from kraft.evaluation.statistics import percentile
 from kraft.files import check_all, write_json
 from kraft.planning.compilation import ensure_compiled
@@ -138,8 +138,8 @@ def resolve(request: DriveRequest) -> DriveSpec:
     reference = vehicle_reference(scenario, method, request.vehicle)
     vehicle = load_planning_vehicle(scenario, reference)
     check_vehicle(method, vehicle, own=reference not in (request.vehicle, scenario.vehicle))
-    if request.seed < 0:
-        raise InputError.of_argument("seed", f"is {request.seed}", "expected a number of at least 0")
+    if problems := out_of_range("seed", request.seed, 0):
+        raise InputError(problems)
     camera = level_camera(scenario) if robot.pose.level_camera else None
     return DriveSpec(
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,

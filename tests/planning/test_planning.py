@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.diagnostics import located, raised
 
-from kraft.errors import Code, Defect
+from kraft.errors import Code, Defect, InputError
 from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, plan_task
 from kraft.planning.search import Budget, Previous
@@ -291,3 +291,9 @@ def test_a_goal_with_a_heading_needs_more_memory() -> None:
     vehicle, goals = load_vehicle("mushr"), ({}, {"goal.heading_deg": 0, "goal.heading_tolerance_deg": 10})
     plain, finer = (memory_needed(load_scenario("turns", settings).task(), vehicle) for settings in goals)
     assert finer > 2 * plain
+
+
+def test_a_negative_seed_is_refused(mushr: Vehicle) -> None:
+    with pytest.raises(InputError) as caught:
+        plan_task(room(), mushr, FEW, seed=-1)
+    assert [(d.file, d.argument) for d in caught.value.diagnostics] == [("seed", True)]

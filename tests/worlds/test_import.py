@@ -234,4 +234,4 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "bad.world.gz").write_bytes(b"\x1f\x8b nothing")
     assert main(["import", "barn", str(tmp_path / "bad.world.gz")]) == 2
     assert main(["import", "dynobench", str(tmp_path / "none.yaml"), "--start", "1,2,3"]) == 2
-    assert capsys.readouterr().err.count("\n") == 4
+    assert capsys.readouterr().err.count("\n") == 5
