@@ -289,3 +289,14 @@ def test_the_adaptive_filter_drifts_as_much_as_the_errors_in_the_file_show(tmp_p
     assert drifting.speed_drift == pytest.approx(0.2, rel=1e-3)
     assert drifting.heading_drift_deg == pytest.approx(np.degrees(0.1))
     assert with_identified_drift(stated, load_vehicle("mushr")) == stated
+
+
+def test_parameters_that_a_file_omits_are_written_in_the_units_of_the_model(tmp_path: Path) -> None:
+    path = tmp_path / "car.yaml"
+    path.write_text(
+        "name: car\nmodel: kraft.vehicles.mushr:MUSHR\nparameters: {phi_diff: {value: 0.1, unit: rad}}\n"
+        "footprint: {length: 0.4, width: 0.28}\ntop_speed: v_delta\n"
+    )
+    found = load_base_vehicle(str(path)).parameters
+    assert [(name, p.unit) for name, p in found.items()] == [("L", "m"), ("phi_diff", "rad"), ("v_delta", "m/s")]
+    assert found["phi_diff"].value == 0.1
