@@ -16,9 +16,12 @@ A name or file that the user gave and that does not exist is an InputError.  The
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeVar
+
+Result = TypeVar("Result")
 
 
 class Code(StrEnum):
@@ -115,6 +118,35 @@ class InputError(KraftError):
 
     def __str__(self) -> str:
         return "\n".join(str(d) for d in self.diagnostics)
+
+
+class Problems:
+    """Collects the problems of several steps, so that they are reported together; ``found`` holds them."""
+
+    def __init__(self) -> None:
+        """Start without problems."""
+        self.found: list[Diagnostic] = []
+
+    def of(self, step: Callable[[], Result]) -> Result | None:
+        """Run a step and return its result, or keep its problems and return None."""
+        try:
+            return step()
+        except InputError as error:
+            self.found += error.diagnostics
+            return None
+
+    def check(self) -> None:
+        """Raise an `InputError` with the problems found, if there are any."""
+        if self.found:
+            raise InputError(self.found)
+
+
+def out_of_range(name: str, value: float, least: int, most: int | None = None) -> list[Diagnostic]:
+    """Problem of the argument ``name`` if its value is not from ``least`` to ``most``; at most one."""
+    if value >= least and (most is None or value <= most):
+        return []
+    expected = f"of at least {least}" if most is None else f"from {least} to {most:,}"
+    return [Diagnostic(name, f"is {value:.12g}", f"expected a number {expected}", argument=True)]
 
 
 class MissingError(KraftError):

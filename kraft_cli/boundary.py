@@ -21,6 +21,9 @@ from ompl_ext.cache_error import CacheError
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Error numbers of a write that fails because of the disk."""
 
+NOUNS: Final = {"int_": "a whole number", "float_": "a number"}
+"""What an option expects, by the beginning of the type of pydantic's error."""
+
 POSITIONAL: Final = ("files", "logs", "results", "scenario", "scenarios", "sources")
 """Arguments that the commands take without an option."""
 
@@ -109,10 +112,26 @@ def _with_option(diagnostic: Diagnostic) -> Diagnostic:
 
 
 def _explain_usage(terminal: Terminal, error: typer.TyperException) -> ExitStatus:
-    terminal.error(error.format_message())
+    unread = _unread_value(error)
+    if unread is None:
+        terminal.error(error.format_message())
+    else:
+        terminal.problem(str(unread))
     context = getattr(error, "ctx", None)
     terminal.problem(f"try '{context.command_path if context else 'kraft'} --help'")
     return ExitStatus.INVALID
+
+
+def _unread_value(error: typer.TyperException) -> Diagnostic | None:
+    """Problem of an option whose text is no number, of which pydantic knows the text; None for other errors."""
+    from pydantic import ValidationError
+
+    parameter = getattr(error, "param", None)
+    if parameter is None or not isinstance(error.__cause__, ValidationError):
+        return None
+    detail = error.__cause__.errors()[0]
+    expected = next((noun for kind, noun in NOUNS.items() if detail["type"].startswith(kind)), "another value")
+    return Diagnostic(max(parameter.opts, key=len), f"is {detail['input']!r}", f"expected {expected}", code=Code.TYPE)
 
 
 def _explain_causes(terminal: Terminal, error: BaseException) -> None:

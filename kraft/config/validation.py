@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -130,8 +130,9 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
         at, problem, expected = context["at"], context["problem"], context["expected"]
         return source.diagnostic((*path, *at), problem, expected, code=context["code"])
     if kind == "extra_forbidden":
-        siblings = lookup(model, detail["loc"][:-1]).keys
-        expected = suggestion(str(path[-1]), siblings)
+        beside, key = lookup(model, detail["loc"][:-1]), str(path[-1])
+        meant = beside.synonyms.get(key.lower())
+        expected = suggestion(key, beside.keys) if meant is None else f"did you mean {meant!r}?"
         return source.diagnostic(path, "unknown key", expected, at_key=True, code=Code.UNKNOWN)
     if kind in ("missing", "union_tag_not_found"):
         return _missing(source, path, known, "kind" if kind == "union_tag_not_found" else "")
@@ -181,12 +182,13 @@ def describe(value: object) -> str:
 
 @dataclass(frozen=True)
 class Known:
-    """Description, keys, choices and length that the schema has for one place."""
+    """Description, keys and their synonyms, choices and length that the schema has for one place."""
 
     description: str | None = None
     keys: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
     length: int = 0
+    synonyms: Mapping[str, str] = field(default_factory=dict)
 
 
 def lookup(model: type[BaseModel], path: KeyPath) -> Known:
@@ -196,10 +198,12 @@ def lookup(model: type[BaseModel], path: KeyPath) -> Known:
         return Known()
     annotation = _bare(annotation)
     keys: tuple[str, ...] = ()
+    synonyms: Mapping[str, str] = {}
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         keys = tuple(_fields(annotation))
+        synonyms = annotation.synonyms if issubclass(annotation, StrictModel) else {}
     choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
-    return Known(description, keys, choices, length)
+    return Known(description, keys, choices, length, synonyms)
 
 
 def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from kraft.driving.control import check_packages, kernel_modules, needs_steps
-from kraft.errors import Code, Diagnostic, InputError, Unreachable
+from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
-from kraft.evaluation.folder import Folder, create, reopen, write_results
+from kraft.evaluation.folder import Folder, check_exists, check_new, create, reopen, write_results
 from kraft.evaluation.job import Executor, Log
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
-from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps
+from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
@@ -82,7 +82,7 @@ def evaluate(
     Args:
         scenarios: names, paths or loaded scenarios.
         methods: names, paths or loaded methods.
-        trials: number of trials of each method in each entry.
+        trials: number of trials of each method in each entry, at most 100,000.
         seed: seed of the first trial.
         jobs: number of worker processes, by default one for each usable core.
         out: results folder; None writes nothing.
@@ -105,19 +105,22 @@ def evaluate(
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
     observer = observer or Observer()
-    problems = _argument_problems(jobs, resume, out)
+    problems = Problems()
+    problems.found += _argument_problems(jobs, resume, out)
+    if out is not None:
+        problems.of(lambda: (check_exists if resume else check_new)(Path(out)))
     if scenarios is not None and suite is not None:
         problem, expected = "is given together with scenarios", "expected one of both"
-        problems.append(Diagnostic("suite", problem, expected, code=Code.CONFLICT, argument=True))
-    try:
-        experiment = experiment_of(
+        problems.found.append(Diagnostic("suite", problem, expected, code=Code.CONFLICT, argument=True))
+        problems.of(lambda: entries_of(scenarios, settings=settings, vary=vary))
+    experiment = problems.of(
+        lambda: experiment_of(
             scenarios or (), methods, suite=SUITE if scenarios is None and suite is None else suite,
             settings=settings, vary=vary, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime,
-        )  # fmt: skip
-    except InputError as error:
-        raise InputError([*problems, *error.diagnostics]) from error
-    if problems:
-        raise InputError(problems)
+        )
+    )  # fmt: skip
+    problems.check()
+    assert experiment is not None, "every problem was raised"
     _ensure_compiled(experiment, observer.log)
     experiment = replace(experiment, bounds=_least_times(experiment))
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
@@ -167,9 +170,7 @@ def _least_times(experiment: Experiment) -> dict[str, float]:
 
 
 def _argument_problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
-    problems = []
-    if jobs is not None and jobs < 1:
-        problems.append(Diagnostic("jobs", f"is {jobs}", "expected a number of at least 1", argument=True))
+    problems = [] if jobs is None else out_of_range("jobs", jobs, 1)
     if resume and out is None:
         expected = "expected the folder of the evaluation to resume"
         problems.append(Diagnostic("resume", "is given without a folder", expected, code=Code.MISSING, argument=True))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
 
 from kraft.driving.method import Method, check_vehicle, load_method
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, out_of_range
 from kraft.evaluation.job import Job
 from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of
 from kraft.planning.feasibility import check_placement
@@ -31,6 +31,8 @@ METHODS: Final = (
     "conservative-kraft",
 )
 TRIALS: Final = 30
+TRIALS_MAX: Final = 100_000
+"""Largest number of trials of a method in an entry; the list of all trials is kept in memory."""
 
 MethodLike: TypeAlias = str | Path | Method
 Loaded = TypeVar("Loaded")
@@ -102,7 +104,7 @@ def experiment_of(
     Raises:
         InputError: with every problem of names, files, keys, numbers, starts and goals.
     """
-    problems = _numbers(trials, seed)
+    problems = [*out_of_range("trials", trials, 1, TRIALS_MAX), *out_of_range("seed", seed, 0)]
     entries: list[Entry] = []
     try:
         entries = entries_of(scenarios, suite=suite, settings=settings, vary=vary)
@@ -133,15 +135,6 @@ def _too_little_time(method: Method) -> Iterator[Diagnostic]:
         most = planner.clock_budget + planner.lead
         problem = f"leaves no wall-clock time for planning: {most:g} s - {planner.lead:g} s"
         yield method.source.diagnostic("planner.lead", problem, f"expected less than {most:g}", code=Code.CONFLICT)
-
-
-def _numbers(trials: int, seed: int) -> list[Diagnostic]:
-    problems = []
-    if trials < 1:
-        problems.append(Diagnostic("trials", f"is {trials}", "expected a number of at least 1", argument=True))
-    if seed < 0:
-        problems.append(Diagnostic("seed", f"is {seed}", "expected a number of at least 0", argument=True))
-    return problems
 
 
 def _method(given: MethodLike) -> Method:

@@ -55,9 +55,7 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
     Raises:
         InputError: if the folder exists or cannot be written.
     """
-    if path.is_dir():
-        raise InputError.of(str(path), "is there already", "expected a new folder, or to resume this one", Code.EXISTS)
-    check_writable(path)
+    check_new(path)
     try:
         path.mkdir(parents=True)
     except OSError as error:
@@ -65,6 +63,17 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
             str(path), f"cannot be created: {error.strerror}", "expected a new folder", Code.UNWRITABLE
         ) from None
     return _new_folder(path, experiment, arguments)
+
+
+def check_new(path: Path) -> None:
+    """Check that a folder can be created.
+
+    Raises:
+        InputError: if it exists or cannot be written.
+    """
+    if path.is_dir():
+        raise InputError.of(str(path), "is there already", "expected a new folder, or to resume this one", Code.EXISTS)
+    check_writable(path)
 
 
 def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:

@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from os.path import realpath
 from pathlib import Path
 from typing import Final, Literal
@@ -13,6 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.files import check_all
 from kraft.logs.csv_table import read_heading
 from kraft.logs.guess import offers
 from kraft.logs.mapping import Mapping
@@ -92,6 +94,15 @@ def discover(
         found += _logs_of(files, folder, controls, mapping)
     found, repeated = without_repeated(found)
     return _named_apart(found), problems + repeated
+
+
+def check_paths(paths: Sequence[Path]) -> None:
+    """Check that there are such files and folders, without reading them.
+
+    Raises:
+        InputError: with every path that does not exist, and every file that is no log by its name.
+    """
+    check_all(*(partial(_check_file, path) for path in paths if not path.is_dir()))
 
 
 def _check_file(path: Path) -> None:

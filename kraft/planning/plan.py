@@ -11,7 +11,7 @@ import numpy as np
 
 from kraft.errors import Defect
 from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
-from kraft.planning.search import Budget, Previous, SearchResult, check_threads, search_named
+from kraft.planning.search import Budget, Previous, SearchResult, check_seed, check_threads, search_named
 from kraft.planning.workspace import (
     goal_of,
     heading_of,
@@ -98,12 +98,13 @@ def plan_task(
         threads: number of trees that are grown at the same time and share the best cost; only with DIRT.
 
     Raises:
-        InputError: if start or goal is in collision or out of bounds, the previous plan is not of this vehicle, or
-            there is no such planner.
+        InputError: if start or goal is in collision or out of bounds, the previous plan is not of this vehicle,
+            there is no such planner, or the seed is negative.
         Defect: if a plan of DIRT fails verification.
     """
     search = search_named(task.planning.planner)
     check_threads(task.planning.planner, threads)
+    check_seed(seed)
     if previous is not None:
         previous.check(vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state

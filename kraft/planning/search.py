@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.errors import Code, InputError
+from kraft.errors import Code, InputError, out_of_range
 from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
@@ -96,11 +96,21 @@ def check_threads(planner: str, threads: int) -> None:
     Raises:
         InputError: if it cannot.
     """
-    if not 1 <= threads <= MAX_THREADS:
-        raise InputError.of_argument("threads", f"is {threads}", f"expected 1 to {MAX_THREADS}")
+    if problems := out_of_range("threads", threads, 1, MAX_THREADS):
+        raise InputError(problems)
     if threads > 1 and planner != "dirt":
         problem = f"is {threads} with the planner {planner!r}, which uses one thread"
         raise InputError.of_argument("threads", problem, "expected 1, or the planner 'dirt'", Code.CONFLICT)
+
+
+def check_seed(seed: int) -> None:
+    """Check that a number is a seed.
+
+    Raises:
+        InputError: if it is negative.
+    """
+    if problems := out_of_range("seed", seed, 0):
+        raise InputError(problems)
 
 
 def _tree_search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
@@ -186,6 +186,13 @@ class ObstacleFile(StrictModel):
     """One obstacle: exactly one shape, and perhaps a name."""
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [shape]} for shape in SHAPES]})
+
+    synonyms: ClassVar[Mapping[str, str]] = {
+        "disc": "circle",
+        "disk": "circle",
+        "cylinder": "circle",
+        "rectangle": "box",
+    }
 
     name: str | None = None
     """name for messages and pictures"""

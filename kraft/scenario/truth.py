@@ -79,7 +79,7 @@ class Tilt(StrictModel):
     angle: Annotated[float, Field(ge=0, le=0.7)] | None = None
     """angle between the floor and the horizontal, rad"""
     angle_deg: Annotated[float, Field(ge=0, le=40)] | None = None
-    """the same in degrees"""
+    """angle between the floor and the horizontal, degrees"""
     uphill_deg: Angle = 90.0
     """direction that leads uphill, degrees from +x (90 is +y)"""
 

@@ -18,9 +18,9 @@ from kraft.vehicles.config import (
     Footprint,
     Parameter,
     VehicleConfig,
-    load_vehicle_config,
 )
-from kraft.vehicles.load import configured
+from kraft.vehicles.fit import units_of
+from kraft.vehicles.load import configured, read_vehicle_file
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
@@ -56,10 +56,13 @@ class BaseVehicle:
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
-        """Parameters as in a vehicle file; those of code have a value only."""
-        if isinstance(self.definition, VehicleConfig):
-            return self.definition.parameters
-        return {name: Parameter(value=value, unit="?") for name, value in self.vehicle.parameters.items()}
+        """Parameters of the model as in a vehicle file; those that no file states have a value and a unit only."""
+        stated = self.definition.parameters if isinstance(self.definition, VehicleConfig) else {}
+        units = units_of(self.model)
+        return {
+            name: stated.get(name) or Parameter(value=value, unit=units.get(name, "1"))
+            for name, value in self.vehicle.parameters.items()
+        }
 
     @property
     def footprint(self) -> Footprint:
@@ -89,12 +92,12 @@ def load_base_vehicle(reference: str) -> BaseVehicle:
     try:
         resolved = resolve_vehicle(reference, Path.cwd())
     except VehicleProblem as error:
-        raise InputError.of(reference, error.problem, error.expected) from None
+        raise InputError.of(reference, error.problem, error.expected, error.code) from None
     if is_attribute(resolved) or split_file(resolved) is not None:
         vehicle = vehicle_of(resolved, reference)
         base = BaseVehicle(reference, vehicle, vehicle, resolved)
     else:
-        config = load_vehicle_config(resolved)
+        config = read_vehicle_file(resolved)
         model = config.model
         if split_file(model) is not None:
             model = resolve_vehicle(model, Path(config.source.file).parent)

@@ -121,8 +121,8 @@ def _bounds(solution: Solution) -> Iterator[str]:
             continue
         bound = spec.min if which == "lower" else spec.max
         yield (
-            f"{name} is at its {which} bound {bound:g} {spec.unit}".rstrip()
-            + ": widen the bound if it is wrong; otherwise the model lacks an effect that the parameter compensates for"
+            f"{name} is at its {which} bound {bound:g}{spec.unit_text}: widen the bound if it is wrong; otherwise the "
+            "model lacks an effect that the parameter compensates for"
         )
 
 
@@ -167,7 +167,7 @@ def _unbounded(solution: Solution) -> Iterator[str]:
             continue
         yield (
             f"the data do not bound {name}: its 95 % interval, {value - reach:.3g} to {value + reach:.3g}, "
-            f"reaches beyond its bounds {spec.min:g} to {spec.max:g} {spec.unit}".rstrip()
+            f"reaches beyond its bounds {spec.min:g} to {spec.max:g}{spec.unit_text}"
             + f" and is truncated there; drive {informative_manoeuvres(p, name)}, or freeze it"
         )
 

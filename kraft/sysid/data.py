@@ -124,6 +124,16 @@ class LogSplit:
     note: str
 
 
+def check_holdout(holdout: float | None) -> None:
+    """Check a fraction of logs to hold out.
+
+    Raises:
+        InputError: if it is not in [0, 1).
+    """
+    if holdout is not None and not 0.0 <= holdout < 1.0:
+        raise InputError.of_argument("holdout", f"is {holdout:g}", "expected a fraction of at least 0 and below 1")
+
+
 def split_logs(logs: Sequence[Log], holdout: float | None = None) -> LogSplit:
     """Hold out a fraction of the logs, by default a quarter if there are at least `HOLDOUT_LOGS_MIN`.
 
@@ -133,8 +143,7 @@ def split_logs(logs: Sequence[Log], holdout: float | None = None) -> LogSplit:
     Raises:
         InputError: if the fraction is not in [0, 1), or would hold out the only log.
     """
-    if holdout is not None and not 0.0 <= holdout < 1.0:
-        raise InputError.of_argument("holdout", f"is {holdout:g}", "expected a fraction of at least 0 and below 1")
+    check_holdout(holdout)
     count = len(logs)
     if holdout is None and count < HOLDOUT_LOGS_MIN:
         note = f"{counted(count, 'log')}: none is held out (a quarter of {HOLDOUT_LOGS_MIN} logs or more, by default)"

@@ -40,6 +40,11 @@ class ParameterSpec:
     variation: float = 0.0
     """standard deviation of its changes during a drive"""
 
+    @property
+    def unit_text(self) -> str:
+        """Unit after a number: a space and the unit, nothing if there is none."""
+        return "" if self.unit in ("", "1") else f" {self.unit}"
+
 
 @dataclass(frozen=True)
 class Parameters:
@@ -180,8 +185,7 @@ def out_of_bounds(spec: ParameterSpec, values: Mapping[str, float]) -> Diagnosti
     value = values.get(spec.name, spec.value)
     if spec.min <= value <= spec.max:
         return None
-    unit = "" if spec.unit == "1" else f" {spec.unit}"
-    expected = f"expected a value from {spec.min:g} to {spec.max:g}{unit}".strip()
+    expected = f"expected a value from {spec.min:g} to {spec.max:g}{spec.unit_text}"
     return Diagnostic(spec.name, f"is {value:g}", expected)
 
 

@@ -140,7 +140,7 @@ def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tigh
         std = float(f"{max(min(std, max(STD_FACTOR * estimate.std, STD_SHARE_MIN * std)), estimate.variation):.2g}")
     return Parameter(
         value=value,
-        unit=estimate.unit or "1",
+        unit=estimate.unit or parameter.unit,
         description=estimate.description,
         min=low,
         max=high,

@@ -38,7 +38,7 @@ Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 FORCE = ("a_x", "a_y")
 """Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""
 GRAVITY = 9.81  # m/s^2
-_SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
+SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
 
 def _model_reference(text: str) -> str:
@@ -48,10 +48,10 @@ def _model_reference(text: str) -> str:
 
 
 def _speed(value: object) -> float | str:
-    if isinstance(value, str):  # `across_keys` checks that there is such a parameter
+    if isinstance(value, str):  # `kraft.vehicles.load` checks that the model has such a parameter
         return value
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 100:
-        raise refuse(f"is {describe(value)}", _SPEED_EXPECTED)
+        raise refuse(f"is {describe(value)}", SPEED_EXPECTED)
     return float(value)
 
 
@@ -96,17 +96,15 @@ class VehicleConfig(StrictModel):
     _source: Source = PrivateAttr(default_factory=Source)
 
     @model_validator(mode="after")
-    def _top_speed_is_known(self) -> Self:
+    def _check(self) -> Self:
         for error in self.across_keys(dict(self)):
             raise error
         return self
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """Check that a top speed given by name is a parameter."""
-        speed, parameters = content.get("top_speed"), content.get("parameters", {})
-        if isinstance(speed, str) and isinstance(parameters, Mapping) and speed not in parameters:
-            yield refuse(f"is the text {speed!r}", _SPEED_EXPECTED, ("top_speed",), Code.UNKNOWN)
+        """Check that the parameters which a share of gravity needs are given."""
+        parameters = content.get("parameters", {})
         if content.get("gravity_share") is not None and isinstance(parameters, Mapping):
             for name in [name for name in FORCE if name not in parameters]:
                 expected = f"expected the parameters {' and '.join(FORCE)} with it"
@@ -116,11 +114,6 @@ class VehicleConfig(StrictModel):
     def source(self) -> Source:
         """Position of each value in the file."""
         return self._source
-
-    @property
-    def speed_limit(self) -> float:
-        """Speed that the vehicle never exceeds with its parameters, m/s."""
-        return self.values[self.top_speed] if isinstance(self.top_speed, str) else self.top_speed
 
     @property
     def values(self) -> dict[str, float]:

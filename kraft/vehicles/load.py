@@ -6,12 +6,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from kraft.config import bundled
 from kraft.config.source import Source
+from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car
 from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import CarDimensions, Robot, VehicleConfig, load_vehicle_config, with_files
+from kraft.vehicles.fit import fit_problems
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -34,44 +37,54 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
     if is_attribute(resolved) or split_file(resolved) is not None:
         vehicle = with_parameters(vehicle_of(resolved, reference), parameters or {})
     else:
-        vehicle = configured(load_vehicle_config(resolved).with_values(parameters or {}))
+        vehicle = configured(read_vehicle_file(resolved).with_values(parameters or {}))
     check_functions(vehicle, reference)
     return vehicle
+
+
+def read_vehicle_file(name_or_path: str | Path) -> VehicleConfig:
+    """A vehicle file as `load_vehicle_config` reads it.
+
+    Raises:
+        InputError: with every problem of the file, and with those of the code that it names and of its names of
+            parameters, which are otherwise checked by `configured`.
+    """
+    try:
+        return load_vehicle_config(name_or_path)
+    except InputError as error:
+        document = read_document(bundled.find("vehicle", name_or_path))
+        content = document.data if isinstance(document.data, dict) else {}
+        raise InputError([*error.diagnostics, *_code_problems(content, document.source)]) from error
+
+
+def _code_problems(content: Mapping[str, object], source: Source) -> list[Diagnostic]:
+    """Problems of the code that a file names and of what the file states about it."""
+    reference = content.get("model")
+    if not isinstance(reference, str) or not (is_attribute(reference) or split_file(reference)):
+        return []  # that is a problem of the file
+    try:
+        return fit_problems(_model(reference, source), reference, content, source)
+    except InputError as error:
+        return list(error.diagnostics)
 
 
 def configured(config: VehicleConfig) -> Vehicle:
     """Model of a vehicle file with the name, parameters, footprint and top speed of the file.
 
     Raises:
-        InputError: if the model does not load or lacks a parameter that the file sets.
+        InputError: if the model does not load or lacks a parameter that the file names.
     """
-    model = _model(config)
-    problems = [
-        config.source.diagnostic(
-            ("parameters", name),
-            f"{model.name} has no such parameter",
-            suggestion(name, model.parameters, none=f"{model.name} has no parameters"),
-            at_key=True,
-            code=Code.UNKNOWN,
-        )
-        for name in config.parameters
-        if name not in model.parameters
-    ]
-    problems += [
-        config.source.diagnostic(
-            ("controls", name), f"{model.name} has no such control", suggestion(name, model.controls), at_key=True,
-            code=Code.UNKNOWN,
-        )
-        for name in config.controls
-        if name not in model.controls
-    ]  # fmt: skip
+    model = _model(config.model, config.source)
+    problems = fit_problems(model, config.model, dict(config), config.source)
     problems += [
         config.source.diagnostic(("controls", name), f"is [{low:g}, {high:g}]", "expected the lowest command first")
         for name, (low, high) in config.controls.items()
         if low >= high
     ]
-    if config.speed_limit <= 0:
-        problem = f"is {config.speed_limit:g} m/s"
+    values = {**model.parameters, **config.values}
+    speed = values.get(config.top_speed, 0.0) if isinstance(config.top_speed, str) else config.top_speed
+    if speed <= 0 and not problems:
+        problem = f"is {speed:g} m/s"
         problems.append(config.source.diagnostic("top_speed", problem, "expected a speed greater than 0"))
     if problems:
         raise InputError(problems)
@@ -81,7 +94,7 @@ def configured(config: VehicleConfig) -> Vehicle:
         name=config.name,
         controls={**model.controls, **config.controls},
         footprint=Footprint(shape.length, shape.width, shape.offset),
-        top_speed=config.speed_limit,
+        top_speed=speed,
         ranges=config.ranges,
         gravity_share=config.gravity_share,
         delay=None if config.delay is None else (config.delay.value, config.delay.std),
@@ -125,16 +138,15 @@ def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicl
     return vehicle.with_parameters(parameters)
 
 
-def _model(config: VehicleConfig) -> Vehicle:
-    """Model that the file names; a relative path is relative to the file."""
-    reference = config.model
+def _model(reference: str, source: Source) -> Vehicle:
+    """Model that a file names; a relative path is relative to the file."""
     try:
         if split_file(reference) is not None:
-            reference = resolve_vehicle(reference, Path(config.source.file).parent)
+            reference = resolve_vehicle(reference, Path(source.file).parent)
         return vehicle_of(reference)
     except VehicleProblem as error:
-        raise InputError([config.source.diagnostic("model", error.problem, error.expected, code=error.code)]) from None
+        raise InputError([source.diagnostic("model", error.problem, error.expected, code=error.code)]) from None
     except InputError as error:
         raise InputError(
-            config.source.diagnostic("model", d.problem, d.expected, code=d.code) for d in error.diagnostics
+            source.diagnostic("model", d.problem, d.expected, code=d.code) for d in error.diagnostics
         ) from error

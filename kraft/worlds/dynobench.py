@@ -11,8 +11,8 @@ from pydantic import Field
 
 from kraft.config.schema import Coordinate, Length, StrictModel
 from kraft.config.source import Place
-from kraft.config.validation import read_model
-from kraft.config.yaml_reader import Document
+from kraft.config.validation import check
+from kraft.config.yaml_reader import Document, read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import alternatives, counted
 from kraft.worlds.barn import Imported
@@ -63,7 +63,7 @@ class RobotFile(StrictModel):
     start: Annotated[tuple[Coordinate, ...], Field(min_length=3)]
     """x, y, theta and the rest of the state"""
     goal: Annotated[tuple[Coordinate, ...], Field(min_length=3)]
-    """the same"""
+    """x, y, theta and the rest of the state at the end"""
 
 
 class ProblemFile(StrictModel):
@@ -88,7 +88,7 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
     Raises:
         InputError: with every problem of the file.
     """
-    content, document = read_model(path, ProblemFile)
+    content, document = _read(path)
     source, robot = document.source, content.robots[0]
     problems = [] if skip else _other_shapes(content, document)
     if len(content.robots) > 1:
@@ -128,6 +128,22 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
         places=_places(document),
     )
     return Imported(world, skipped, "")
+
+
+def _read(path: Path) -> tuple[ProblemFile, Document]:
+    """Read a problem.
+
+    Raises:
+        InputError: with every problem of the file; with a single one if it is a file of another kind.
+    """
+    document = read_document(path)
+    if isinstance(document.data, dict) and not {"environment", "robots"} & document.data.keys():
+        expected = "expected a file with the keys environment and robots"
+        raise InputError.of(str(path), "is no problem of dynobench", expected, Code.MISMATCH)
+    content, problems = check(ProblemFile, document)
+    if content is None:
+        raise InputError(problems)
+    return content, document
 
 
 def _places(document: Document) -> dict[str, Place]:

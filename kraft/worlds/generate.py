@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from kraft.errors import Code, InputError, Unreachable
+from kraft.errors import Code, Diagnostic, InputError, Problems, Unreachable, out_of_range
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.plan import finds_plan
 from kraft.planning.workspace import start_state
@@ -24,7 +24,7 @@ from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.layouts import WALL, Obstacle
 from kraft.worlds.track import track
-from kraft.worlds.world import SENSING, World, Written, above, write_worlds
+from kraft.worlds.world import SENSING, World, Written, above, check_new, write_worlds
 from ompl_ext.motion import motion_of
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -175,6 +175,8 @@ LAYOUTS: Final[dict[str, Layout]] = {
     "clutter": _clutter,
 }
 KINDS: Final = (*LAYOUTS, "track")
+COUNT_MAX: Final = 10_000
+"""Largest number of worlds of one call."""
 USUAL: Final = {"posts": "jackal", "track": "f1tenth"}
 """Vehicles of the kinds that are not made for a `mushr`."""
 
@@ -188,29 +190,37 @@ def generate_worlds(
         kind: one of `KINDS`, or ``mixed`` for all of them in turn.
         out: new folder.
         seed: seed of the first world.
-        count: number of worlds.
+        count: number of worlds, at most `COUNT_MAX`.
         vehicle: vehicle of all worlds; by default a `mushr`, a `jackal` for posts and an `f1tenth` for tracks.
         density: share of the floor that clutter covers.
 
     Raises:
-        InputError: for an unknown kind, a vehicle that cannot be loaded, a density that leaves no way, or a folder
-            that exists.
+        InputError: with every wrong argument: an unknown kind, a number out of range, a vehicle that does not exist, a
+            folder that exists; then for a vehicle that cannot be loaded, or a density that leaves no way.
     """
-    if kind not in (*KINDS, MIXED):
-        expected = suggestion(kind, (*KINDS, MIXED))
-        raise InputError.of(kind, "is no kind of world", expected, Code.UNKNOWN)
-    if density is not None and not 0.0 < density <= DENSITY_MAX:
-        expected = f"expected a share above 0 and up to {DENSITY_MAX:g}"
-        raise InputError.of_argument("density", f"is {density:g}", expected)
-    if density is not None and kind not in ("clutter", MIXED):
-        raise InputError.of_argument("density", f"is given for {kind}", "expected it for clutter alone", Code.CONFLICT)
-    if count < 1 or seed < 0:
-        name, value, least = ("count", count, 1) if count < 1 else ("seed", seed, 0)
-        raise InputError.of_argument(name, f"is {value}", f"expected at least {least}")
-    reference = None if vehicle is None else _reference(vehicle)
+    problems = Problems()
+    problems.found += [*out_of_range("count", count, 1, COUNT_MAX), *out_of_range("seed", seed, 0)]
+    problems.found += _layout_problems(kind, density)
+    reference = None if vehicle is None else problems.of(lambda: _reference(vehicle))
+    problems.of(lambda: check_new(out))
+    problems.check()
     worlds = [generate(each, number, reference, density) for each, number in _numbered(kind, seed, count)]
     description = f"{counted(count, 'world')}: kraft generate {kind} --seed {seed} --count {count}"
     return write_worlds(worlds, out, f"{kind}-{seed}", description)
+
+
+def _layout_problems(kind: str, density: float | None) -> list[Diagnostic]:
+    problems = []
+    if kind not in (*KINDS, MIXED):
+        expected = suggestion(kind, (*KINDS, MIXED))
+        problems.append(Diagnostic(kind, "is no kind of world", expected, code=Code.UNKNOWN))
+    elif density is not None and kind not in ("clutter", MIXED):
+        problem, expected = f"is given for {kind}", "expected it for clutter alone"
+        problems.append(Diagnostic("density", problem, expected, code=Code.CONFLICT, argument=True))
+    if density is not None and not 0.0 < density <= DENSITY_MAX:
+        expected = f"expected a share above 0 and up to {DENSITY_MAX:g}"
+        problems.append(Diagnostic("density", f"is {density:g}", expected, argument=True))
+    return problems
 
 
 def _numbered(kind: str, seed: int, count: int) -> Iterator[tuple[str, int]]:

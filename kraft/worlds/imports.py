@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from kraft.config.source import Place
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.scenario import OccupancyMap
 from kraft.scenario.occupancy import read_map
 from kraft.text import counted, suggestion
 from kraft.worlds.barn import LABEL, Goal, Imported, Start, read_barn, worlds_in
 from kraft.worlds.dynobench import read_dynobench
-from kraft.worlds.world import SENSING, World, Written, above, plain_name, write_worlds
+from kraft.worlds.world import SENSING, World, Written, above, check_new, plain_name, write_worlds
 
 KINDS: Final = ("barn", "dynobench", "map")
 ROBOT, CAR = "jackal", "mushr"
@@ -60,32 +61,46 @@ def import_worlds(request: Request) -> Collection:
     """Read the sources and write a scenario for each of their worlds, and a suite; all or nothing.
 
     Raises:
-        InputError: with every problem of all sources.
+        InputError: with every problem of the arguments and of all sources.
         Unreachable: with every goal that no path leads to.
     """
-    _check_arguments(request)
-    problems: list[Diagnostic] = []
-    imported: list[Imported] = []
-    for path in _files(request, problems):
-        try:
-            imported.append(_read(request, path))
-        except InputError as error:
-            problems += error.diagnostics
-    if problems:
-        raise InputError(problems)
+    return write_imported(request, read_sources(request))
+
+
+def read_sources(request: Request) -> list[Imported]:
+    """Read the sources and write nothing.
+
+    Raises:
+        InputError: with every problem of the arguments and of all sources.
+    """
+    problems = Problems()
+    problems.found += _argument_problems(request)
+    problems.of(lambda: check_new(request.out))
+    found = [problems.of(partial(_read, request, path)) for path in _files(request, problems.found)]
+    problems.check()
+    return [each for each in found if each is not None]
+
+
+def write_imported(request: Request, imported: Sequence[Imported]) -> Collection:
+    """Write a scenario for each world that was read, and a suite; all or nothing.
+
+    Raises:
+        InputError: with every problem of the worlds.
+        Unreachable: with every goal that no path leads to.
+    """
     worlds = [each.world for each in imported]
     of = f"{counted(len(worlds), 'world')} imported by kraft import {request.kind}"
     description = LABEL if request.kind == "barn" else of
     return Collection(write_worlds(worlds, request.out, request.out.name, description), tuple(imported))
 
 
-def _check_arguments(request: Request) -> None:
+def _argument_problems(request: Request) -> list[Diagnostic]:
     problems = []
     if request.kind not in KINDS:
         problems.append(
             Diagnostic(request.kind, "cannot be imported", suggestion(request.kind, KINDS), code=Code.UNKNOWN)
         )
-    for name, parts in (("start", "x, y and heading"), ("goal", "x, y and radius")):
+    for name, parts in (("start", "x, y and heading"), ("goal", "x and y, and a radius if needed")):
         given = getattr(request, name) is not None
         if request.kind == "map" and not given:
             expected = f"expected {parts}, because a map has none"
@@ -95,14 +110,16 @@ def _check_arguments(request: Request) -> None:
             problems.append(Diagnostic(name, problem, expected, code=Code.CONFLICT, argument=True))
     if not request.sources:
         problems.append(Diagnostic("sources", "none are given", "expected at least one", code=Code.MISSING))
-    if problems:
-        raise InputError(problems)
+    return problems
 
 
 def _files(request: Request, problems: list[Diagnostic]) -> Iterator[Path]:
     """Files of all sources; problems are added to `problems`."""
     for source in request.sources:
-        if not source.is_dir():
+        if not os.path.lexists(source):
+            expected = "expected a file, or for barn a folder of files"
+            problems.append(Diagnostic(str(source), "there is no such file", expected, code=Code.NOT_FOUND))
+        elif not source.is_dir():
             yield source
         elif request.kind == "barn":
             try:
@@ -113,13 +130,17 @@ def _files(request: Request, problems: list[Diagnostic]) -> Iterator[Path]:
             problems.append(Diagnostic(str(source), "is a folder", "expected a file", code=Code.UNREADABLE))
 
 
-def _read(request: Request, path: Path) -> Imported:
+def _read(request: Request, path: Path) -> Imported | None:
+    """World of a file; None if the request lacks what it needs, in which case the file is only checked."""
     if request.kind == "barn":
         return read_barn(path, request.vehicle or ROBOT, request.start, request.goal, skip=request.skip)
     if request.kind == "dynobench":
         return read_dynobench(path, request.vehicle, skip=request.skip)
-    assert request.start is not None, "the arguments are checked"
-    assert request.goal is not None, "the arguments are checked"
+    if request.kind != "map":
+        return None
+    if request.start is None or request.goal is None:
+        read_map(path, height=0.2, name=None)
+        return None
     return read_occupancy(path, request.out, request.vehicle or CAR, request.start, request.goal)
 
 

@@ -85,9 +85,7 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
         InputError: with every problem of the worlds, or if the folder exists or cannot be written.
         Unreachable: with every goal that no path leads to, if there is no other problem.
     """
-    if out.exists():
-        raise InputError.of_argument("out", f"{out} exists", "expected a new folder", Code.EXISTS)
-    check_writable(out)
+    check_new(out)
     _check_names(worlds)
     with new_folder(out) as folder:
         for world in worlds:
@@ -99,6 +97,17 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
         heading = [f"name: {value_text(plain_name(suite))}", f"description: {value_text(description)}", "entries:"]
         (folder / SUITE).write_text("\n".join([*heading, *entries]) + "\n", encoding="utf-8")
     return Written(out, tuple(out / f"{world.name}.yaml" for world in worlds))
+
+
+def check_new(out: Path) -> None:
+    """Check that the folder for worlds can be made.
+
+    Raises:
+        InputError: if it exists or cannot be written.
+    """
+    if out.exists():
+        raise InputError.of_argument("out", f"{out} exists", "expected a new folder", Code.EXISTS)
+    check_writable(out)
 
 
 def _check_names(worlds: Sequence[World]) -> None:

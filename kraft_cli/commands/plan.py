@@ -12,7 +12,7 @@ from kraft_cli.terminal import Terminal
 
 Iterations = Annotated[int | None, typer.Option(metavar="N", help="Plan for N iterations: the same plan on every run.")]
 Time = Annotated[float | None, typer.Option(metavar="S", help="Plan for S seconds of wall-clock time.")]
-Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random generator.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random generator.")]
 Planner = Annotated[str | None, typer.Option(metavar="NAME", help="Planner (kraft list planners).")]
 VehicleName = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle: a name, a YAML file, or code.")
@@ -23,9 +23,7 @@ Parameters = Annotated[
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
 ]
-Threads = Annotated[
-    int, typer.Option(metavar="N", min=1, max=64, help="Grow trees on N cores, which share the best cost.")
-]
+Threads = Annotated[int, typer.Option(metavar="N", help="Grow trees on N cores, up to 64, which share the best cost.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write plan.json into DIR.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the plan: FILE.png, .svg or .pdf.")]
 From = Annotated[

@@ -28,8 +28,8 @@ VehicleName = Annotated[
 ]
 Skip = Annotated[bool, typer.Option("--skip", help="Leave out shapes that cannot be obstacles.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="New folder for the scenarios and suite.yaml.")]
-Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the first world; the next ones follow.")]
-Count = Annotated[int, typer.Option(metavar="N", min=1, help="Number of worlds.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the first world; the next ones follow.")]
+Count = Annotated[int, typer.Option(metavar="N", help="Number of worlds, up to 10,000.")]
 Density = Annotated[
     float | None, typer.Option(metavar="SHARE", help="Share of the floor that clutter covers, 0.15 by default.")
 ]
@@ -48,13 +48,10 @@ def import_(
     json: Json = False,
 ) -> ExitStatus:
     """Write scenarios and a suite from Gazebo worlds (BARN), problems of dynobench, or occupancy maps."""
-    from kraft.worlds.imports import Request, import_worlds
-    from kraft_cli.work.worlds import goal_of, imported_json, numbers_of
+    from kraft_cli.work.worlds import ImportRequest, imported_json, run_import
 
     terminal: Terminal = context.obj
-    begin = None if start is None else numbers_of("start", start, "X,Y,HEADING")
-    end = None if goal is None else goal_of(goal)
-    found = import_worlds(Request(kind, tuple(sources), out, begin, end, vehicle, skip))
+    found = run_import(ImportRequest(kind, tuple(sources), out, start, goal, vehicle, skip))
     for each in found.imported:
         if each.skipped:
             left = ", ".join(f"{number} x {shape}" for shape, number in each.skipped.items())

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from kraft.config import bundled
 from kraft.config.overrides import parse_overrides
 from kraft.driving.control import needs_steps
 from kraft.driving.messages import Cycle
-from kraft.driving.method import check_vehicle, load_method
-from kraft.errors import InputError, KraftError
+from kraft.driving.method import Method, check_vehicle, load_method
+from kraft.errors import Diagnostic, InputError, KraftError, Problems, out_of_range
 from kraft.evaluation.statistics import percentile
 from kraft.files import check_all, write_json
 from kraft.planning.compilation import ensure_compiled
@@ -26,7 +27,7 @@ from kraft.robot.protocol import Checked, DriveSpec, Status
 from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.show import Display
 from kraft.scenario import load_scenario
-from kraft.text import counted
+from kraft.text import alternatives, counted
 from kraft.trial.plant import level_camera
 from kraft.trial.result import load_planning_vehicle, vehicle_reference
 from kraft_cli.work.run import cycle_line
@@ -135,22 +136,56 @@ def resolve(request: DriveRequest) -> DriveSpec:
     """Load everything that a drive needs, and check that it fits together.
 
     Raises:
-        InputError: with the problems of the first thing that is wrong.
+        InputError: with the problems of all options and files; then of the vehicle.
     """
-    robot = load_robot(request.robot) if isinstance(request.robot, str) else request.robot
-    method = load_method(request.method)
-    check_method(method)
-    scenario = load_scenario(request.scenario, parse_overrides(request.settings, "set"))
+    problems, named = Problems(), request.robot
+    robot = problems.of(lambda: load_robot(named) if isinstance(named, str) else named)
+    method = problems.of(lambda: _method(request.method))
+    settings = problems.of(lambda: parse_overrides(request.settings, "set"))
+    scenario = problems.of(lambda: load_scenario(request.scenario, settings or ()))
+    problems.found += out_of_range("seed", request.seed, 0)
+    problems.check()
+    assert robot is not None, "every problem was raised"
+    assert method is not None, "every problem was raised"
+    assert scenario is not None, "every problem was raised"
     reference = vehicle_reference(scenario, method, request.vehicle)
     vehicle = load_planning_vehicle(scenario, reference)
     check_vehicle(method, vehicle, own=reference not in (request.vehicle, scenario.vehicle))
-    if request.seed < 0:
-        raise InputError.of_argument("seed", f"is {request.seed}", "expected a number of at least 0")
     camera = level_camera(scenario) if robot.pose.level_camera else None
     return DriveSpec(
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,
         request.out, camera,
     )  # fmt: skip
+
+
+def _method(name: str) -> Method:
+    """Method that may drive a robot.
+
+    Raises:
+        InputError: if there is none; at its lines if it may not, or for a bundled method at the option.
+    """
+    method = load_method(name)
+    try:
+        check_method(method)
+    except InputError as error:
+        if not bundled.is_name(name):
+            raise
+        expected = f"expected {alternatives(methods_for_robots())}, or a method file"
+        raise InputError(
+            Diagnostic("method", f"is {name}, whose {d.path} {d.problem}", expected, code=d.code, argument=True)
+            for d in error.diagnostics
+        ) from error
+    return method
+
+
+def methods_for_robots() -> tuple[str, ...]:
+    """Names of the bundled methods that may drive a robot."""
+    found = []
+    for name in bundled.names("method"):
+        with contextlib.suppress(InputError):
+            check_method(load_method(name))
+            found.append(name)
+    return tuple(found)
 
 
 def _learned(cycle: Cycle, spec: DriveSpec) -> str:

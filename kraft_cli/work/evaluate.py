@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides, parse_sweeps
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.evaluation import manifest
 from kraft.evaluation.evaluator import Evaluation, Observer, evaluate
-from kraft.evaluation.experiment import METHODS, SUITE, TRIALS
+from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, experiment_of
 from kraft.evaluation.folder import check_exists, default_path
 from kraft_cli.work.run import run_command
 
@@ -72,6 +72,17 @@ def complete_request(request: EvalRequest) -> EvalRequest:
 def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
     """Run the evaluation of a request; see `evaluate` for its exceptions."""
     arguments = arguments_of(request)
+    problems = Problems()
+    settings = problems.of(lambda: parse_overrides(request.settings, "set"))
+    vary = problems.of(lambda: parse_sweeps(request.vary, "vary"))
+    if settings is None or vary is None:  # the other arguments are checked too
+        trials, seed, suite = arguments["trials"], arguments["seed"], arguments["suite"]
+        problems.of(
+            lambda: experiment_of(
+                request.scenarios, arguments["methods"], suite=suite, vehicle=request.vehicle, trials=trials, seed=seed
+            )
+        )
+        raise InputError(problems.found)
     try:
         return evaluate(
             arguments["scenarios"] or None,
@@ -81,8 +92,8 @@ def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
             request.jobs,
             request.out,
             suite=arguments["suite"],
-            settings=parse_overrides(request.settings, "set"),
-            vary=parse_sweeps(request.vary, "vary"),
+            settings=settings,
+            vary=vary,
             vehicle=request.vehicle,
             resume=request.resume,
             realtime=request.realtime,

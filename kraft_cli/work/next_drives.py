@@ -156,13 +156,14 @@ def _with_controls(
     return replace(definition, controls={**definition.controls, **limits})
 
 
-def load_prior(reference: str, vehicle: Vehicle) -> VehicleConfig:
-    """The model to identify, with the commands of the vehicle that drives.
+def load_prior(reference: str, vehicle: Vehicle | None) -> VehicleConfig:
+    """The model to identify, with the commands of the vehicle that drives; with its own if that is None.
 
     Raises:
         InputError: if it has other controls, no parameter to identify, or a parameter without prior.
     """
     base = load_base_vehicle(reference)
+    vehicle = vehicle or base.vehicle
     if set(base.vehicle.controls) != set(vehicle.controls):
         problem = f"has the controls {', '.join(base.vehicle.controls)}"
         expected = f"expected {', '.join(vehicle.controls)}, those of {vehicle.name}, which drives"

@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic
 
 
-def parse_parameters(items: Iterable[str]) -> dict[str, float]:
-    """Read ``name=value`` items.
+def parse_parameters(items: Iterable[str], problems: list[Diagnostic]) -> dict[str, float]:
+    """Values of those ``name=value`` items that can be read.
 
-    Raises:
-        InputError: with every item that is not a name and a finite number, and every repeated name.
+    Every item that is not a name and a finite number, and every repeated name, is added to ``problems``.
     """
     values: dict[str, float] = {}
-    problems = []
     for item in items:
         name, equals, text = item.partition("=")
         number = _number(text)
@@ -31,8 +29,6 @@ def parse_parameters(items: Iterable[str]) -> dict[str, float]:
             )
         else:
             values[name.strip()] = number
-    if problems:
-        raise InputError(problems)
     return values
 
 

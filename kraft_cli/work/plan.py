@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from kraft.config.overrides import Override, parse_overrides, plain_value
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.files import check_all, check_writable
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import memory_needed
 from kraft.planning.plan import PlanResult, budget_of, plan_task
 from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
-from kraft.planning.search import Previous, search_named
+from kraft.planning.search import Previous, check_seed, check_threads, search_named
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.text import counted, finite, grouped, metres
@@ -62,6 +62,17 @@ class PlanRequest:
 
 
 @dataclass(frozen=True)
+class _Inputs:
+    """What a request names, loaded and checked; `target` is the plan file."""
+
+    settings: tuple[Override, ...]
+    task: Task
+    vehicle: Vehicle
+    previous: Previous | None
+    target: Path | None
+
+
+@dataclass(frozen=True)
 class PlanOutcome:
     """Request, its resolved task and vehicle, and the result; `plan_file` is None if none was written."""
 
@@ -84,12 +95,8 @@ def run_plan(
         Defect: if a plan of DIRT fails verification.
     """
     timer = StageTimer(detail)
-    settings = parse_overrides(request.settings, "set")
-    task = _task(request, settings)
-    vehicle = _vehicle(request, task)
-    previous = _previous(request, task, report)
-    target = None if request.out is None else request.out / NAME
-    _check_places(target, request.plot)
+    inputs = _inputs(request, report)
+    task, vehicle, previous, target = inputs.task, inputs.vehicle, inputs.previous, inputs.target
     _report_inputs(detail, request, task, vehicle)
     timer.report("loaded and checked")
     polish = task.planning.polish and task.planning.planner == "dirt"
@@ -100,7 +107,7 @@ def run_plan(
     result = plan_task(task, vehicle, seed=request.seed, previous=previous, threads=request.threads)
     timer.report("planned, with maps and verification,")
     if target is not None and result.plan is not None:
-        changed = {each.key: plain_value(each.value) for each in settings}
+        changed = {each.key: plain_value(each.value) for each in inputs.settings}
         origin = Origin(request.scenario, request.vehicle or task.vehicle, previous, changed)
         write_plan(target, task, vehicle, result, origin)
     else:
@@ -110,6 +117,30 @@ def run_plan(
     if target is not None or request.plot is not None:
         timer.report("written and drawn")
     return PlanOutcome(request, task, vehicle, result, target)
+
+
+def _inputs(request: PlanRequest, report: Callable[[str], None]) -> _Inputs:
+    """Load what the request names.
+
+    Raises:
+        InputError: with the problems of all options and files.
+    """
+    problems = Problems()
+    settings = problems.of(lambda: parse_overrides(request.settings, "set"))
+    scenario = problems.of(lambda: load_scenario(request.scenario, settings or ()).task())
+    planning = _planning(request, scenario.planning if scenario else Planning(), problems)
+    task = replace(scenario, planning=planning) if scenario else None
+    problems.of(lambda: check_seed(request.seed))
+    problems.of(lambda: check_threads(planning.planner, request.threads))
+    vehicle = _vehicle(request, task, problems)
+    previous = problems.of(lambda: _previous(request, task, report))
+    target = None if request.out is None else request.out / NAME
+    problems.of(lambda: _check_places(target, request.plot))
+    problems.check()
+    assert settings is not None, "every problem was raised"
+    assert task is not None, "every problem was raised"
+    assert vehicle is not None, "every problem was raised"
+    return _Inputs(settings, task, vehicle, previous, target)
 
 
 def _check_places(target: Path | None, plot: Path | None) -> None:
@@ -124,15 +155,15 @@ def _check_places(target: Path | None, plot: Path | None) -> None:
     check_all(*checks)
 
 
-def _task(request: PlanRequest, settings: Sequence[Override]) -> Task:
-    task = load_scenario(request.scenario, settings).task()
-    planning: Planning = task.planning
+def _planning(request: PlanRequest, planning: Planning, problems: Problems) -> Planning:
+    """Settings with the budget and the planner of the request, as far as these are valid."""
     if request.time is not None or request.iterations is not None:
-        planning = planning.with_budget(iterations=request.iterations, time=request.time)
-    if request.planner is not None:
-        search_named(request.planner)
-        planning = planning.model_copy(update={"planner": request.planner})
-    return replace(task, planning=planning)
+        changed = problems.of(lambda: planning.with_budget(iterations=request.iterations, time=request.time))
+        planning = changed or planning
+    name = request.planner
+    if name is not None and problems.of(lambda: search_named(name)) is not None:
+        planning = planning.model_copy(update={"planner": name})
+    return planning
 
 
 def _report_inputs(detail: Callable[[str], None], request: PlanRequest, task: Task, vehicle: Vehicle) -> None:
@@ -145,16 +176,24 @@ def _report_inputs(detail: Callable[[str], None], request: PlanRequest, task: Ta
     detail(f"planner {task.planning.planner}: {amount}, seed {request.seed}{threads}")
 
 
-def _vehicle(request: PlanRequest, task: Task) -> Vehicle:
-    parameters = parse_parameters(request.parameters)
-    vehicle = vehicle_of_task(task) if request.vehicle is None else load_vehicle(request.vehicle)
-    if not parameters:
+def _vehicle(request: PlanRequest, task: Task | None, problems: Problems) -> Vehicle | None:
+    """Vehicle with the values of ``--param``; None if there are problems, or no task to take the vehicle from."""
+    parameters = parse_parameters(request.parameters, problems.found)
+    if request.vehicle is not None:
+        named, folder = request.vehicle, Path.cwd()
+        vehicle = problems.of(lambda: load_vehicle(named))
+    elif task is not None:
+        named, folder = task.vehicle, Path(task.source.file).parent
+        vehicle = problems.of(lambda: vehicle_of_task(task))
+    else:
+        return None
+    if vehicle is None or not parameters:
         return vehicle
-    named, folder = (request.vehicle, Path.cwd()) if request.vehicle else (task.vehicle, Path(task.source.file).parent)
     try:
         return load_vehicle(named, folder, parameters)
     except InputError as error:  # the vehicle is valid without them
-        raise InputError(_at_parameter_option(d, parameters) for d in error.diagnostics) from error
+        problems.found += [_at_parameter_option(d, parameters) for d in error.diagnostics]
+        return None
 
 
 def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]) -> Diagnostic:
@@ -166,7 +205,7 @@ def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]
     return replace(diagnostic, file=where, line=None, column=None, path=path)
 
 
-def _previous(request: PlanRequest, task: Task, report: Callable[[str], None]) -> Previous | None:
+def _previous(request: PlanRequest, task: Task | None, report: Callable[[str], None]) -> Previous | None:
     if request.previous is None:
         if request.after != 0.0:
             raise InputError.of("--after", "is given without --from", "expected both or none", Code.CONFLICT)
@@ -175,7 +214,7 @@ def _previous(request: PlanRequest, task: Task, report: Callable[[str], None]) -
         raise InputError.of("--after", f"is {request.after:g}", "expected a number of at least 0, s")
     content = read_plan_file(request.previous)
     scenario = content.scenario.name
-    if scenario != task.name:
+    if task is not None and scenario != task.name:
         report(f"note: {request.previous} is a plan of {scenario or 'a scenario without a name'}, not of {task.name}")
     return Previous(content.plan(), request.after, str(request.previous))
 

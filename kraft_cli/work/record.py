@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import vehicle_of_task
 from kraft.recording.manoeuvres import Manoeuvre, read_commands
-from kraft.scenario import load_scenario
+from kraft.scenario import Scenario, load_scenario
 from kraft.vehicles import is_car
+from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.next_drives import COUNT_MAX, drives_for, load_prior
+from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.recording.recorder import Place
@@ -63,6 +66,17 @@ class RecordedRun:
     """number of runs"""
 
 
+@dataclass(frozen=True)
+class _Inputs:
+    """What a request names, loaded and checked; a manoeuvre for each file of commands."""
+
+    scenario: Scenario
+    vehicle: Vehicle
+    prior: VehicleConfig | None
+    files: Sequence[Path]
+    manoeuvres: Sequence[Manoeuvre]
+
+
 def record_logs(
     request: RecordRequest, report: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
 ) -> tuple[RecordedRun, ...]:
@@ -72,19 +86,13 @@ def record_logs(
         InputError: with the problems of the request and of the files it names, before the first run; if the scenario
             has no free space for a run.
     """
-    _check(request)
-    scenario = load_scenario(request.scenario)
-    vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
-    from kraft.recording.recorder import Recorder, check_log_folder, write_recording  # these load the simulator
-    from kraft.robot.bag import bag_of_run, check_bag
+    from kraft.recording.recorder import Recorder, write_recording  # these load the simulator
+    from kraft.robot.bag import bag_of_run
     from kraft.robot.bag import write_recording as write_bag
 
-    check_log_folder(request.out)
-    if request.bag is not None:
-        check_bag(request.bag)
-    prior = None if request.model is None else load_prior(request.model, vehicle)
-    files = _command_files(request.commands)
-    drives: list[tuple[Manoeuvre, Place | None]] = [(read_commands(path, vehicle.controls), None) for path in files]
+    inputs = _inputs(request)
+    scenario, vehicle, files, prior = inputs.scenario, inputs.vehicle, inputs.files, inputs.prior
+    drives: list[tuple[Manoeuvre, Place | None]] = [(manoeuvre, None) for manoeuvre in inputs.manoeuvres]
     ensure_compiled(vehicle, report, steps=not is_car(vehicle))
     recorder = Recorder(scenario, vehicle, request.seed)
     if prior is not None:
@@ -104,11 +112,39 @@ def record_logs(
     return tuple(done)
 
 
-def _check(request: RecordRequest) -> None:
-    """Raise an `InputError` with every problem of the options that needs no file."""
-    problems = []
-    if request.count < 1:
-        problems.append(Diagnostic("runs", f"is {request.runs}", "expected a number of at least 1", argument=True))
+def _inputs(request: RecordRequest) -> _Inputs:
+    """Load what the request names.
+
+    Raises:
+        InputError: with the problems of all options and files.
+    """
+    from kraft.recording.recorder import check_log_folder
+    from kraft.robot.bag import check_bag
+
+    problems = Problems()
+    problems.found += _option_problems(request)
+    out, bag, named, model = request.out, request.bag, request.vehicle, request.model
+    scenario = problems.of(lambda: load_scenario(request.scenario))
+    vehicle = None
+    if named is not None:
+        vehicle = problems.of(lambda: load_vehicle(named))
+    elif scenario is not None:
+        vehicle = problems.of(lambda: vehicle_of_task(scenario))
+    problems.of(lambda: check_log_folder(out))
+    if bag is not None:
+        problems.of(lambda: check_bag(bag))
+    prior = None if model is None else problems.of(lambda: load_prior(model, vehicle))
+    files = problems.of(lambda: _command_files(request.commands)) or []
+    read = [problems.of(partial(read_commands, path, vehicle.controls)) for path in files if vehicle is not None]
+    problems.check()
+    assert scenario is not None, "every problem was raised"
+    assert vehicle is not None, "every problem was raised"
+    return _Inputs(scenario, vehicle, prior, files, [manoeuvre for manoeuvre in read if manoeuvre is not None])
+
+
+def _option_problems(request: RecordRequest) -> list[Diagnostic]:
+    """Problems of the options that name no file."""
+    problems = [*out_of_range("runs", request.count, 1), *out_of_range("seed", request.seed, 0)]
     if request.model is not None and request.count > COUNT_MAX:
         expected = f"expected a number of at most {COUNT_MAX} with --for"
         problems.append(Diagnostic("runs", f"is {request.runs}", expected, argument=True))
@@ -116,10 +152,7 @@ def _check(request: RecordRequest) -> None:
         if request.commands and given is not None:
             expected = "expected one of the two: files of commands state what is driven"
             problems.append(Diagnostic(name, "is given with --commands", expected, code=Code.CONFLICT, argument=True))
-    if request.seed < 0:
-        problems.append(Diagnostic("seed", f"is {request.seed}", "expected a number of at least 0", argument=True))
-    if problems:
-        raise InputError(problems)
+    return problems
 
 
 def _arguments(request: RecordRequest, runs: int, files: Sequence[Path]) -> dict[str, Any]:
@@ -138,13 +171,16 @@ def _command_files(paths: Sequence[Path]) -> list[Path]:
     """Files of commands: those given, and all `commands.csv` in the folders given.
 
     Raises:
-        InputError: with every folder that has none.
+        InputError: with every path that does not exist, and every folder that has none.
     """
     files: list[Path] = []
     problems = []
     for path in paths:
         found = sorted(path.rglob("commands.csv")) if path.is_dir() else [path]
-        if not found:
+        if not path.exists():
+            expected = "expected a file of commands, or the folder of kraft sysid --commands"
+            problems.append(Diagnostic(str(path), "does not exist", expected, code=Code.NOT_FOUND))
+        elif not found:
             expected = "expected the folder of kraft sysid --commands"
             problems.append(Diagnostic(str(path), "has no commands.csv in it", expected, code=Code.NOT_FOUND))
         files += found

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
-from kraft.errors import Code, Diagnostic, InputError, NegativeResult
+from kraft.errors import Code, Diagnostic, InputError, NegativeResult, Problems
 from kraft.files import check_all, check_writable
+from kraft.logs.discover import check_paths
 from kraft.logs.log import Log, LogSet
+from kraft.logs.mapping import load_mapping
 from kraft.plot.style import picture_format
 from kraft.sysid.acceptance import (
     PredictionEvaluation,
@@ -21,7 +23,7 @@ from kraft.sysid.acceptance import (
 )
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded_commands
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
-from kraft.sysid.data import LogSplit, split_logs
+from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.fast_graph import ensure_compiled
 from kraft.sysid.identify import has_terms, identify
 from kraft.sysid.model_choice import identify_car, models_of_cars
@@ -137,8 +139,7 @@ def run_sysid(
         InputError: with every problem of the request or of the files it names, before anything is identified.
         NegativeResult: if there are logs, and none of them can be used.
     """
-    base = load_base_vehicle(models_of_cars()[0] if request.model == AUTO else request.model)
-    settings = _checked_settings(request, base)
+    base, settings = _checked(request)
     auto = request.model == AUTO
     controls = tuple(base.vehicle.controls)
     logs = read_sysid_logs(request.logs, request.mapping, controls, info, warn, detail, any_command_unit=auto)
@@ -221,16 +222,30 @@ def _restored(split: LogSplit, units: Mapping[str, CommandUnit]) -> LogSplit:
     return replace(split, fitted=with_units(split.fitted, back), held_out=with_units(split.held_out, back))
 
 
-def _checked_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
-    """The settings, after every check that needs no logs; the problems of all checks are reported together."""
-    settings: list[Settings] = []
-    check_all(
-        lambda: settings.append(_settings(request, base)),
-        lambda: None if request.out is None else check_vehicle_target(request.out),
-        lambda: None if request.plot is None else _check_picture(request.plot),
+def _checked(request: SysidRequest) -> tuple[BaseVehicle, Settings]:
+    """The vehicle and the settings, after every check that reads no logs.
+
+    Raises:
+        InputError: with the problems of all checks.
+    """
+    problems = Problems()
+    reference = models_of_cars()[0] if request.model == AUTO else request.model
+    base = problems.of(lambda: load_base_vehicle(reference))
+    settings = _parse_settings(request, base, problems.found)
+    out, plot, mapping = request.out, request.plot, request.mapping
+    checks: list[Callable[[], object]] = [
+        lambda: None if base is None else _check_settings(base, settings),
+        lambda: check_paths(request.logs),
+        lambda: None if mapping is None else load_mapping(mapping),
+        lambda: check_holdout(request.holdout),
+        lambda: None if out is None else check_vehicle_target(out),
+        lambda: None if plot is None else check_all(lambda: picture_format(plot), lambda: check_writable(plot)),
         lambda: _check_next(request),
-    )
-    return settings[0]
+    ]
+    problems.of(lambda: check_all(*checks))
+    problems.check()
+    assert base is not None, "every problem was raised"
+    return base, settings
 
 
 def _check_next(request: SysidRequest) -> None:
@@ -249,35 +264,26 @@ def _check_next(request: SysidRequest) -> None:
         raise InputError(problems)
 
 
-def _settings(request: SysidRequest, base: BaseVehicle) -> Settings:
-    """The settings that the options state.
+def _check_settings(base: BaseVehicle, settings: Settings) -> None:
+    """Check that the settings fit the vehicle.
 
     Raises:
-        InputError: with every option that cannot be read, else with every one that does not fit the vehicle.
+        InputError: with every option that does not.
     """
-    settings = _parse_settings(request, base)
     try:
         check_settings(base.definition, settings)
         check_free_parameters(base.definition, settings)
     except InputError as error:
         raise InputError(replace(d, file=OPTIONS.get(d.file, d.file)) for d in error.diagnostics) from None
-    return settings
 
 
-def _parse_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
-    """The settings as written; a vehicle file is for planning.
+def _parse_settings(request: SysidRequest, base: BaseVehicle | None, problems: list[Diagnostic]) -> Settings:
+    """The settings as far as they can be read; other options are added to `problems`.  A vehicle file is for planning.
 
-    Raises:
-        InputError: with every option that cannot be read.
+    Without `base` the vehicle is not known.
     """
-    problems: list[Diagnostic] = []
-    noise, values = None, {}
-    try:
-        values = parse_parameters(request.param)
-    except InputError as error:
-        problems += error.diagnostics
-    if request.pose_noise is not None:
-        noise = _parse_noise(request.pose_noise, problems)
+    values = parse_parameters(request.param, problems)
+    noise = None if request.pose_noise is None else _parse_noise(request.pose_noise, problems)
     graph = next((known for known in GRAPHS if known == request.graph), None)
     if graph is None:
         problems.append(
@@ -288,10 +294,9 @@ def _parse_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
     if not HORIZON_MIN <= request.horizon <= HORIZON_MAX:
         expected = f"expected a time from {HORIZON_MIN:g} to {HORIZON_MAX:g} s"
         problems.append(Diagnostic("horizon", f"is {request.horizon:g}", expected, argument=True))
-    if problems or graph is None:
-        raise InputError(problems)
     auxiliary = _parse_extras(request.extras)
-    if request.out is not None and auxiliary == "auto" and (request.model == AUTO or not has_terms(base.definition)):
+    terms = base is not None and has_terms(base.definition)
+    if request.out is not None and auxiliary == "auto" and (request.model == AUTO or not terms):
         auxiliary = "plan"
     return Settings(
         horizon=request.horizon,
@@ -299,7 +304,7 @@ def _parse_settings(request: SysidRequest, base: BaseVehicle) -> Settings:
         frozen=_names(request.freeze),
         values=values,
         auxiliary=auxiliary,
-        graph=graph,
+        graph=graph or "fast",
     )
 
 
@@ -330,12 +335,6 @@ def _parse_noise(text: str, problems: list[Diagnostic]) -> Noise | None:
     expected = "expected standard deviations of position (m) and yaw (rad), as in 0.01,0.02"
     problems.append(Diagnostic("pose_noise", f"is {text!r}", expected, code=Code.SYNTAX, argument=True))
     return None
-
-
-def _check_picture(path: Path) -> None:
-    """Refuse a name or a place that no picture can have."""
-    picture_format(path)
-    check_writable(path)
 
 
 class ProgressReporter:

@@ -26,7 +26,7 @@ from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
 from kraft.trial.result import check_own_robot, check_robot
 from kraft.vehicles.config import VehicleConfig
-from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
 from ompl_ext.cache_error import CacheError
 from ompl_ext.vehicle import Vehicle
 
@@ -136,7 +136,7 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         check_placement(scenario.task(), vehicle, start_state(scenario.task(), vehicle))
         check_robot(scenario, vehicle)
     elif kind == "vehicle":
-        _validated(VehicleConfig, document)
+        configured(read_vehicle_file(path))
         check_own_robot(load_vehicle(str(path)))
     elif kind == "method":
         method = load_method(path)

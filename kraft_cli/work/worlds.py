@@ -3,14 +3,48 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import Code, InputError
-from kraft.worlds.imports import Collection
+from kraft.errors import Code, InputError, Problems
+from kraft.worlds.imports import Collection, Request, read_sources, write_imported
 from kraft.worlds.world import Written
 
 RADIUS: Final = 0.25
 """Radius of a goal that is given without one, m."""
+
+
+@dataclass(frozen=True)
+class ImportRequest:
+    """Options of `kraft import` as written."""
+
+    kind: str
+    sources: tuple[Path, ...]
+    out: Path
+    start: str | None = None
+    goal: str | None = None
+    vehicle: str | None = None
+    skip: bool = False
+
+
+def run_import(request: ImportRequest) -> Collection:
+    """Read the sources, and write scenarios and a suite.
+
+    Raises:
+        InputError: with every problem of the options and of the sources.
+        Unreachable: with every goal that no path leads to.
+    """
+    problems = Problems()
+    begin, end = request.start, request.goal
+    # where a text cannot be read, any numbers do for reading the sources: they are not written then
+    start = None if begin is None else problems.of(lambda: numbers_of("start", begin, "X,Y,HEADING")) or (0.0, 0.0, 0.0)
+    goal = None if end is None else problems.of(lambda: goal_of(end)) or (0.0, 0.0, RADIUS)
+    resolved = Request(request.kind, request.sources, request.out, start, goal, request.vehicle, request.skip)
+    imported = problems.of(lambda: read_sources(resolved))
+    problems.check()
+    assert imported is not None, "every problem was raised"
+    return write_imported(resolved, imported)
 
 
 def numbers_of(name: str, text: str, form: str) -> tuple[float, float, float]:

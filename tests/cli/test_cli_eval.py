@@ -261,7 +261,7 @@ def test_a_method_that_has_no_time_to_plan_by_the_clock_is_refused(
         (["--resume"], ["--resume"]),
         (["--resume", "--out", "o"], ["o"]),
         (["none.yaml"], ["none.yaml"]),
-        (["--trials", "x"], ["error", "try 'kraft eval --help'"]),
+        (["--trials", "x"], ["--trials", "try 'kraft eval --help'"]),
     ],
 )
 def test_everything_wrong_is_said_at_once_and_nothing_is_written(

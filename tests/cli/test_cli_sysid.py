@@ -104,10 +104,11 @@ def test_all_that_is_wrong_with_options_and_places_is_said_before_the_logs_are_r
         )
         == 2
     )
-    proc, freeze, out = said(capsys)
+    proc, freeze, out, logs = said(capsys)
     assert proc.startswith("/proc/my.png: cannot be written: nothing can be made in /proc")
     assert freeze == "--freeze: mushr-lag has no parameter l; did you mean 'L'?"
     assert out == "my.yaml: is a folder; expected the name of a file"
+    assert logs.startswith("nowhere: does not exist")
 
 
 def test_an_identification_that_takes_long_says_how_it_goes(

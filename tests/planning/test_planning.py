@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.diagnostics import located, raised
 
-from kraft.errors import Code, Defect
+from kraft.errors import Code, Defect, InputError
 from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, finds_plan, plan_task
 from kraft.planning.search import Budget, Previous
@@ -304,3 +304,9 @@ def test_a_plan_is_found_with_the_iterations_that_a_whole_search_needs(mushr: Ve
 def test_no_plan_is_found_where_no_path_leads_to_the_goal(mushr: Vehicle) -> None:
     wall = room(("size: [1, 1]", "size: [4, 0.5]"))
     assert not finds_plan(wall, mushr, 100)
+
+
+def test_a_negative_seed_is_refused(mushr: Vehicle) -> None:
+    with pytest.raises(InputError) as caught:
+        plan_task(room(), mushr, FEW, seed=-1)
+    assert [(d.file, d.argument) for d in caught.value.diagnostics] == [("seed", True)]

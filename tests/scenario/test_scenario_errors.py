@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.diagnostics import located, raised
 
-from kraft.errors import Diagnostic
-from kraft.scenario import parse_scenario
+from kraft.errors import Code, Diagnostic
+from kraft.scenario import load_scenario, parse_scenario
 
 BASE = {
     "name": "name: x",
@@ -225,3 +225,16 @@ def test_every_change_of_the_truth_that_is_out_of_order_is_reported_with_all_oth
     found = {(each.path, str(each.code)) for each in problems_of(with_line(text))}
     times = {(f"truth.changes[{k}].time", "value") for k in (1, 3, 5)}
     assert found == {*times, ("truth.changes[2].time", "type"), ("truth.changes[3].floor_friction", "value")}
+
+
+def test_another_word_for_a_shape_is_understood(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(
+        "name: a\nbounds: {x: [0, 4], y: [0, 4]}\nobstacles:\n  - {disc: {center: [2, 2], radius: 0.3}}\n"
+        "start: {x: 1, y: 1, heading_deg: 0}\ngoal: {center: [3, 3], radius: 0.3}\n"
+        "truth: {tilt: {angle_deg: 90}}\n"
+    )
+    shape, tilt = raised(lambda: load_scenario(tmp_path / "scene.yaml"))
+    assert (shape.line, shape.path, shape.code) == (4, "obstacles[0].disc", Code.UNKNOWN)
+    assert "'circle'" in shape.expected
+    assert (tilt.line, tilt.path) == (7, "truth.tilt.angle_deg")
+    assert "angle between" in tilt.expected

@@ -17,8 +17,10 @@ from kraft.errors import Code, InputError
 from kraft.sysid.acceptance import PredictionPair, errors_by_speed, fitted_warnings, objections, prediction_warnings
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
 from kraft.sysid.data import LogSplit, split_logs
+from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import Window
 from kraft.sysid.result import ParameterEstimate
+from kraft.sysid.settings import Settings
 from kraft.sysid.vehicle_file import (
     check_vehicle_target,
     identification_record,
@@ -290,3 +292,19 @@ def test_the_adaptive_filter_drifts_as_much_as_the_errors_in_the_file_show(tmp_p
     assert drifting.speed_drift == pytest.approx(0.2, rel=1e-3)
     assert drifting.heading_drift_deg == pytest.approx(np.degrees(0.1))
     assert with_identified_drift(stated, load_vehicle("mushr")) == stated
+
+
+def test_parameters_that_a_file_omits_are_written_in_the_units_of_the_model(tmp_path: Path) -> None:
+    path = tmp_path / "car.yaml"
+    path.write_text(
+        "name: car\nmodel: kraft.vehicles.mushr:MUSHR\nparameters: {phi_diff: {value: 0.1, unit: rad}}\n"
+        "footprint: {length: 0.4, width: 0.28}\ntop_speed: v_delta\n"
+    )
+    found = load_base_vehicle(str(path)).parameters
+    assert [(name, p.unit) for name, p in found.items()] == [("L", "m"), ("phi_diff", "rad"), ("v_delta", "m/s")]
+    assert found["phi_diff"].value == 0.1
+
+
+def test_a_number_without_a_unit_is_printed_alone() -> None:
+    spec = parameters_of(load_vehicle("mushr"), Settings(), ()).specs[0]
+    assert [replace(spec, unit=unit).unit_text for unit in ("m", "1", "")] == [" m", "", ""]

@@ -116,7 +116,7 @@ def test_a_bundled_vehicle_is_described_and_names_its_schema(name: str) -> None:
         ("max: 0.4", "maxx: 0.4", "4:38 parameters.L.maxx unknown"),
         ("length: 0.4", "length: 0", "5:21 footprint.length value"),
         ("length: 0.4", "lenght: 0.4, length: 0.4", "5:13 footprint.lenght unknown"),
-        ("top_speed: 1.0", "top_speed: fast", "6:12 top_speed unknown"),
+        ("top_speed: 1.0", "top_speed: -1", "6:12 top_speed value"),
     ],
 )  # fmt: skip
 def test_a_wrong_vehicle_file_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:

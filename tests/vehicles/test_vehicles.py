@@ -43,7 +43,7 @@ def test_a_bundled_file_fits_its_model(name: str) -> None:
     assert vehicle.name == name
     assert list(vehicle.parameters.items()) == list(config.values.items())
     assert (vehicle.footprint.length, vehicle.footprint.width) == (config.footprint.length, config.footprint.width)
-    assert vehicle.top_speed == config.speed_limit
+    assert vehicle.top_speed == config.values.get(str(config.top_speed), config.top_speed)
 
 
 @pytest.mark.parametrize("model", BUNDLED, ids=lambda model: model.name)

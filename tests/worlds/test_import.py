@@ -184,6 +184,12 @@ def test_a_problem_that_cannot_be_read_is_refused_at_its_line(
     assert (code, "kink.yaml", line, column) in found
 
 
+def test_a_file_that_is_no_problem_of_dynobench_has_one_problem(tmp_path: Path) -> None:
+    text = "".join(f"parameter_{k}: {k}\n" for k in range(70))
+    found = problems(tmp_path, text, kind="dynobench", name="model.yaml", vehicle="mushr")
+    assert [(code, file, line) for code, file, line, _ in found] == [(Code.MISMATCH, "model.yaml", None)]
+
+
 def map_file(tmp_path: Path) -> Path:
     cells = np.full((40, 60), 254, dtype=np.uint8)
     cells[:, 30] = cells[0] = 0
@@ -234,4 +240,4 @@ def test_what_cannot_be_imported_is_named(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "bad.world.gz").write_bytes(b"\x1f\x8b nothing")
     assert main(["import", "barn", str(tmp_path / "bad.world.gz")]) == 2
     assert main(["import", "dynobench", str(tmp_path / "none.yaml"), "--start", "1,2,3"]) == 2
-    assert capsys.readouterr().err.count("\n") == 4
+    assert capsys.readouterr().err.count("\n") == 5

@@ -1,0 +1,45 @@
+"""The problems of all options and files of a command are reported together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.evaluation import places
+
+from kraft_cli.main import main
+
+COMMANDS = {
+    "plan turns --param L=abc --param foo=3": "--param, --param foo",
+    "plan turns --param L --set x --planner dirty --iterations 0 --seed -2 --threads 70 --from no.json --plot a.gif":
+        "--iterations, --param, --planner, --seed, --set, --threads, a.gif, no.json",
+    "plan nosuch --vehicle nope --time 0 --after 1 --out /proc/x": "--after, --time, /proc/x/plan.json, nope, nosuch",
+    "sysid nologs --model foo --holdout 2 --param L=nan --graph slow --pose-noise 1 --next 50 --horizon 99 --plot a.gif "
+    "--out b.txt --mapping no.yaml":
+        "--graph, --holdout, --horizon, --next, --param, --pose-noise, a.gif, b.txt, foo, no.yaml, nologs",
+    "sysid nologs --model mushr --freeze zz --param L=nan": "--freeze, --param, nologs",
+    "record nosuch --vehicle nope --for zip --commands nofile --runs 3 --bag a.txt --out /proc/x":
+        "--bag, --for, --runs, /proc/x, nofile, nope, nosuch, zip",
+    "eval nosuch other.yaml --methods kraft,foo --suite nosuite": "--suite, foo, nosuch, nosuite, other.yaml",
+    "eval turns --trials 0 --seed -1 --jobs 0 --methods kraftt,foo --out /proc/x":
+        "--jobs, --seed, --trials, /proc/x, foo, kraftt",
+    "eval nosuch --set x --vary y --trials 1000000000 --methods foo":
+        "--set, --trials, --vary, foo, nosuch",
+    "import barn X --goal 5,5,nan --start a,b --out /proc/x": "--goal, --start, /proc/x, X",
+    "import map nomap.yaml": "--goal, --start, nomap.yaml",
+    "import map nomap.yaml --start a --goal 1,2": "--start, nomap.yaml",
+    "import bran X": "X, bran",
+    "generate clutter --density 0.9 --count 0 --seed -1 --vehicle nope": "--count, --density, --seed, --vehicle",
+    "generate rooms --count 10001": "--count",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_problems_of_all_options_and_files_are_reported_together(
+    command: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command.split()) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert sorted(places(err)) == COMMANDS[command].split(", ")
+    assert list(folder.iterdir()) == []
