@@ -122,7 +122,7 @@ class Drive {
   }
 }
 
-/** Path of each cycle's tree; an edge is a straight line between kept nodes. */
+/** Path of each cycle's tree through the points of its branches. */
 function treePaths(trees) {
   return trees.map((tree) => {
     if (!tree) return "";
@@ -356,6 +356,7 @@ class Player {
     this.planning = planning;
     this.trees = null;
     this.stage = new Stage(document.getElementById("stage"), drive, plan, obstacle);
+    this.showThings();
     this.plots = plotsOf(drive);
     const parent = document.getElementById("plots");
     parent.replaceChildren(...this.plots.map((plot) => plot.element));
@@ -366,6 +367,15 @@ class Player {
     this.time.max = drive.end.toFixed(2);
     this.renderPlots();
     this.play.focus();
+  }
+
+  /** Fit legend and layout to the floor plan: what it does not have is not in the legend, a wide one is above the plots. */
+  showThings() {
+    const svg = this.stage.svg, { width, height } = svg.viewBox.baseVal;
+    this.dialog.classList.toggle("landscape", width > 1.25 * height);
+    for (const entry of this.dialog.querySelectorAll("[data-thing]")) entry.hidden = !svg.querySelector(`.${entry.dataset.thing}`);
+    const hidden = this.dialog.querySelector("[data-thing]:not([hidden])") === null;
+    this.dialog.querySelector("input[data-layer=hidden]").parentElement.hidden = hidden;
   }
 
   /** Show trees too. */
