@@ -7,7 +7,7 @@ integers.  Poses are (x, y, theta) in m and rad, times are in s of the trial.
 - `footprint`: offset, length, width of the vehicle (m).
 - `t`, `pose`, `speed`: time, true pose and speed at each tick of the controller.
 - `ahead`, `error`: time by which the estimate is ahead of its tick; estimated minus true pose at that time.
-- `command`: a series for each control, by its name.
+- `command`: a series for each control, by its name, with its range and, where it is known, its unit.
 - `every`, `clearance`: true distance to the nearest obstacle at every n-th tick (m).
 - `seen`: time of each observation, and observed minus true pose.
 - `watchdog`: ticks at which the watchdog stopped the car.  `boxes`: pose of each movable box at each tick.
@@ -34,6 +34,7 @@ from kraft.planning.workspace import workspace_of
 from kraft.text import finite
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
+from kraft.vehicles.units import control_unit
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels.specialise import kernels
@@ -166,7 +167,8 @@ def _commands(steps: Sequence[Step], vehicle: Vehicle) -> dict[str, Any]:
     found = {}
     for k, name in enumerate(vehicle.controls):
         low, high = vehicle.control_bounds[k]
-        found[name] = {"range": [float(low), float(high)], "values": series(commands[:, k], float(high - low) / SHARE)}
+        content = {"range": [float(low), float(high)], "values": series(commands[:, k], float(high - low) / SHARE)}
+        found[name] = content | ({"unit": unit} if (unit := control_unit(vehicle, name)) else {})
     return found
 
 

@@ -83,7 +83,8 @@ class Drive {
     const ahead = valuesOf(content.ahead), errors = rowsOf(content.error);
     this.estimateTimes = this.t.map((time, i) => time + ahead[i]);
     this.estimates = this.plus(this.estimateTimes, errors);
-    this.commands = Object.entries(content.command).map(([name, { range, values }]) => ({ name, range, values: valuesOf(values) }));
+    this.commands = Object.entries(content.command).map(([name, { range, values, unit }]) =>
+      ({ name, range, values: valuesOf(values), unit: unit ?? "" }));
     this.clearanceTimes = this.t.filter((_, i) => i % content.every === 0);
     this.clearance = content.clearance ? valuesOf(content.clearance) : null;
     this.seenTimes = valuesOf(content.seen[0]);
@@ -282,8 +283,8 @@ function plotsOf(drive) {
   if (drive.delta.some((value) => value !== null)) lines.push({ name: "δ(v)", look: "two", times: drive.t, values: drive.delta });
   found.push(new Plot(drive, "deviation from the prediction", "m", lines, 0));
   found.push(new Plot(drive, "speed", "m/s", [{ name: "", look: "one", times: drive.t, values: drive.speed }]));
-  for (const { name, range, values } of drive.commands) {
-    const plot = new Plot(drive, `command: ${name}`, "", [{ name: "", look: "one", times: drive.t, values }]);
+  for (const { name, range, values, unit } of drive.commands) {
+    const plot = new Plot(drive, `command: ${name.replaceAll("_", " ")}`, unit.startsWith("share") ? "" : unit, [{ name: "", look: "one", times: drive.t, values }]);
     [plot.low, plot.high] = range;
     found.push(plot);
   }
