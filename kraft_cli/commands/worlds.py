@@ -83,7 +83,7 @@ def generate(
     out: Out = Path("worlds"),
     json: Json = False,
 ) -> ExitStatus:
-    """Write random scenarios and a suite; a seed always gives the same; gaps are 1.3 to 1.8 diagonals of the car."""
+    """Write random scenarios and a suite; the same seed gives the same world, with a way as wide as the car is long."""
     from kraft.worlds.generate import generate_worlds
     from kraft_cli.work.worlds import generated_json
 

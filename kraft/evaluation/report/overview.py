@@ -90,7 +90,7 @@ def overview(results: Results) -> Element:
         class_="overview sortable many" if many else "overview sortable",
     )
     order = " Those that fail most come first." if many else ""
-    words = f"Successes of each method in each entry; a cell is filled with the shares of the outcomes.{order}"
+    words = f"Successes of each method in each entry; the colours of a cell are a bar of its outcomes.{order}"
     return element(
         "section",
         element("h2", "Overview"),
