@@ -39,6 +39,7 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
     """Print a table for each entry, or one table for many; on a terminal with as many columns as fit."""
     from kraft.evaluation import labels, overview, tables
     from kraft.evaluation.summary import MANY
+    from kraft.evaluation.table import totals
 
     for label in labels(summary):
         terminal.data(f"score: {label}; 0.5 at best, 0 for collisions and timeouts")
@@ -46,7 +47,8 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
         _show_overview(terminal, overview(summary))
         terminal.data(REMARK_MANY)
         return
-    for table in tables(summary):
+    together = totals(summary)
+    for table in [*tables(summary), *([together] if together else [])]:
         if terminal.out.isatty():
             _rich(terminal, table)
         else:

@@ -7,14 +7,15 @@ integers.  Poses are (x, y, theta) in m and rad, times are in s of the trial.
 - `footprint`: offset, length, width of the vehicle (m).
 - `t`, `pose`, `speed`: time, true pose and speed at each tick of the controller.
 - `ahead`, `error`: time by which the estimate is ahead of its tick; estimated minus true pose at that time.
-- `command`: a series for each control, by its name.
+- `command`: a series for each control, by its name, with its range and, where it is known, its unit.
 - `every`, `clearance`: true distance to the nearest obstacle at every n-th tick (m).
 - `seen`: time of each observation, and observed minus true pose.
 - `watchdog`: ticks at which the watchdog stopped the car.  `boxes`: pose of each movable box at each tick.
 - `cycles`: a list; the polylines `plan` and `contingency` have x and y at times that are multiples of `GRID`,
   `predicted` has poses and delta(v) within the cycle.  `sent` is false if the message was lost.
 
-Trees are a second text of the same kind: for each cycle x, y and the parent of some of the tree's nodes.
+Trees are a second text of the same kind: for each cycle points of whole branches, as x and y relative to the point
+before, and the number of that point.
 """
 
 from __future__ import annotations
@@ -33,8 +34,10 @@ from kraft.planning.workspace import workspace_of
 from kraft.text import finite
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
-from ompl_ext.arrays import Floats, Matrix
+from kraft.vehicles.units import control_unit
+from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.exact import ExactClearance
+from ompl_ext.kernels.specialise import kernels
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
 
@@ -42,8 +45,11 @@ EVERY: Final = 3
 """Ticks from one measured clearance to the next."""
 GRID: Final = 0.2
 """Time between the points of a plan or a contingency, s."""
-NODES: Final = 160
-"""Nodes that are kept of a tree."""
+POINTS: Final = 280
+"""Points that are kept of a tree."""
+GOLDEN: Final = (5**0.5 - 1) / 2
+SUBSTEPS: Final = 4
+"""Steps of integration from one point of an edge to the next."""
 POSE: Final = (0.001, 0.001, 0.002)
 """Quanta of a true pose, m and rad."""
 ERROR: Final = (0.002, 0.002, 0.005)
@@ -161,7 +167,8 @@ def _commands(steps: Sequence[Step], vehicle: Vehicle) -> dict[str, Any]:
     found = {}
     for k, name in enumerate(vehicle.controls):
         low, high = vehicle.control_bounds[k]
-        found[name] = {"range": [float(low), float(high)], "values": series(commands[:, k], float(high - low) / SHARE)}
+        content = {"range": [float(low), float(high)], "values": series(commands[:, k], float(high - low) / SHARE)}
+        found[name] = content | ({"unit": unit} if (unit := control_unit(vehicle, name)) else {})
     return found
 
 
@@ -219,19 +226,65 @@ def _band(predicted: PredictedMotion, vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _tree(tree: TreeView | None, vehicle: Vehicle) -> list[Any] | None:
-    """Every n-th node with x and y, each joined to the nearest ancestor that is kept too; None without nodes."""
+    """Whole branches from the root, as points with x, y and the number of the point before; None without nodes.
+
+    An edge has points at most `GRID` s apart, so that no line cuts a corner that the vehicle drives around.
+    """
     if tree is None or not len(tree.states):
         return None
-    stride = -(-len(tree.states) // NODES)
-    kept = {node: k for k, node in enumerate(sorted({0, *range(0, len(tree.states), stride)}))}
-    parents = []
-    for node in kept:
-        parent = int(tree.parents[node])
-        while parent >= 0 and parent not in kept:
-            parent = int(tree.parents[parent])
-        parents.append(kept[parent] if parent >= 0 else -1)
-    poses = _poses(tree.states[list(kept)], vehicle)
-    points = [np.rint(poses[:, k] / (2 * POINT)).astype(int) for k in range(2)]
-    above = np.maximum(parents, 0)  # a node is near its parent
+    counts = np.maximum(1, np.ceil(tree.durations / GRID - 1e-6)).astype(int)
+    places, parents, numbers = list[Floats](), list[int](), dict[int, int]()
+    for node in _branches(tree.parents, counts, POINTS):
+        before = numbers.get(int(tree.parents[node]), -1)
+        for place in _edge(tree, node, int(counts[node]), vehicle):
+            places.append(place)
+            parents.append(before)
+            before = len(places) - 1
+        numbers[node] = before
+    points = [np.rint(column / (2 * POINT)).astype(int) for column in np.array(places).T]
+    above = np.maximum(parents, 0)  # a point is near the one before
     relative = [np.where(np.array(parents) >= 0, point - point[above], point) for point in points]
     return [2 * POINT, relative[0].tolist(), relative[1].tolist(), parents]
+
+
+def _branches(parents: Ints, counts: Ints, most: int) -> list[int]:
+    """Nodes of some branches from the root, each after its parent; their `counts` are not more than `most` together.
+
+    Multiples of the golden ratio choose leaves from all over the time in which the tree grew.
+    """
+    leaves = np.setdiff1d(np.arange(len(parents)), parents)
+    leaves = leaves[np.argsort(np.arange(len(leaves)) * GOLDEN % 1.0)]
+    kept, left = dict[int, None](), most
+    for leaf in leaves.tolist():
+        branch, node = list[int](), int(leaf)
+        while node >= 0 and node not in kept:
+            branch.append(node)
+            node = int(parents[node])
+        points = int(counts[branch].sum())
+        if points > left and kept:
+            continue
+        kept.update(dict.fromkeys(reversed(branch)))
+        left -= points
+    return list(kept)
+
+
+def _edge(tree: TreeView, node: int, count: int, vehicle: Vehicle) -> Matrix:
+    """Points (count, 2) of the edge to a node, the last one at the node: m.
+
+    The model drives along the edge; where the planner had other parameters by then, the rest is spread over the edge.
+    """
+    axes = [vehicle.index("x"), vehicle.index("y")]
+    end, parent = tree.states[[node]][:, axes], int(tree.parents[node])
+    if parent < 0 or count == 1:
+        return np.asarray(end)
+    advance, state = kernels(vehicle).advance, tree.states[parent].copy()
+    step = float(tree.durations[node]) / (count * SUBSTEPS)
+    driven = [state[axes]]
+    for k in range(count * SUBSTEPS):
+        after = np.empty_like(state)
+        advance(state, tree.controls[node], vehicle.parameter_array, step, after)
+        state = after
+        if (k + 1) % SUBSTEPS == 0:
+            driven.append(state[axes])
+    share = np.linspace(0.0, 1.0, count + 1)[1:, None]
+    return np.asarray(np.array(driven[1:]) + share * (end - driven[-1]))

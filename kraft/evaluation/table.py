@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import Result, Summary
 from kraft.text import decimals, percent
 
@@ -62,6 +63,9 @@ def tables(summary: Summary) -> list[Table]:
     results = summary.results
     replans = any(result.replans for result in results)
     occurs = {
+        "paper S/C/T": any(result.paper for result in results),
+        "paper T_ex": any(result.paper and result.paper.t_ex is not None for result in results),
+        "p": any(result.against for result in results),
         "score": any(result.scoring for result in results),
         "failed": summary.failed > 0,
         "missed": summary.realtime,
@@ -80,6 +84,51 @@ def tables(summary: Summary) -> list[Table]:
     return found
 
 
+def totals(summary: Summary) -> Table | None:
+    """Table of all entries together, with a row for each method; None of a single entry.
+
+    Times are of the successful trials of all entries, so only methods that succeed in the same ones can be compared.
+    """
+    if len(summary.entries) < 2:
+        return None
+    scored = bool(labels(summary))
+    names = ["method", "succ", "coll", "timeout", *(["score"] if scored else [])]
+    names += [*(["failed"] if summary.failed else []), "T_ex s", "95 % CI", "cont"]
+    rows = []
+    for method in dict.fromkeys(result.method for result in summary.results):
+        cells = _total([result for result in summary.results if result.method == method])
+        rows.append(tuple(cells[name] for name in names))
+    return Table("all entries", tuple(names), tuple(rows), tuple(_COLUMNS[name] for name in names))
+
+
+def _total(results: Sequence[Result]) -> dict[str, str]:
+    """Cells of a method over several entries."""
+    sums = {
+        name: sum(getattr(result, name) for result in results)
+        for name in ("success", "collision", "timeout", "failed", "contingencies", "trials")
+    }
+    times = [result.t_ex * result.success for result in results if result.t_ex is not None]
+    low, high = wilson(sums["success"], sums["trials"])
+    return {
+        "method": results[0].title,
+        "succ": str(sums["success"]),
+        "coll": str(sums["collision"]),
+        "timeout": str(sums["timeout"]),
+        "failed": str(sums["failed"]),
+        "score": decimals(_mean_score(results), 3),
+        "T_ex s": decimals(sum(times) / sums["success"] if times else None, 2),
+        "95 % CI": f"{low:.0%}-{high:.0%}".replace("%-", "-"),
+        "cont": str(sums["contingencies"]),
+    }
+
+
+def _mean_score(results: Sequence[Result]) -> float | None:
+    """Mean score of all trials of entries that are scored; None without such trials."""
+    scored = [(result.score, result.trials) for result in results if result.score is not None]
+    trials = sum(number for _, number in scored)
+    return sum(score * number for score, number in scored) / trials if trials else None
+
+
 def overview(summary: Summary) -> Table:
     """One table for all entries, with a column for each method, and its totals in the last row.
 
@@ -92,18 +141,17 @@ def overview(summary: Summary) -> Table:
 
     def cell(results: Sequence[Result]) -> str:
         numbers = "/".join(str(sum(getattr(result, name) for result in results)) for name in counted)
-        scored = [(result.score, result.trials) for result in results if result.score is not None]
-        trials = sum(number for _, number in scored)
-        return f"{numbers}  {sum(score * number for score, number in scored) / trials:.3f}" if scored else numbers
+        score = _mean_score(results)
+        return numbers if score is None else f"{numbers}  {score:.3f}"
 
     rows = [
         (short, *(cell([by_cell[entry, method]]) if (entry, method) in by_cell else "-" for method in titles))
         for entry, short in _short_names(summary).items()
     ]
-    totals = [cell([result for result in summary.results if result.method == method]) for method in titles]
+    last = [cell([result for result in summary.results if result.method == method]) for method in titles]
     counts = "succ/coll/timeout" + ("/failed" if summary.failed else "")
     heading = (counts + ("  score" if labels(summary) else ""), *titles.values())
-    return Table("", heading, (*rows, ("all", *totals)), (9,) * len(heading))
+    return Table("", heading, (*rows, ("all", *last)), (9,) * len(heading))
 
 
 def labels(summary: Summary) -> list[str]:

@@ -27,6 +27,7 @@ from kraft.plot.scene import (
 )
 from kraft.plot.style import CYCLE, CYCLE_FAINT, DASHED, GOAL, INK, WARNING, Style
 from kraft.scenario import OccupancyMap, Task
+from kraft.vehicles.units import control_title
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.vehicle import Vehicle
@@ -167,7 +168,13 @@ def panels_of_plan(plan: Plan, vehicle: Vehicle, cycle: float) -> list[Panel]:
         panels.append(Panel(quantity("speed, m/s"), curves, limits))
     edges = np.concatenate([[0.0], np.cumsum(plan.durations)])
     for k, (name, limits) in enumerate(vehicle.controls.items()):
-        panels.append(Panel(quantity(name), _plan_curves(edges, plan.controls[:, k], cycle, held=True), limits))
+        panels.append(
+            Panel(
+                quantity(control_title(vehicle, name)),
+                _plan_curves(edges, plan.controls[:, k], cycle, held=True),
+                limits,
+            )
+        )
     return panels
 
 

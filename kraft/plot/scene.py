@@ -57,7 +57,7 @@ def draw_workspace(axes: Axes, frame: Frame, bounds: Bounds, scale: float) -> No
     for axis, size in zip((axes.xaxis, axes.yaxis), frame.size, strict=True):
         axis.set_major_locator(MultipleLocator(_round_step(min(TICK_SPACING / scale, size / 5))))
         axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
-    axes.set_xlabel("y, m" if frame.turned else "x, m", labelpad=2)
+    axes.set_xlabel("y, m (the map is turned by 90°: x points down)" if frame.turned else "x, m", labelpad=2)
     axes.set_ylabel("x, m" if frame.turned else "y, m", labelpad=2)
     if frame.turned:  # the page's vertical is -x
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _tick(-value)))

@@ -22,13 +22,12 @@ from kraft.plot.style import CYCLE, DASHED, INK, RULE, WARNING, WARNING_PALE, St
 from kraft.scenario import Task
 from kraft.simulation.appearance import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult
+from kraft.vehicles.units import control_title
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
 ESTIMATED: Final = "#a3178f"
-UNITS: Final = {"steering": "rad"}
-"""Units of controls that are no shares of their largest values."""
 OBSERVATION: Final = "#7d8896"
 OBSERVATION_SIZE: Final = 2.4  # pt
 COLLISION: Final = "#c1121f"
@@ -78,7 +77,7 @@ def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list
     ]
     commands = np.array([step.command for step in steps])
     for name, values, (low, high) in zip(vehicle.controls, commands.T, vehicle.control_bounds, strict=True):
-        title = name.replace("_", " ") + (f", {UNITS[name]}" if name in UNITS else "")
+        title = control_title(vehicle, name)
         limits = min(0.0, float(low), float(values.min())), max(0.0, float(high), float(values.max()))
         panels.append(Panel(quantity(title), (Curve(times, values, {**true, **HELD}),), limits))
     return panels

@@ -198,7 +198,7 @@ def prediction_warnings(pair: PredictionPair) -> tuple[str, ...]:
         *useless,
         f"the identified values predict held-out logs no better than the initial values do ({_errors(pair)}): "
         "exclude logs of another floor, slope, load or car, record more logs, or choose a model with the missing "
-        "effect; the page shows the prediction",
+        "effect",
     )
 
 

@@ -45,6 +45,8 @@ OPTIONAL: Final[dict[str, tuple[str, str]]] = {
     "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
     "cyclonedds": ("cyclonedds.domain", "`transport: {kind: ros2}` of robots"),
     "websockets": ("websockets.sync.client", "`transport: {kind: rosbridge}` of robots"),
+    "casadi": ("casadi", "controllers `nmpc`, as of the methods nmpc and kraft-nmpc"),
+    "dynobench": ("dynobench", "lets its own package judge plans in `python -m benchmarks goals`"),
     "opencv-python-headless": ("cv2", "detects tags in rendered frames (`sensing.preset: rendered`)"),
 }
 """Each optional package: the module to import, and its purpose."""

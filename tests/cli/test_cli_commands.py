@@ -192,6 +192,12 @@ def test_the_doctor_looks_at_every_required_package() -> None:
     assert named == set(REQUIRED)
 
 
+def test_the_doctor_looks_at_the_packages_of_every_extra() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    names = {re.split(r"[\[<>=; ]", each)[0] for extra, each_of in extras.items() if extra != "dev" for each in each_of}
+    assert names <= set(environment.OPTIONAL)
+
+
 def test_the_doctor_ends_with_3_when_something_required_is_missing(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

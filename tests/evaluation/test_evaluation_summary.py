@@ -21,6 +21,7 @@ from kraft.evaluation.paper import paper_row
 from kraft.evaluation.report.results import Manifest
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.suite import load_suite
+from kraft.evaluation.table import totals
 from kraft.scenario import Score
 from kraft.trial.measures import Kept, Measures
 
@@ -161,6 +162,32 @@ def test_the_table_of_all_entries_has_totals(experiment: Experiment, rows: dict[
         ("slip", "2/1/1/0", "1/1/1/1"),
         ("all", "4/2/2/0", "2/2/2/2"),
     )
+
+
+def test_several_entries_have_totals_by_method_and_one_has_none(
+    experiment: Experiment, rows: dict[Key, TrialRow]
+) -> None:
+    found = totals(summary.summarise(experiment, rows, 1.0))
+    assert found is not None
+    cells = [dict(zip(found.heading, row, strict=True)) for row in found.rows]
+    kraft, oneshot = cells
+    assert (kraft["succ"], kraft["coll"], kraft["timeout"], kraft["T_ex s"]) == ("4", "2", "2", "11.00")
+    assert (oneshot["succ"], oneshot["failed"], oneshot["T_ex s"]) == ("2", "2", "9.00")
+    low, high = wilson(4, 8)
+    assert kraft["95 % CI"] == f"{100 * low:.0f}-{high:.0%}"
+    alone = experiment_of(["turns"], ["kraft"], trials=4, seed=7)
+    assert (
+        totals(summary.summarise(alone, {key: row for key, row in rows.items() if key[:2] == ("turns", "kraft")}, 1.0))
+        is None
+    )
+
+
+def test_columns_that_no_row_fills_are_left_out() -> None:
+    columns = {"paper S/C/T", "paper T_ex", "p"}
+    for scenario, method, expected in (("posts", "kraft", set()), ("turns", "kraft", columns - {"p"})):
+        alone = experiment_of([scenario], [method], trials=1, seed=7)
+        row = TrialRow(scenario=scenario, method=method, seed=7, outcome="success", t_s=9.0)
+        assert columns & set(tables(summary.summarise(alone, {row.key: row}, 1.0))[0].heading) == expected
 
 
 def test_names_in_the_table_of_all_entries_are_short_where_that_is_clear() -> None:

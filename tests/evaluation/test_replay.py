@@ -15,8 +15,10 @@ from support.evaluation import refused
 
 from kraft.errors import Code
 from kraft.evaluation.journal import REPLAYS, Journal, Replays, TrialRow
-from kraft.evaluation.replay import Replay, packed, replay_of, series, unpacked, values_of
+from kraft.evaluation.replay import GRID, POINTS, Replay, packed, replay_of, series, unpacked, values_of
 from kraft.trial.result import TrialSpec
+from ompl_ext.kernels.specialise import kernels
+from ompl_ext.plan import TreeView
 
 KEY = ("turns", "kraft", 3)
 
@@ -48,6 +50,48 @@ def test_a_replay_has_every_tick_and_cycle_of_its_trial() -> None:
     assert list(drive["command"]) == list(spec.vehicle.controls)
     assert replay_of(spec, result) == replay
     assert replay_of(spec, replace(result, steps=())) is None
+
+
+def test_branches_of_a_tree_are_whole_and_its_lines_follow_the_edges() -> None:
+    """Every line is a piece of one edge: no farther than the car drives meanwhile, and its points are on that edge."""
+    spec = TrialSpec.load("turns", "kraft", seed=0)
+    vehicle, advance = spec.vehicle, kernels(spec.vehicle).advance
+    random, nodes = np.random.default_rng(0), 200
+    states, controls = np.zeros((nodes, len(vehicle.state))), np.zeros((nodes, len(vehicle.controls)))
+    parents, durations, fine = np.full(nodes, -1), np.zeros(nodes), [states[:1]]
+    low, high = vehicle.control_bounds.T
+    for node in range(1, nodes):
+        parents[node] = random.integers(max(0, node - 20), node)
+        controls[node], durations[node] = random.uniform(low, high), random.uniform(0.5, 1.0)
+        driven = [states[parents[node]].copy()]
+        for _ in range(100):
+            after = np.empty_like(driven[-1])
+            advance(driven[-1], controls[node], vehicle.parameter_array, durations[node] / 100, after)
+            driven.append(after)
+        states[node] = driven[-1]
+        fine.append(np.array(driven))
+    zeros = np.zeros(nodes)
+    tree = TreeView(states, parents, controls, durations, zeros, zeros)
+    result = fake_trials.quick(spec)
+    cycles = (replace(result.cycles[0], tree=tree), *result.cycles[1:])
+    replay = replay_of(spec, replace(result, cycles=cycles))
+    assert replay is not None
+    assert replay.trees is not None
+    quantum, dx, dy, before = unpacked(replay.trees)[0]
+    points = np.column_stack([dx, dy]).astype(float)
+    for k, point in enumerate(before):
+        assert point < k
+        points[k] += points[point] if point >= 0 else 0.0
+    assert before.count(-1) == 1
+    assert 200 < len(points) <= POINTS
+    axes = [vehicle.index("x"), vehicle.index("y")]
+    samples = np.vstack(fine)[:, axes]
+    middles = (points[1:] + points[before[1:]]) / 2
+    for places, tolerance in ((points, 0.015), (middles, 0.05)):
+        nearest = np.hypot(*(quantum * places[:, None] - samples[None]).transpose(2, 0, 1)).min(axis=1)
+        assert nearest.max() < tolerance
+    lengths = quantum * np.hypot(*(points[1:] - points[before[1:]]).T)
+    assert lengths.max() <= GRID * max(map(abs, states[:, vehicle.rest_indices[0]])) + 0.03
 
 
 def row(seed: int, drive: str) -> TrialRow:

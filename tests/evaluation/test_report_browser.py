@@ -202,6 +202,61 @@ def test_no_window_hides_a_column_without_saying_so(tab: Page, driven: Driven, w
     assert tab.evaluate("document.querySelector('#replay').scrollWidth") <= width
 
 
+def test_a_page_of_paper_holds_every_table_and_the_overview_has_its_words(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    tab.emulate_media(media="print")
+    for width in (703, 794):  # A4 without and with its margins, at 96 px per inch
+        tab.set_viewport_size({"width": width, "height": 1000})
+        assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    assert tab.locator(".overview td span").first.is_visible()
+    heading = tab.locator(".overview th:not([scope])").nth(1)
+    assert heading.evaluate("e => getComputedStyle(e).writingMode") == "horizontal-tb"
+
+
+def test_a_phone_has_no_table_that_is_cut(tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": 390, "height": 844})
+    tab.goto(driven.url)
+    cut = "[...document.querySelectorAll('.wide')].filter(b => b.scrollWidth > b.clientWidth + 1).length"
+    assert tab.evaluate(cut) == 0
+    labels = "e => getComputedStyle(e, '::before').content"
+    cell = tab.locator(".totals-table td[data-label='mean time, s']").first
+    assert cell.evaluate(labels) == '"mean time, s"'
+    charts = tab.locator("[data-stacked] svg.outcomes").evaluate_all(
+        "all => all.map(e => e.getBoundingClientRect().width)"
+    )
+    assert min(charts) > 340
+
+
+def test_a_wide_floor_plan_is_above_the_plots_and_a_tall_one_beside_them(tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": 1440, "height": 900})
+    open_trial(tab, driven.url)
+    boxes = "() => ['#stage', '.panel'].map(e => document.querySelector(e).getBoundingClientRect())"
+    stage, panel = tab.evaluate(boxes)
+    assert panel["left"] > stage["right"]
+    tab.evaluate("document.querySelector('svg.floor').setAttribute('viewBox', '0 0 400 200')")
+    tab.evaluate("location.hash = ''")
+    tab.wait_for_selector("#replay", state="hidden")
+    tab.evaluate("location.hash = '#trial=turns/kraft/0'")
+    tab.wait_for_selector("#replay.landscape")
+    stage, panel = tab.evaluate(boxes)
+    assert panel["top"] > stage["bottom"]
+    assert stage["width"] > 1000
+
+
+def test_the_legend_names_only_what_the_floor_plan_has(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    assert tab.locator("[data-thing]:visible").count() == 0
+    assert not tab.locator("input[data-layer=hidden]").is_visible()
+    assert [text.split("\n")[-1] for text in tab.locator(".marks li:visible").all_inner_texts()] == [
+        "start, with its heading",
+        "goal",
+    ]
+    start, nose = (
+        tab.locator(f"#stage .{name}").evaluate("e => getComputedStyle(e).fill") for name in ("start", "nose")
+    )
+    assert start != nose
+
+
 def test_wrong_links_and_trials_without_a_replay_say_so(tab: Page, driven: Driven, tmp_path: Path) -> None:
     tab.goto(f"{driven.url}#trial=turns/kraft/99")
     assert "does not have" in tab.inner_text("#replay-problem")

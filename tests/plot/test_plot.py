@@ -173,7 +173,7 @@ def test_the_contingency_is_named_where_it_ends_and_absent_without_one() -> None
 
 def test_speed_and_controls_have_a_panel_each() -> None:
     drawn = figure(TURNS, drive(), fan(9))
-    assert {"speed, m/s", "throttle", "steering"} <= set(texts(drawn))
+    assert {"speed, m/s", "throttle, share of the largest", "steering, share of the largest"} <= set(texts(drawn))
     assert len(drawn.axes) == 2 + 3
 
 

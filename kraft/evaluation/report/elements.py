@@ -35,6 +35,23 @@ def svg(width: float, height: float, *content: Content, **attributes: Value) -> 
     return drawing
 
 
+def stacked(table: Element) -> Element:
+    """Give the cells of a table the texts of their headings, which a narrow screen shows in place of the first row.
+
+    A cell below a heading with a drawing, an axis, is marked: it cannot be read without it.
+    """
+    heading, *rows = table.iter("tr")
+    heading.set("class", "headings")
+    for row in rows:
+        for above, cell in zip(heading, row, strict=False):
+            if cell.tag == "td" and above.text:
+                cell.set("data-label", above.text)
+            if cell.tag == "td" and above.find("svg") is not None:
+                cell.set("class", f"{cell.get('class', '')} under-axis".strip())
+    table.set("data-stacked", "")
+    return table
+
+
 def number(value: float) -> str:
     """Length or coordinate with six digits."""
     return f"{value + 0.0:.6g}"

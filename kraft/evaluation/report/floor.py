@@ -41,7 +41,8 @@ def floor_plan(scenario: Scenario, hits: Mapping[str, int]) -> Element:
     ]
     # one unit is a metre inside this group, and y grows upwards
     place = f"scale({scale:.6g}) translate({number(margin - x0)} {number(margin + y1)}) scale(1 -1)"
-    return svg(width * scale, height * scale, element("g", *things, transform=place), class_="floor")
+    look = "floor landscape" if width > height else "floor"
+    return svg(width * scale, height * scale, element("g", *things, transform=place), class_=look)
 
 
 def _truth(truth: Truth) -> Iterator[Element]:

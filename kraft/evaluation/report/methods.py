@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.report.elements import NO_VALUE, element, number, svg
+from kraft.evaluation.report.elements import NO_VALUE, element, number, stacked, svg
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.report.sweep_picture import nice_ticks
 from kraft.evaluation.statistics import mean_interval, percentile, wilson
@@ -91,7 +91,7 @@ def methods(results: Results) -> Element | None:
         "section",
         element("h2", "Methods over all entries"),
         element("p", words, class_="key"),
-        element("div", _table(totals), class_="wide"),
+        element("div", stacked(_table(totals)), class_="wide"),
         *([element("h3", "Deviation from the prediction, and the clearance δ(v)")] if panels else []),
         *([element("p", DEVIATION, class_="key"), element("div", *panels, class_="panels")] if panels else []),
         id="methods",

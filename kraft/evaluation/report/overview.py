@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import urlencode
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.report.elements import NO_VALUE, Content, element
+from kraft.evaluation.report.elements import NO_VALUE, Content, element, stacked
 from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.report.sweeps import settings_text
 from kraft.evaluation.summary import MANY, Result
@@ -57,29 +57,31 @@ class Count:
 def overview(results: Results) -> Element:
     """Table with a row for each entry and a column for each method; of many entries, those that fail most come first.
 
-    The first row has the totals.
+    The first row has the totals; several methods have a last column of all together.
     """
     summary = results.summary
     by_cell = {(result.entry, result.method): result for result in summary.results}
     entries, methods = list(results.entries.values()), results.methods
     counts = {cell.name: Count.over(r for r in summary.results if r.entry == cell.name) for cell in entries}
-    many = len(entries) > MANY
+    many, several = len(entries) > MANY, len(methods) > 1
     if many:
         # stable: the order of the suite where it is equal, and without trials at the end
         entries.sort(key=lambda cell: counts[cell.name].share if counts[cell.name].trials else 2.0)
     rows = [
         _line(
             _name(results, cell),
-            [*(_cell(by_cell.get((cell.name, method))) for method in methods), _all(counts[cell.name], cell.name)],
+            [
+                *(_cell(by_cell.get((cell.name, method))) for method in methods),
+                *([_all(counts[cell.name], cell.name)] if several else []),
+            ],
         )
         for cell in entries
     ]
     totals = {m: Count.over(r for r in summary.results if r.method == m) for m in methods}
-    everything = Count.over(summary.results)
-    heading = element(
-        "tr", element("th", "entry"), *(element("th", title) for title in methods.values()), element("th", "all")
-    )
-    first = _line(["all entries"], [*(_total(n, m) for m, n in totals.items()), _all(everything)], class_="totals")
+    everything = [_all(Count.over(summary.results))] if several else []
+    titles = [*methods.values(), *(["all"] if several else [])]
+    heading = element("tr", element("th", "entry"), *(element("th", title) for title in titles))
+    first = _line(["all entries"], [*(_total(n, m) for m, n in totals.items()), *everything], class_="totals")
     table = element(
         "table",
         element("thead", heading),
@@ -88,7 +90,7 @@ def overview(results: Results) -> Element:
         class_="overview sortable many" if many else "overview sortable",
     )
     order = " Those that fail most come first." if many else ""
-    words = f"Successes of each method in each entry; a cell is filled with the shares of the outcomes.{order}"
+    words = f"Successes of each method in each entry; the colours of a cell are a bar of its outcomes.{order}"
     return element(
         "section",
         element("h2", "Overview"),
@@ -132,13 +134,15 @@ def causes(results: Results) -> Element | None:
         *(element("td", str(all_of[name]), class_="number") for name in (*names, None) if name),
         element("td", str(all_of.total()), class_="number"),
     )
+    several = len(results.methods) > 1  # the totals of one method are its own
+    foot = element("tbody", total, class_="totals") if several else None
+    table = element("table", element("thead", heading), element("tbody", *rows), foot, class_="causes")
     meanings = [(name, MEANINGS.get(name)) for name in names]
     return element(
         "section",
         element("h2", "Why trials failed"),
         element("p", "Collisions and timeouts by their cause. A number lists its trials.", class_="key"),
-        element("div", element("table", element("thead", heading), element("tbody", *rows),
-                               element("tbody", total, class_="totals"), class_="causes"), class_="wide"),
+        element("div", stacked(table), class_="wide"),
         element("dl", *(element("div", element("dt", name), element("dd", text)) for name, text in meanings if text),
                 class_="meanings"),
         id="causes",

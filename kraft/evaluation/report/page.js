@@ -52,7 +52,7 @@ function showList() {
       const value = column.of(trial);
       const text = column.digits === undefined || value === null ? value ?? "–" : value.toFixed(column.digits);
       const content = column.cell ? column.cell(trial) : [String(text)];
-      return make("td", column.number ? { class: "number" } : {}, ...content);
+      return make("td", column.number ? { class: "number", "data-label": column.name } : {}, ...content);
     });
     cells[0].replaceChildren(make("a", { href: `#trial=${key(trial)}` }, trial.entry.name));
     return make("tr", {}, ...cells);

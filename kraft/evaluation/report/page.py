@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 from kraft.evaluation.journal import TrialRow
 from kraft.evaluation.report import charts
-from kraft.evaluation.report.elements import NO_VALUE, Content, document, element
+from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, stacked
 from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.measures import Shown, measures_table
 from kraft.evaluation.report.methods import methods
@@ -36,13 +36,12 @@ def page(results: Results, *, served: bool = False) -> str:
     shown = Shown.of(results)
     sections = [_entry(results, name, shown) for name in results.entries]
     title = f"{results.title} | kraft eval"
-    if len(results.entries) > MANY:
-        sections = [element("section", element("h2", "Entries"), *sections)]
+    entries = element("section", element("h2", "Entries"), _key(shown), *sections, id="entries")
     replay = ElementTree.fromstring(_part("replay.html"))
     script = element("script", _part("replay.js"), _part("page.js"), type="module")
     return document(
         title, _part("style.css"), *_head(results), overview(results), causes(results), methods(results),
-        _sweeps(results), trials_section(), _key(shown), *sections, _foot(), replay,
+        _sweeps(results), trials_section(), entries, _foot(), replay,
         scripts=[*trials_data(results, served), script],
     )  # fmt: skip
 
@@ -109,7 +108,7 @@ def _key(shown: Shown) -> Element:
         for name in ("success", "timeout", "collision")
     ]
     words = (
-        "Below a bar stands each trial, by seed; "
+        "Below the bar of a method stands each trial, by seed; "
         "point at one to see how it ended, follow it to replay it. Black: 95 % Wilson interval of the success rate. "
         "Blue above it: the paper's rate and its interval. p: exact McNemar test against KRAFT on the same seeds. "
         "Times are of successful trials: black their mean, the blue ring the paper's, dashed the "
@@ -128,14 +127,14 @@ def _entry(results: Results, name: str, shown: Shown) -> Element:
     mine = [result for result in results.summary.results if result.entry == name]
     title, settings = cell.base or name, settings_of(cell)
     tables = [_table(results, name, mine), measures_table(shown, mine)]
-    wide = [element("div", table, class_="wide") for table in tables if table is not None]
+    wide = [element("div", stacked(table), class_="wide") for table in tables if table is not None]
     content = [
         element("div", _picture(results, name), element("div", *wide, class_="tables"), class_="scenario"),
         _unsuccessful(results, name),
     ]
     if len(results.entries) <= MANY:
-        heading = element("h2", title, " ", element("span", settings, class_="settings") if settings else None)
-        return element("section", heading, *content, id=results.slugs[name])
+        heading = element("h3", title, " ", element("span", settings, class_="settings") if settings else None)
+        return element("section", heading, *content, id=results.slugs[name], class_="entry")
     heading = element("b", title, " ", element("span", settings, class_="settings") if settings else None)
     line = element("summary", heading, element("span", *(chip(result) for result in mine), class_="chips"))
     return element("details", line, element("div", *content, id=results.slugs[name]), class_="entry")
@@ -227,7 +226,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
     more = len(found) - LISTED
     rest = element("p", f"and {more} more, in trials.jsonl") if more > 0 else None
     title = element("summary", f"The {len(found) if len(found) > 1 else 'one'} that did not succeed")
-    table = element("div", element("table", heading, *rows), class_="wide")
+    table = element("div", stacked(element("table", heading, *rows)), class_="wide")
     return element("details", title, table, rest, class_="unsuccessful")
 
 

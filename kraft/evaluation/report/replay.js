@@ -83,7 +83,8 @@ class Drive {
     const ahead = valuesOf(content.ahead), errors = rowsOf(content.error);
     this.estimateTimes = this.t.map((time, i) => time + ahead[i]);
     this.estimates = this.plus(this.estimateTimes, errors);
-    this.commands = Object.entries(content.command).map(([name, { range, values }]) => ({ name, range, values: valuesOf(values) }));
+    this.commands = Object.entries(content.command).map(([name, { range, values, unit }]) =>
+      ({ name, range, values: valuesOf(values), unit: unit ?? "" }));
     this.clearanceTimes = this.t.filter((_, i) => i % content.every === 0);
     this.clearance = content.clearance ? valuesOf(content.clearance) : null;
     this.seenTimes = valuesOf(content.seen[0]);
@@ -122,7 +123,7 @@ class Drive {
   }
 }
 
-/** Path of each cycle's tree; an edge is a straight line between kept nodes. */
+/** Path of each cycle's tree through the points of its branches. */
 function treePaths(trees) {
   return trees.map((tree) => {
     if (!tree) return "";
@@ -282,8 +283,8 @@ function plotsOf(drive) {
   if (drive.delta.some((value) => value !== null)) lines.push({ name: "δ(v)", look: "two", times: drive.t, values: drive.delta });
   found.push(new Plot(drive, "deviation from the prediction", "m", lines, 0));
   found.push(new Plot(drive, "speed", "m/s", [{ name: "", look: "one", times: drive.t, values: drive.speed }]));
-  for (const { name, range, values } of drive.commands) {
-    const plot = new Plot(drive, `command: ${name}`, "", [{ name: "", look: "one", times: drive.t, values }]);
+  for (const { name, range, values, unit } of drive.commands) {
+    const plot = new Plot(drive, `command: ${name.replaceAll("_", " ")}`, unit.startsWith("share") ? "" : unit, [{ name: "", look: "one", times: drive.t, values }]);
     [plot.low, plot.high] = range;
     found.push(plot);
   }
@@ -356,6 +357,7 @@ class Player {
     this.planning = planning;
     this.trees = null;
     this.stage = new Stage(document.getElementById("stage"), drive, plan, obstacle);
+    this.showThings();
     this.plots = plotsOf(drive);
     const parent = document.getElementById("plots");
     parent.replaceChildren(...this.plots.map((plot) => plot.element));
@@ -366,6 +368,15 @@ class Player {
     this.time.max = drive.end.toFixed(2);
     this.renderPlots();
     this.play.focus();
+  }
+
+  /** Fit legend and layout to the floor plan: what it does not have is not in the legend, a wide one is above the plots. */
+  showThings() {
+    const svg = this.stage.svg, { width, height } = svg.viewBox.baseVal;
+    this.dialog.classList.toggle("landscape", width > 1.25 * height);
+    for (const entry of this.dialog.querySelectorAll("[data-thing]")) entry.hidden = !svg.querySelector(`.${entry.dataset.thing}`);
+    const hidden = this.dialog.querySelector("[data-thing]:not([hidden])") === null;
+    this.dialog.querySelector("input[data-layer=hidden]").parentElement.hidden = hidden;
   }
 
   /** Show trees too. */
