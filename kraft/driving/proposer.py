@@ -103,9 +103,7 @@ class Proposer:
         self._recovering = False
         self._levels = Levels(solvers, settings)
         self._grown: tuple[DirtSolver, Plan] | None = None
-        self._budget = (
-            0  # iterations that are left of the largest budget of the cycle, beyond `iterations` of each search
-        )
+        self._budget = 0  # iterations of the cycle's largest budget that are left
 
     def set_settings(self, settings: PlannerSettings) -> None:
         """Use settings with another budget from the next proposal on."""
