@@ -200,7 +200,7 @@ class AdaptiveEstimator:
             return
         felt, names = felt_gravity(self._model.vehicle), self._window.parameters.names
         force = [names.index(name) for name in FORCE]
-        slope = -identified.rho[force] / felt
+        slope = _possible(-identified.rho[force] / felt)
         covariance = identified.covariance[np.ix_(force, force)] / felt**2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
@@ -260,6 +260,11 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     return Parameters(vehicle, tuple(specs), frozen)
 
 
+def _possible(slope: Floats) -> Floats:
+    """Slope of a floor (2,), at most `STEEPEST`, in the direction of an estimated one."""
+    return slope * min(1.0, STEEPEST / max(float(np.linalg.norm(slope)), 1e-9))
+
+
 class CorrelatedFilter(PoseFilter):
     """Filter whose state (nx + 9,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
 
@@ -283,8 +288,7 @@ class CorrelatedFilter(PoseFilter):
     @property
     def floor(self) -> Floats:
         """Estimated slope (2,) of the floor, see `LevelCamera`, at most `STEEPEST`."""
-        floor = self.posterior.mean[self._part(FLOOR)]
-        return floor * min(1.0, STEEPEST / max(float(np.linalg.norm(floor)), 1e-9))
+        return _possible(self.posterior.mean[self._part(FLOOR)])
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
         """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""
