@@ -101,7 +101,9 @@ def test_goal_map_and_other_publishers_change_while_the_car_drives(tmp_path: Pat
         )
 
         car = rig.world.world.pose[:2]
-        room = [place for place in newest_plan() if 1.4 < place[1] < 1.9]  # between the boxes, where there is a way round
+        room = [
+            place for place in newest_plan() if 1.4 < place[1] < 1.9
+        ]  # between the boxes, where there is a way round
         x, y = max(room, key=lambda place: math.dist(place, car))
         info = {"resolution": 0.1, "width": 2, "height": 2, "origin": pose_fields(x - 0.1, y - 0.1, 0.0)}
         rig.link.publish("/map", make(GRID, header=header(1, "map"), info=info, data=[100] * 4))
