@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from kraft.driving.bound import DeviationBound
 from kraft.driving.method import PlannerSettings
-from kraft.planning.workspace import goal_of, settings_of, workspace_of
+from kraft.planning.workspace import goal_of, pose_of, settings_of, workspace_of
 from kraft.scenario import Task
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety
@@ -44,6 +46,12 @@ class Solvers:
         larger = replace(shape, length=shape.length + 2 * margin, width=shape.width + 2 * margin)
         larger_vehicle = replace(vehicle, footprint=larger)
         return cls(DirtSolver(larger_vehicle, workspace, goal, safety, search, settings.capacity), checking)
+
+    def load(self, state: Floats) -> None:
+        """Compute what queries of this map share, which the first one from a state (nx,) would do otherwise."""
+        for dirt in (self.checking, self.planning):
+            dirt.start(state, 0)
+            dirt.least_distance(np.array([pose_of(state, dirt.vehicle)]))
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the clearance that SAFETY asks for in both."""

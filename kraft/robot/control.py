@@ -48,6 +48,7 @@ from kraft.robot.protocol import (
     Sense,
     Status,
     Stop,
+    TaskChange,
 )
 from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
@@ -235,6 +236,7 @@ class Control:
                 int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
                 f"{self._now - now:.6f}",
             )  # fmt: skip
+        self._take_task()
         self._request(now)
         self._report(now, estimate)
         return self._is_over(now, estimate, reference)
@@ -355,11 +357,16 @@ class Control:
         number = max(self._next, math.ceil((now + 0.5 * lead) / cycle))  # what cannot be decided in time is left out
         sense = self._sensed()
         self._waiting, self._requested = True, now
+        self._mailbox.send(PlanRequest(now, number, sense, self._on_board.commitment))
+        self._next = number + 1
+
+    def _take_task(self) -> None:
+        """Hand a new goal or map to the planner at once: it gets ready for it before it decides the next time."""
         goal, grid = self._inputs.take_goal(), self._inputs.take_map()
         if goal is not None:
             self._goal = replace(self._goal, center=goal, heading=None, heading_tolerance=None)
-        self._mailbox.send(PlanRequest(now, number, sense, self._on_board.commitment, goal, grid))
-        self._next = number + 1
+        if (goal is not None or grid is not None) and not self._mailbox.closed:
+            self._mailbox.send(TaskChange(goal, grid))
 
     def _sensed(self) -> Sense:
         """What was sensed since the last call."""

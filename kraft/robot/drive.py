@@ -30,7 +30,7 @@ from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
 from kraft.robot.priority import preferred_planner, process_context
-from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop
+from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop, TaskChange
 from kraft.robot.tracker import warm_up
 from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
@@ -181,9 +181,11 @@ def _drive(
             send(answer)
             decisions.add(answer.cycle)
             _append(spec, answer.cycle)
-            planner.prepare(message)
+            planner.prepare()
             on_sense(message.sense)
             on_cycle(replace(answer.cycle, tree=tree))
+        elif isinstance(message, TaskChange):
+            planner.change(message)
         elif isinstance(message, Status):
             on_status(message)
         elif isinstance(message, Ended):
@@ -231,7 +233,7 @@ class Planner:
         self._task = changed(self._task, None, grid)
         method, vehicle = spec.method, spec.vehicle
         assert not isinstance(method.estimator, Oracle), "it was checked"
-        state = spec.at_rest(pose)
+        state = self._state = spec.at_rest(pose)
         self._model = model_of(vehicle)
         self._estimator = make_estimator(method.estimator, self._model, state, spec.camera)
         self._solvers = Solvers.of(self._task, vehicle, method.planner)
@@ -270,16 +272,25 @@ class Planner:
         estimate = estimator.replanning_estimate(request.time)
         self._replanner.set_delay(estimator.horizon)
         cycle = self._replanner.decide(estimate, request.current)
+        self._state = estimate.state
         learned = estimator.learned if isinstance(estimator, AdaptiveEstimator) else None
         return Planned(replace(cycle, tree=None), learned), cycle.tree
 
-    def prepare(self, request: PlanRequest) -> None:
-        """Plan for the next cycle, to a new goal or around a new map if the request has one."""
+    def prepare(self) -> None:
+        """Plan for the next cycle."""
         assert self._replanner is not None, "it has begun"
-        if request.new_goal is not None or request.new_map is not None:
-            self._task = changed(self._task, request.new_goal, request.new_map)
-            self._replanner.set_solvers(Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner))
         self._replanner.prepare()
+
+    def change(self, change: TaskChange) -> None:
+        """Decide and plan for a new goal or map from now on.
+
+        What was planned for the next cycle stays; it is checked against the new map before it is committed.
+        """
+        assert self._replanner is not None, "it has begun"
+        self._task = changed(self._task, change.goal, change.map)
+        self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner)
+        self._solvers.load(self._state)
+        self._replanner.set_solvers(self._solvers)
 
 
 def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:

@@ -94,17 +94,20 @@ class Sense:
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """Request for the commitment of cycle `number` at `time` (s): what was sensed since the last one, what is on board.
-
-    `new_goal` (m) and `new_map` hold from the next plan on.
-    """
+    """Request for the commitment of cycle `number` at `time` (s): what was sensed since the last, what is on board."""
 
     time: float
     number: int
     sense: Sense
     current: Commitment
-    new_goal: tuple[float, float] | None = None
-    new_map: OccupancyMap | None = None
+
+
+@dataclass(frozen=True)
+class TaskChange:
+    """A new goal (m), or a new map, for the next commitment and for all plans after it."""
+
+    goal: tuple[float, float] | None
+    map: OccupancyMap | None
 
 
 @dataclass(frozen=True)

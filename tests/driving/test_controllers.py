@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from collections.abc import Callable
 
@@ -24,8 +25,10 @@ from support.driving import (
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import Controller, make_controller
-from kraft.driving.messages import Estimate, Reference, ReferenceKind
+from kraft.driving.messages import Estimate, Reference, ReferenceKind, Stop
 from kraft.driving.method import Geometric, Kinodynamic, OpenLoop
+from kraft.driving.vehicle_model import stop_control
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 
 Settings = OpenLoop | Geometric | Kinodynamic
@@ -245,6 +248,40 @@ def test_a_car_that_rolls_farther_than_its_model_comes_to_rest(choice: Settings)
     states, commands = track(make_controller(choice, car()), truth, stop, 8.0)
     assert states[-1, 3] < 0.01
     assert commands[:, 0].max() == 0.0
+
+
+@functools.cache
+def braking_car() -> CarModel:
+    return CarModel(load_vehicle("f1tenth"))
+
+
+def braked(speed: float, excess: float = 0.0) -> tuple[float, float]:
+    """How far the model brakes from a speed (m), and how far the car does that is faster by `excess` (m/s)."""
+    model = braking_car()
+    states, controls = [np.array([0.0, 0.0, 0.0, speed, -0.2])], []
+    while states[-1][model.v] > 0.01:
+        controls.append(stop_control(model.vehicle, states[-1], 0))
+        states.append(model.advance(states[-1], controls[-1], 0.1))
+    rest = np.zeros(2)
+    times = 3.0 + 0.1 * np.arange(len(states), dtype=float)
+    kind, path = ReferenceKind.CONTINGENCY, np.array(states)
+    reference = Reference(kind, times, path, np.array(controls), rest, Stop(0, times[0]))
+    faster = states[0] + np.array([0.0, 0.0, 0.0, excess, 0.0])
+    driven, commands = track(make_controller(TRACK, model), Truth(model, faster), reference, 4.0)
+    assert driven[-1, model.v] < 0.01
+    assert commands[:, 0].min() >= model.low[0]
+    return float(path[-1, 0]), float(driven[-1, 0])
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.9, 2.0])
+def test_a_car_that_brakes_in_proportion_to_its_speed_stops_where_its_model_does(speed: float) -> None:
+    planned, driven = braked(speed)
+    assert driven < planned + 0.03
+
+
+def test_a_car_that_is_faster_than_its_contingency_brakes_until_it_stands() -> None:
+    planned, driven = braked(0.9, excess=0.3)
+    assert driven < planned + 0.1  # the excess takes 6 cm to brake
 
 
 # Reverse

@@ -16,18 +16,18 @@ from kraft.driving.method import load_method
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited
 from kraft.robot.control import Control
-from kraft.robot.drive import check_method, on_the_clock
+from kraft.robot.drive import Planner, check_method, on_the_clock
 from kraft.robot.inputs import Inputs, occupancy_map
 from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
 from kraft.robot.messages import GRID, make, pose_fields
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
-from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox
+from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox, PlanRequest, Sense, TaskChange
 from kraft.robot.robot_file import Robot
 from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
 from kraft.robot.world import clock_message
-from kraft.scenario import load_scenario
+from kraft.scenario import OccupancyMap, load_scenario
 from kraft.vehicles.load import load_vehicle
 
 LATENCY = 0.01
@@ -230,3 +230,22 @@ def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick
     assert found == 1
     assert tracker.last_sent == 1.2
     tracker.commanded(1.2, np.zeros(2))
+
+
+@pytest.mark.slow
+def test_a_plan_that_a_new_map_forbids_is_not_committed() -> None:
+    """It was planned before the map came, and the map came before it was decided."""
+    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr-force")
+    spec = DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, robot(), 60.0)
+    start = task.start.x, task.start.y, task.start.heading
+    reasons = []
+    for blocked in (False, True):
+        planner = Planner(spec)
+        begun = planner.begin(start)
+        if blocked:
+            wall = OccupancyMap(np.ones((1, 40), dtype=bool), 0.05, (0.0, 0.0, 0.0), name="map")
+            planner.change(TaskChange(None, wall))
+        answer, _ = planner.decide(PlanRequest(-0.3, 0, Sense(0), begun.commitment))
+        reasons.append(answer.cycle.reason)
+    assert reasons[0] == ""
+    assert "clearance" in reasons[1] or "no manoeuvre stops safely" in reasons[1]

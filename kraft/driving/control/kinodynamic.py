@@ -13,10 +13,13 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control.path import Path, PathTracker, Projection
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Kinodynamic
+from kraft.driving.vehicle_model import stop_control
 from ompl_ext.arrays import Floats
 
 K_HOLD: Final = 3.0
 """Throttle per metre that a car which is held has drifted, 1/m."""
+MOVING: Final = 0.01
+"""Speed above which a car is braked, m/s."""
 WINDOW: Final = 25
 """Samples to each side of the last nearest one among which the next one is searched."""
 
@@ -39,11 +42,13 @@ class KinodynamicController:
         tracker.advance_to(estimate.time + self._settings.look)
         projection, path = tracker.project(estimate.state), tracker.path
         if tracker.is_last and path.is_past_end(projection):
-            return self._model.clamped(self._held(reference, path, projection))
+            held, throttle = self._held(reference, path, projection), self._model.throttle
+            held[throttle] = self._limited(float(held[throttle]), estimate, reference, path)
+            return self._model.clamped(held)
         speed = abs(float(estimate.state[self._model.v]))
         ahead = path.index_at(projection.arc_length + self._settings.look * speed)
         steering = float(path.steering[ahead]) + self._feedback(estimate.state, speed, path, projection)
-        return self._model.command(self._throttle(estimate.time, reference, path, projection), steering)
+        return self._model.command(self._throttle(estimate, reference, path, projection), steering)
 
     def _feedback(self, state: Floats, speed: float, path: Path, projection: Projection) -> float:
         """Feedback added to the planned steering, rad (Hoffmann et al. 2007, eq. 5, with a softened denominator).
@@ -64,17 +69,30 @@ class KinodynamicController:
             held[throttle] += path.direction * K_HOLD * (path.length - projection.arc_length)
         return held
 
-    def _throttle(self, time: float, reference: Reference, path: Path, projection: Projection) -> float:
+    def _throttle(self, estimate: Estimate, reference: Reference, path: Path, projection: Projection) -> float:
         """Planned throttle plus feedback on the progress; a contingency never gets more throttle than planned.
 
         The planned throttle is that of the present time, not of the present position: otherwise a car that is a little
         ahead of a slow part of the plan would get the throttle of a later, faster part and get further ahead.
         """
+        time = estimate.time
         behind = path.arc_length_at(time) - projection.arc_length
         planned = float(reference.control_at(time + self._settings.look)[self._model.throttle])
         throttle = planned + path.direction * self._settings.k_along * behind
         if reference.kind is ReferenceKind.PLAN:
             return throttle
         if time >= reference.end:
-            return float(self._held(reference, path, projection)[self._model.throttle])
-        return min(throttle, planned) if path.direction > 0 else max(throttle, planned)
+            throttle = planned = float(self._held(reference, path, projection)[self._model.throttle])
+        throttle = min(throttle, planned) if path.direction > 0 else max(throttle, planned)
+        return self._limited(throttle, estimate, reference, path)
+
+    def _limited(self, throttle: float, estimate: Estimate, reference: Reference, path: Path) -> float:
+        """At most the throttle with which the manoeuvre brakes the car at its present speed, as soon as it has begun.
+
+        A car that is faster than planned would otherwise coast on where the planned throttle fades.
+        """
+        stop, speed = reference.stop, path.direction * float(estimate.state[self._model.v])
+        if stop is None or estimate.time + self._settings.look < stop.begin or speed <= MOVING:
+            return throttle
+        braking = float(stop_control(self._model.vehicle, estimate.state, stop.manoeuvre)[self._model.throttle])
+        return min(throttle, braking) if path.direction > 0 else max(throttle, braking)
