@@ -6,10 +6,7 @@ import importlib
 import importlib.util
 import math
 import os
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +16,7 @@ import yaml
 from benchmarks.effort import Effort
 from benchmarks.exact import Body, Rectangle
 from benchmarks.models import Model, model_of, rk4
-from benchmarks.report import Report, Row, Target, row
+from benchmarks.report import Report, Row, Target, row, silenced
 from kraft.vehicles.dynobench import APPROACH, SPEED, TURN, UNICYCLE1_V0, UNICYCLE1_V1, UNICYCLE1_V2, UNICYCLE2_V0
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR
@@ -158,7 +155,7 @@ def holds_by_dynobench(problem: Problem, plan: Plan) -> bool:
     Its `step` is Euler's, made 1 ms long; the second-order robot gets the accelerations that the plan's controls cause.
     """
     package = importlib.import_module("dynobench")
-    with silent():
+    with silenced():
         model = f"{package.PKGDIR}models/{problem.vehicle.name}.yaml"
         robot, found = package.robot_factory_with_env(model, str(problem.file)), package.CollisionOut()
     state, after, count = problem.start.copy(), np.zeros(len(problem.start)), 0
@@ -175,20 +172,6 @@ def holds_by_dynobench(problem: Problem, plan: Plan) -> bool:
                 if found.distance < 0.0:
                     return False
     return problem.goal.contains(problem.vehicle, state)
-
-
-@contextmanager
-def silent() -> Iterator[None]:
-    """Discard what compiled code prints."""
-    sys.stdout.flush()
-    kept, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(null)
 
 
 def run(effort: Effort) -> Report:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from ompl import base as ob
@@ -14,7 +11,7 @@ from ompl import tools
 from ompl import util as ou
 
 from benchmarks.effort import Effort
-from benchmarks.report import number
+from benchmarks.report import number, silenced
 from benchmarks.scenes import SCENES, Scene, scene
 from benchmarks.search import costs_over_time
 from kraft.evaluation.ompl_log import make_database
@@ -116,16 +113,3 @@ def contents(database: Path) -> list[str]:
         f"mean duration {number(duration or float('nan'))} s, {number(round(states))} states, {points} progress points"
         for scene_name, planner, runs, solved, duration, states, points in rows
     ]
-
-
-@contextmanager
-def silenced() -> Iterator[None]:
-    """Send what OMPL's benchmark prints, from C++ and from Python, nowhere."""
-    saved, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 1)
-        os.close(saved)
-        os.close(nowhere)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import os
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -154,3 +157,17 @@ def finite(value: float) -> float | None:
 
 def _is_number(text: str) -> bool:
     return not text or text in {"-", "none"} or text.replace(",", "").replace(".", "").lstrip("-").rstrip("x").isdigit()
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Discard what compiled code, OMPL's for instance, and Python print to standard output."""
+    sys.stdout.flush()
+    saved, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(nowhere)

@@ -21,8 +21,9 @@ from benchmarks.random_scenes import RandomScene, random_scene, random_start, ve
 from benchmarks.report import Report, Target, row
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
+from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Reference, ReferenceKind
-from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, PlannerSettings
+from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.planning.compilation import ensure_compiled

@@ -63,6 +63,14 @@ def percentile(values: Sequence[float], share: float) -> float | None:
     return float(np.quantile(values, share, method="inverted_cdf")) if values else None
 
 
+def while_driving(planning: Sequence[float]) -> Sequence[float]:
+    """Planning times of a trial without that of its first plan, which is made before the vehicle drives.
+
+    A trial with one plan has no others: its time is that of the first plan.
+    """
+    return planning[1:] if len(planning) > 1 else planning
+
+
 @dataclass(frozen=True)
 class PairedDifference:
     """Difference of the shares of two methods on the same trials.

@@ -10,7 +10,7 @@ from typing import Any, Final
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.paper import PaperRow, paper_row
-from kraft.evaluation.statistics import McNemar, mcnemar, percentile, wilson
+from kraft.evaluation.statistics import McNemar, mcnemar, percentile, while_driving, wilson
 from kraft.scenario import Score
 from kraft.trial.measures import BAND, Measures, pooled
 
@@ -22,6 +22,7 @@ MANY: Final = 8
 """Largest number of entries of which each has a table of its own in a terminal, and an open section in the report."""
 WALL_CLOCK: Final = (
     "wall_s",
+    "first_plan_ms_p50",
     "planning_ms_p50",
     "planning_ms_p99",
     "missed_deadlines",
@@ -61,7 +62,8 @@ class Result:
         t_ex: mean duration of the successful trials, s.
         contingencies: number of contingencies in all trials.
         min_clearance: smallest true distance to an obstacle in all trials, m.
-        planning_p50, planning_p99: percentiles of the planning time over all cycles of all trials, ms.
+        first_plan_p50: median of the time of the first plan, before the vehicle drives, ms.
+        planning_p50, planning_p99: percentiles of the planning time over all later cycles of all trials, ms.
         missed: number of cycles that exceeded their planning time.
         command_p50, command_p99: percentiles of the time of the controller's commands in all trials, ms; None in older
             evaluations.
@@ -91,6 +93,7 @@ class Result:
     contingencies: int
     cycles: int
     min_clearance: float | None
+    first_plan_p50: float | None
     planning_p50: float | None
     planning_p99: float | None
     missed: int
@@ -216,7 +219,8 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
     outcomes = [row.outcome for row in rows]
     success = outcomes.count("success")
     durations = [row.t_s for row in rows if row.outcome == "success" and row.t_s is not None]
-    planning = [value for row in rows for value in row.measured.planning_ms]
+    planning = [value for row in rows for value in while_driving(row.measured.planning_ms)]
+    first_plans = [row.measured.planning_ms[0] for row in rows if row.measured.planning_ms]
     commands = [value / 1000.0 for row in rows for value in row.measured.command_us]
     scores = [name.score.of(row.t_s if row.outcome == "success" else None) for row in rows] if name.score else []
     clearances = [row.min_clearance_m for row in rows if row.min_clearance_m is not None]
@@ -237,6 +241,7 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
         contingencies=sum(row.contingencies for row in rows),
         cycles=sum(row.cycles for row in rows),
         min_clearance=min(clearances, default=None),
+        first_plan_p50=percentile(first_plans, 0.5),
         planning_p50=percentile(planning, 0.5),
         planning_p99=percentile(planning, 0.99),
         missed=sum(row.measured.missed for row in rows),
@@ -270,6 +275,7 @@ def _result_json(result: Result) -> dict[str, Any]:
         "contingencies": result.contingencies,
         "cycles": result.cycles,
         "min_clearance_m": result.min_clearance,
+        "first_plan_ms_p50": result.first_plan_p50,
         "planning_ms_p50": result.planning_p50,
         "planning_ms_p99": result.planning_p99,
         "missed_deadlines": result.missed,

@@ -19,7 +19,16 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, signed_area
 from kraft.scenario.model import Goal, Scenario, Start
 from kraft.scenario.occupancy import read_map
-from kraft.scenario.schema import Bounds, GoalFile, MapFile, ObstacleFile, ScenarioFile, StartFile
+from kraft.scenario.schema import (
+    CAMERA_HEIGHT,
+    Bounds,
+    GoalFile,
+    MapFile,
+    ObstacleFile,
+    ScenarioFile,
+    Sensing,
+    StartFile,
+)  # fmt: skip
 from kraft.scenario.truth import Truth
 from kraft.vehicles.config import with_files
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
@@ -76,9 +85,17 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
         planning=content.planning,
         source=document.source,
         truth=content.truth.model_copy(update=files),
-        sensing=content.sensing,
+        sensing=_sensing(content),
         trial=content.trial,
     )
+
+
+def _sensing(content: ScenarioFile) -> Sensing:
+    """Sensing with the camera above the middle of the bounds, unless its place is given."""
+    if "camera" in content.sensing.model_fields_set:
+        return content.sensing
+    middle = (0.5 * sum(content.bounds.x), 0.5 * sum(content.bounds.y))
+    return content.sensing.model_copy(update={"camera": (*middle, CAMERA_HEIGHT)})
 
 
 def _outside_bounds(document: Document) -> list[Diagnostic]:

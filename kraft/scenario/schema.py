@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Final, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
@@ -29,14 +29,19 @@ from kraft.scenario.truth import Truth, misordered
 Delay = Annotated[float, Field(ge=0, le=10)]
 Timeout = Annotated[float, Field(gt=0, le=86_400)]
 
+CAMERA_HEIGHT: Final = 5.0
+"""Height of the camera above the floor, where a scenario does not state its place, m."""
+
 
 class Sensing(StrictModel):
     """Camera and marker that the pose comes from, and the radio that commands go through."""
 
     preset: Literal["planar", "single-tag", "rendered"] = "single-tag"
     """noise of the marker pose: `planar` knows the marker's height, `single-tag` does not; `rendered` renders frames"""
-    camera: tuple[Coordinate, Coordinate, Coordinate] = (1.0, 3.0, 5.0)
-    """[x, y, z] of the camera, m"""
+    camera: Annotated[
+        tuple[Coordinate, Coordinate, Coordinate], Field(json_schema_extra=lambda schema: schema.pop("default"))
+    ] = (1.0, 3.0, CAMERA_HEIGHT)
+    """[x, y, z] of the camera, m; in a scenario that leaves it out 5 m above the middle of the bounds"""
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 30.0
     """poses per second"""
     latency: Delay = 0.0
@@ -277,7 +282,7 @@ class ScenarioFile(StrictModel):
     """how to plan"""
     truth: Truth = Truth()
     """what is true and the planner does not know"""
-    sensing: Sensing = Sensing()
+    sensing: Sensing = Field(default_factory=Sensing)
     """how poses are observed and commands delivered"""
     trial: Trial = Trial()
     """when a trial ends"""

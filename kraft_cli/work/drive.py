@@ -15,7 +15,7 @@ from kraft.driving.control import needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Diagnostic, InputError, KraftError, Problems, out_of_range
-from kraft.evaluation.statistics import percentile
+from kraft.evaluation.statistics import percentile, while_driving
 from kraft.files import check_all, write_json
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
@@ -232,8 +232,9 @@ def drive_json(driven: Driven) -> dict[str, Any]:
         "watchdog_stops": 0 if ended is None else ended.stops,
         "refused_poses": {} if ended is None else ended.refused,
         "controller": {} if ended is None else {k: None if math.isnan(v) else v for k, v in ended.measures.items()},
-        "planning_ms_p50": percentile(decisions.planning_ms, 0.5),
-        "planning_ms_p99": percentile(decisions.planning_ms, 0.99),
+        "first_plan_ms": decisions.planning_ms[0] if decisions.planning_ms else None,
+        "planning_ms_p50": percentile(while_driving(decisions.planning_ms), 0.5),
+        "planning_ms_p99": percentile(while_driving(decisions.planning_ms), 0.99),
         "checks": [{"name": c.name, "state": c.state, "detail": c.detail} for c in result.checked.checks],
         "folder": str(driven.request.out) if driven.request.out else None,
     }

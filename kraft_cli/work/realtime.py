@@ -153,6 +153,7 @@ def realtime_json(run: RealtimeRun) -> dict[str, Any]:
         "contingencies": drive["contingencies"],
         "watchdog_stops": drive["watchdog_stops"],
         "min_clearance_m": finite(world.min_clearance),
+        "first_plan_ms": drive["first_plan_ms"],
         "planning_ms_p50": drive["planning_ms_p50"],
         "planning_ms_p99": drive["planning_ms_p99"],
         "missed_deadlines": drive["controller"].get("missed_commitments", 0),

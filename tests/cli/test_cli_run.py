@@ -50,6 +50,7 @@ def test_the_json_object_holds_what_was_promised(capsys: pytest.CaptureFixture[s
     assert content["outcome"] == "success"
     assert 1 < content["t_ex_s"] < 20
     assert 0 < content["planning_ms_p50"] <= content["planning_ms_p99"]
+    assert content["first_plan_ms"] > 0
     assert content["min_clearance_m"] > 0
     assert content["folder"] is None
     told = [line for line in err.splitlines() if " m/s " in line]

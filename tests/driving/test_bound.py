@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from support.replanner import mushr, replanner, start
+from support.replanner import mushr, proposals, replanner, start
 
 from kraft.driving.bound import BoundCalibration, DeviationBound
 from kraft.driving.levels import HYSTERESIS, STEADY
@@ -139,27 +139,21 @@ def test_the_first_plan_has_a_budget_of_its_own() -> None:
 # Shares
 
 
-def proposals(*bounds: DeviationBound) -> tuple[Replanner, list[Proposal]]:
-    """Proposals with a bound each, from the start of Turns and then from where each plan leads in a cycle."""
-    subject, root, found = replanner(bound=SHARES, iterations=600), start(), list[Proposal]()
-    for number, bound in enumerate(bounds):
-        subject._proposer.set_bound(bound)
-        found.append(subject._proposer.propose(number, root, found[-1].plan if found else None))
-        plan = found[-1].plan
-        assert plan is not None
-        root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
-    return subject, found
+def proposed(*bounds: DeviationBound) -> tuple[Replanner, list[Proposal]]:
+    """Proposals with a bound each, of a replanner that may keep shares of it."""
+    subject = replanner(bound=SHARES, iterations=600)
+    return subject, proposals(subject, *bounds)
 
 
 def test_a_bound_that_leaves_a_way_is_kept_wholly() -> None:
-    subject, (found,) = proposals(WIDE)
+    subject, (found,) = proposed(WIDE)
     assert found.kept == 1.0
     assert found.plan is not None
     assert subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min() >= WIDE.delta - 1e-9
 
 
 def test_a_bound_that_leaves_no_way_is_kept_in_the_first_share_that_does() -> None:
-    subject, (found,) = proposals(NARROW)
+    subject, (found,) = proposed(NARROW)
     assert found.kept == 0.25
     assert found.plan is not None
     assert found.plan.reaches_goal
@@ -167,12 +161,12 @@ def test_a_bound_that_leaves_no_way_is_kept_in_the_first_share_that_does() -> No
 
 
 def test_a_plan_is_checked_again_with_a_part_of_the_share_that_it_keeps() -> None:
-    subject, _ = proposals(NARROW)
+    subject, _ = proposed(NARROW)
     assert subject.dirt.safety.delta == pytest.approx(0.25 * SHARES.recheck * NARROW.delta)
 
 
 def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_once() -> None:
-    _, found = proposals(NARROW, *[WIDE] * (STEADY * 4))
+    _, found = proposed(NARROW, *[WIDE] * (STEADY * 4))
     kept = [proposal.kept for proposal in found]
     assert kept[1] == 0.25
     assert kept[-1] == 1.0
@@ -180,7 +174,7 @@ def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_onc
 
 
 def test_the_rest_of_a_plan_needs_a_little_less_than_a_new_plan() -> None:
-    subject, _ = proposals(WIDE)
+    subject, _ = proposed(WIDE)
     levels = subject._proposer._levels
     new, rest = (levels.set(0, eased).safety.delta for eased in (False, True))
     assert (new, rest) == (pytest.approx(WIDE.delta), pytest.approx(HYSTERESIS * WIDE.delta))

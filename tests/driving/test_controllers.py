@@ -25,8 +25,8 @@ from support.driving import (
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import Controller, make_controller
+from kraft.driving.control_settings import Geometric, Kinodynamic, OpenLoop
 from kraft.driving.messages import Estimate, Reference, ReferenceKind, Stop
-from kraft.driving.method import Geometric, Kinodynamic, OpenLoop
 from kraft.driving.vehicle_model import stop_control
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.replanner import mushr, replanner, start, turns
+from support.replanner import mushr, proposals, replanner, start, turns
 
 from kraft.driving.bound import BoundCalibration, DeviationBound
 from kraft.driving.levels import NARROW, SOON, STEADY, Level, Levels, levels_of
@@ -39,14 +39,8 @@ def levels() -> Levels:
 def driven(*bounds: DeviationBound, seed: int = 0, **more: object) -> tuple[Replanner, list[Proposal]]:
     """Proposals with a bound each, from the start of Turns and then from where each plan leads in a cycle."""
     chosen = {"bound": BOUND, "margin": MARGIN, "iterations": 600, "max_iterations": 1200, "retain": "tree", **more}
-    subject, root, found = replanner(seed, switch_gain=0.5, **chosen), start(), list[Proposal]()
-    for number, bound in enumerate(bounds):
-        subject._proposer.set_bound(bound)
-        found.append(subject._proposer.propose(number, root, found[-1].plan if found else None))
-        plan = found[-1].plan
-        assert plan is not None
-        root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
-    return subject, found
+    subject = replanner(seed, switch_gain=0.5, **chosen)
+    return subject, proposals(subject, *bounds)
 
 
 # Order

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from kraft.config import bundled
-from kraft.driving.method import Filter, Kinodynamic, Latest, load_method
+from kraft.driving.control_settings import Kinodynamic
+from kraft.driving.method import Filter, Latest, load_method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.trial.result import TrialSpec
 from kraft_cli.work.validate import check_file

@@ -19,9 +19,10 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.control.nmpc import NmpcController
 from kraft.driving.control.symbolic import symbolic_derivative
+from kraft.driving.control_settings import Kinodynamic, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Kinodynamic, Nmpc, PlannerSettings
+from kraft.driving.method import PlannerSettings
 from kraft.driving.solvers import Solvers
 from kraft.driving.stopping import contingency_reference, plan_reference
 from kraft.errors import Code, MissingDependency

@@ -11,8 +11,9 @@ from support.replanner import FARSIGHTED, MARGIN, drive, mushr, replanner, start
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
+from kraft.driving.control_settings import Geometric
 from kraft.driving.messages import Commitment, Cycle, Estimate, ReferenceKind
-from kraft.driving.method import Clearance, Geometric, PlannerSettings
+from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.driving.stopping import emergency_reference

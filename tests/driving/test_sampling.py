@@ -15,9 +15,10 @@ from support.replanner import drive, mushr, start, turns
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, updated
+from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Clearance, Dwa, Kinodynamic, Mppi, PlannerSettings, load_method
+from kraft.driving.method import Clearance, PlannerSettings, load_method
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.driving.stopping import contingency_reference, plan_reference

@@ -62,7 +62,7 @@ def test_counts_means_intervals_and_tests_are_those_of_the_rows(
     assert kraft.interval == wilson(2, 4)
     assert (kraft.contingencies, kraft.cycles, kraft.missed) == (8, 12, 4)
     assert kraft.min_clearance == pytest.approx(0.07)
-    assert (kraft.planning_p50, kraft.planning_p99) == (2.0, 10.0)
+    assert (kraft.first_plan_p50, kraft.planning_p50, kraft.planning_p99) == (1.0, 2.0, 10.0)
     assert (kraft.command_p50, kraft.command_p99, kraft.late_commands) == (0.5, 1.0, 8)
     assert kraft.against is None
     assert oneshot.against is not None

@@ -29,6 +29,7 @@ from kraft.scenario import (
     parse_scenario,
 )
 from kraft.scenario.planning import DEFAULT_ITERATIONS, Planning, Safety
+from kraft.scenario.schema import CAMERA_HEIGHT
 from kraft_cli.work import json_schema
 
 PAPER = ("boxes", "boxes-real", "bump", "movable", "slip", "slope", "turns", "turns-real")
@@ -86,6 +87,18 @@ def test_a_training_hall_is_empty_but_for_its_walls_and_the_markers_height_is_kn
     assert len(walls) == len(scene.obstacles) == 4
     assert all(max(map(abs, w.center)) == 6 and max(w.size) == 12 for w in walls)
     assert scene.sensing.preset == "planar"
+
+
+def test_a_camera_whose_place_is_not_given_is_above_the_middle_of_the_bounds() -> None:
+    text = """name: room
+bounds: {x: [0, 10], y: [-2, 12]}
+start: {x: 1, y: 1, heading_deg: 0}
+goal: {center: [8, 8], radius: 0.3}
+"""
+    for more in ("", "sensing: {rate_hz: 10}"):
+        assert parse_scenario(text + more).sensing.camera == (5.0, 5.0, CAMERA_HEIGHT)
+    given = parse_scenario(text + "sensing: {camera: [1, 2, 3]}")
+    assert given.sensing.camera == (1.0, 2.0, 3.0)
 
 
 def test_nothing_is_hidden_in_turns_boxes_and_the_training_hall() -> None:

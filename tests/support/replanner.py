@@ -7,10 +7,13 @@ from functools import cache
 
 import numpy as np
 
+from kraft.driving.bound import DeviationBound
 from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
+from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate
-from kraft.driving.method import Clearance, Kinodynamic, OpenLoop, PlannerSettings
+from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.proposer import Proposal
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.planning.workspace import start_state
@@ -53,6 +56,18 @@ def replanner(
 
 def start() -> Floats:
     return start_state(turns(), mushr())
+
+
+def proposals(subject: Replanner, *bounds: DeviationBound) -> list[Proposal]:
+    """Proposals with a bound each, from the start of Turns and then from where each plan leads in a cycle."""
+    root, found = start(), list[Proposal]()
+    for number, bound in enumerate(bounds):
+        subject._proposer.set_bound(bound)
+        found.append(subject._proposer.propose(number, root, found[-1].plan if found else None))
+        plan = found[-1].plan
+        assert plan is not None
+        root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
+    return found
 
 
 def drive(subject: Replanner, cycles: int, error: Floats | None = None, begin: Floats | None = None) -> list[Cycle]:

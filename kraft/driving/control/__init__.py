@@ -11,19 +11,9 @@ from kraft.driving.control.lqr import LqrController, check_controllable
 from kraft.driving.control.nmpc import NmpcController
 from kraft.driving.control.sampling import DwaController, MppiController
 from kraft.driving.control.symbolic import casadi_of
+from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, OpenLoop, Predictive
 from kraft.driving.messages import Estimate, Reference
-from kraft.driving.method import (  # fmt: skip
-    Adaptive,
-    Dwa,
-    Geometric,
-    Kinodynamic,
-    Lqr,
-    Method,
-    Mppi,
-    Nmpc,
-    OpenLoop,
-    Predictive,
-)
+from kraft.driving.method import Adaptive, Method
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.vehicles import is_car

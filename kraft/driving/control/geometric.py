@@ -7,8 +7,8 @@ from typing import Final
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.control.path import SPACING, Path, PathTracker, Projection
+from kraft.driving.control_settings import Geometric
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Geometric
 from ompl_ext.arrays import Floats
 
 INTEGRAL_LIMIT: Final = 0.5

@@ -11,8 +11,8 @@ from typing import Final
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.control.path import Path, PathTracker, Projection
+from kraft.driving.control_settings import Kinodynamic
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Kinodynamic
 from kraft.driving.vehicle_model import stop_control
 from ompl_ext.arrays import Floats
 

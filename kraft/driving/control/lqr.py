@@ -13,8 +13,8 @@ from typing import Final, Self
 
 import numpy as np
 
+from kraft.driving.control_settings import Lqr
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Lqr
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from kraft.errors import Code, InputError
 from kraft.vehicles.load import problem_of

@@ -18,9 +18,9 @@ import numpy as np
 
 from kraft.driving.control.sampling import Law, moved
 from kraft.driving.control.symbolic import casadi_of, symbolic_derivative
+from kraft.driving.control_settings import Nmpc
 from kraft.driving.geodesic import interpolated
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Nmpc
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at

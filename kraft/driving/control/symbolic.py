@@ -38,6 +38,10 @@ def casadi_of() -> Any:
     return casadi
 
 
+class _NotPlainError(Exception):
+    """What a vehicle brings is not defined by a `def` statement."""
+
+
 def symbolic_derivative(vehicle: Vehicle) -> Callable[[Any, Any, Any], Any]:
     """Function of state (nx), control (nu) and parameters (np), all CasADi symbols, that returns dx/dt.
 
@@ -58,7 +62,7 @@ def symbolic_derivative(vehicle: Vehicle) -> Callable[[Any, Any, Any], Any]:
 
     try:
         derivative(ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", count))
-    except (OSError, TypeError, RuntimeError, NotImplementedError, SyntaxError) as error:
+    except (OSError, TypeError, RuntimeError, SyntaxError, _NotPlainError) as error:
         problem = f"cannot be written as an expression, which nmpc needs: {str(error).splitlines()[0]}"
         expected = "expected a derivative in a file, without `if` and `while` statements on its arguments"
         raise InputError([problem_of(vehicle, "model", problem, expected, Code.MISMATCH)]) from None
@@ -73,7 +77,7 @@ def _traced(function: Any, known: dict[int, Any]) -> Any:
     tree = _Symbolic().visit(ast.parse(textwrap.dedent(inspect.getsource(plain))))
     definition = tree.body[0]
     if not isinstance(definition, ast.FunctionDef):
-        raise NotImplementedError(f"{plain.__name__} is not a plain function")
+        raise _NotPlainError(f"{plain.__name__} is not a plain function")
     definition.decorator_list = []
     definition.returns = None
     for argument in definition.args.args:

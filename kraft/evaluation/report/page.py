@@ -204,6 +204,7 @@ def _planning_times(results: Results, result: Result) -> Iterator[str | Element]
     yield decimals(result.planning_p50, 1, NO_VALUE)
     missed = f", {result.missed} missed" if results.summary.realtime else ""
     yield element("small", f"99 %: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
+    yield element("small", f"first plan {decimals(result.first_plan_p50, 1, NO_VALUE)}")
     if result.command_p50 is not None:
         late = f", {result.late_commands} late" if result.late_commands else ""
         yield element("small", f"command {result.command_p50:.2f}, 99 %: {decimals(result.command_p99, 2)}{late}")

@@ -1,0 +1,171 @@
+"""Settings of the controllers: what tracks a plan, or heads for the goal by itself."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kraft.config.schema import NonNegative, Positive, StrictModel
+
+Seconds = Annotated[float, Field(gt=0, le=1000)]
+Rate = Annotated[float, Field(gt=0, le=500)]
+Gain = Annotated[float, Field(ge=-1000, le=1000)]
+
+
+class OpenLoop(StrictModel):
+    """Sends the planned controls as they are."""
+
+    kind: Literal["open_loop"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+
+
+class Geometric(StrictModel):
+    """Steers with a PID towards a point of the path a fixed length ahead of the nearest one."""
+
+    kind: Literal["geometric"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    lookahead: Positive = 0.6
+    """length of path between the nearest point and the point aimed at, m"""
+    window: Annotated[int, Field(ge=1, le=100_000)] = 50
+    """samples of the path around the last nearest point among which the next one is searched"""
+    gains: tuple[Gain, Gain, Gain] = (1.0, 1.5, -0.25)
+    """proportional, integral and derivative gain on the direction to the point aimed at"""
+
+
+class Kinodynamic(StrictModel):
+    """Stanley on the planned trajectory, with speed and steering fed forward."""
+
+    kind: Literal["kinodynamic"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    k_path: Gain = 5.0
+    """gain on the cross-track error, 1/s"""
+    k_heading: Gain = 1.0
+    """gain on the heading error"""
+    k_along: Gain = 1.0
+    """throttle per metre that the vehicle is behind its trajectory, 1/m"""
+    softening: Positive = 0.3
+    """speed added where the law divides by the speed, m/s"""
+    look: NonNegative = 0.15
+    """how far ahead of the present time the law looks, to make up for the actuators' lag, s"""
+
+
+class Lqr(StrictModel):
+    """Linear-quadratic regulator along the reference, from the vehicle's own model; for any vehicle."""
+
+    kind: Literal["lqr"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    position: Positive = 0.1
+    """error of the position that weighs 1, m"""
+    heading_deg: Positive = 10.0
+    """error of the heading that weighs 1, degrees"""
+    speed: Positive = 0.3
+    """error of the speed that weighs 1; of a turning rate, that of the vehicle's sides, m/s"""
+    control_share: Positive = 0.5
+    """correction of a control that weighs 1, as a share of its range"""
+    settling: Positive = 1.0
+    """time after the end of a reference that errors at its end count for, s"""
+
+
+class Predictive(StrictModel):
+    """A controller that predicts the vehicle in the map."""
+
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    objective: Literal["goal", "plan"] = "goal"
+    """`goal` drives to the goal by the cost-to-go, `plan` tracks the plan"""
+
+
+class RolloutCost(Predictive):
+    """What controllers that roll out the model minimise."""
+
+    step: Annotated[Seconds, Field(ge=0.005, le=0.5)] = 0.05
+    """step of the rollouts, s"""
+    goal: Positive = 10.0
+    """weight of the time to the goal, 1/s"""
+    collision: Positive = 1000.0
+    """cost of a collision, and up to as much again for an early one"""
+    near: NonNegative = 5.0
+    """weight of being nearer to an obstacle than the margin, 1/s"""
+    margin: NonNegative = 0.05
+    """distance to obstacles, beyond the clearance of contingencies, below which it costs to be near, m"""
+    position: Positive = 0.1
+    """error of the position from the plan that weighs 1, m"""
+    heading_deg: Positive = 20.0
+    """error of the heading from the plan that weighs 1, degrees"""
+    speed: Positive = 0.3
+    """error of the speed from the plan that weighs 1, m/s"""
+
+
+class Mppi(RolloutCost):
+    """Model predictive path integral control: the mean of sampled controls, weighted by the costs of their rollouts."""
+
+    kind: Literal["mppi"]
+    """which controller"""
+    rollouts: Annotated[int, Field(ge=2, le=100_000)] = 1000
+    """number of rollouts of a command"""
+    steps: Annotated[int, Field(ge=1, le=1000)] = 56
+    """steps of a rollout"""
+    iterations: Annotated[int, Field(ge=1, le=100)] = 1
+    """updates of the controls before each command"""
+    temperature: Positive = 0.3
+    """cost by which a rollout is worse that has 1/e of the weight of the best one"""
+    gamma: NonNegative = 0.015
+    """weight of the controls themselves"""
+    spread: Annotated[float, Field(gt=0, le=2)] = 0.25
+    """standard deviation of the samples of a control, as a share of its range"""
+    hold: Annotated[int, Field(ge=1, le=1000)] = 8
+    """steps for which a sample of a control is held"""
+
+
+class Dwa(RolloutCost):
+    """Dynamic window: the best control of a grid, each held over the whole horizon."""
+
+    kind: Literal["dwa"]
+    """which controller"""
+    horizon: Annotated[Seconds, Field(ge=0.05, le=60)] = 2.0
+    """time for which a control is held, s"""
+    samples: Annotated[int, Field(ge=2, le=100)] = 15
+    """values of each control"""
+
+
+class Nmpc(Predictive):
+    """Nonlinear model predictive control with CasADi and IPOPT; its cost is that of errors over time and of changes."""
+
+    kind: Literal["nmpc"]
+    """which controller"""
+    steps: Annotated[int, Field(ge=1, le=200)] = 20
+    """steps of the prediction"""
+    step: Annotated[Seconds, Field(ge=0.01, le=0.5)] = 0.1
+    """step of the prediction, s"""
+    iterations: Annotated[int, Field(ge=1, le=1000)] = 30
+    """largest number of iterations of the optimiser for a command"""
+    discs: Annotated[int, Field(ge=1, le=20)] = 3
+    """number of discs that cover the footprint"""
+    margin: NonNegative = 0.03
+    """distance of the discs to obstacles, beyond the clearance of contingencies, m"""
+    penalty: Positive = 300.0
+    """cost of what is missing of that distance, 1/m"""
+    cruise: Annotated[float, Field(gt=0, le=1)] = 0.9
+    """speed along a path, as a share of the top speed"""
+    position: Positive = 0.1
+    """error of the position that weighs 1, m"""
+    heading_deg: Positive = 30.0
+    """error of the heading that weighs 1, degrees"""
+    speed: Positive = 0.3
+    """error of the speed that weighs 1, m/s"""
+    change: Positive = 1.0
+    """change of a control from step to step that weighs 1, as a share of its range"""
+
+
+ControllerSettings = Annotated[
+    OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc, Field(discriminator="kind")
+]
