@@ -127,7 +127,7 @@ def method_table(found: Sequence[Results]) -> list[str]:
     entries = found[0].summary.entries
     rows = [["", *(entry.capitalize() for entry in entries)]]
     for each in found:
-        by_cell = {(result.entry, result.method): result for result in each.summary.results}
+        by_cell = each.summary.by_cell
         if each.summary.entries == entries:
             for method, title in each.methods.items():
                 rows.append([title, *(cell(by_cell[entry, method]) for entry in entries)])
@@ -149,7 +149,7 @@ def totals(found: Results) -> list[str]:
     """Table of each method over all entries."""
     rows = [["all entries", "success", "95 % interval", "collision", "95 % interval", "mean time, s"]]
     for method, title in found.methods.items():
-        mine = [result for result in found.summary.results if result.method == method]
+        mine = found.summary.of_method(method)
         trials, success = sum(r.trials for r in mine), sum(r.success for r in mine)
         collision = sum(r.collision for r in mine)
         time = sum(r.t_ex * r.success for r in mine if r.t_ex is not None) / success if success else None

@@ -133,6 +133,19 @@ class Summary:
         """Number of failed trials."""
         return sum(result.failed for result in self.results)
 
+    @property
+    def by_cell(self) -> dict[tuple[str, str], Result]:
+        """Each row by the names of its entry and method."""
+        return {(result.entry, result.method): result for result in self.results}
+
+    def of_entry(self, entry: str) -> list[Result]:
+        """Rows of an entry, in the order of the methods."""
+        return [result for result in self.results if result.entry == entry]
+
+    def of_method(self, method: str) -> list[Result]:
+        """Rows of a method, in the order of the entries."""
+        return [result for result in self.results if result.method == method]
+
 
 def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float) -> Summary:
     """Summarise the finished trials of an experiment."""

@@ -78,7 +78,7 @@ def tables(summary: Summary) -> list[Table]:
     names = [name for name in _COLUMNS if occurs.get(name, True)]
     found = []
     for entry in summary.entries:
-        cells = [_cells(result) for result in results if result.entry == entry]
+        cells = [_cells(result) for result in summary.of_entry(entry)]
         rows = tuple(tuple(row[name] for name in names) for row in cells)
         found.append(Table(entry, tuple(names), rows, tuple(_COLUMNS[name] for name in names)))
     return found
@@ -96,7 +96,7 @@ def totals(summary: Summary) -> Table | None:
     names += [*(["failed"] if summary.failed else []), "T_ex s", "95 % CI", "cont"]
     rows = []
     for method in dict.fromkeys(result.method for result in summary.results):
-        cells = _total([result for result in summary.results if result.method == method])
+        cells = _total(summary.of_method(method))
         rows.append(tuple(cells[name] for name in names))
     return Table("all entries", tuple(names), tuple(rows), tuple(_COLUMNS[name] for name in names))
 
@@ -136,7 +136,7 @@ def overview(summary: Summary) -> Table:
     are scored, the mean score of all trials.
     """
     titles = {result.method: result.title for result in summary.results}
-    by_cell = {(result.entry, result.method): result for result in summary.results}
+    by_cell = summary.by_cell
     counted = ("success", "collision", "timeout", *(("failed",) if summary.failed else ()))
 
     def cell(results: Sequence[Result]) -> str:
@@ -148,7 +148,7 @@ def overview(summary: Summary) -> Table:
         (short, *(cell([by_cell[entry, method]]) if (entry, method) in by_cell else "-" for method in titles))
         for entry, short in _short_names(summary).items()
     ]
-    last = [cell([result for result in summary.results if result.method == method]) for method in titles]
+    last = [cell(summary.of_method(method)) for method in titles]
     counts = "succ/coll/timeout" + ("/failed" if summary.failed else "")
     heading = (counts + ("  score" if labels(summary) else ""), *titles.values())
     return Table("", heading, (*rows, ("all", *last)), (9,) * len(heading))

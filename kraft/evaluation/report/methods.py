@@ -70,8 +70,7 @@ class _Total:
 
 def methods(results: Results) -> Element | None:
     """Section about the methods over all entries; None without trials."""
-    rows = {method: [r for r in results.summary.results if r.method == method] for method in results.methods}
-    totals = [_Total.of(results, method, found) for method, found in rows.items()]
+    totals = [_Total.of(results, method, results.summary.of_method(method)) for method in results.methods]
     totals = [total for total in totals if total.trials]
     if not totals:
         return None

@@ -60,9 +60,8 @@ def overview(results: Results) -> Element:
     The first row has the totals; several methods have a last column of all together.
     """
     summary = results.summary
-    by_cell = {(result.entry, result.method): result for result in summary.results}
     entries, methods = list(results.entries.values()), results.methods
-    counts = {cell.name: Count.over(r for r in summary.results if r.entry == cell.name) for cell in entries}
+    by_cell, counts = summary.by_cell, {cell.name: Count.over(summary.of_entry(cell.name)) for cell in entries}
     many, several = len(entries) > MANY, len(methods) > 1
     if many:
         # stable: the order of the suite where it is equal, and without trials at the end
@@ -77,7 +76,7 @@ def overview(results: Results) -> Element:
         )
         for cell in entries
     ]
-    totals = {m: Count.over(r for r in summary.results if r.method == m) for m in methods}
+    totals = {method: Count.over(summary.of_method(method)) for method in methods}
     everything = [_all(Count.over(summary.results))] if several else []
     titles = [*methods.values(), *(["all"] if several else [])]
     heading = element("tr", element("th", "entry"), *(element("th", title) for title in titles))

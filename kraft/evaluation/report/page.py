@@ -124,7 +124,7 @@ def _key(shown: Shown) -> Element:
 def _entry(results: Results, name: str, shown: Shown) -> Element:
     """Section of an entry; one of many is closed, and opens when its anchor is followed."""
     cell = results.entries[name]
-    mine = [result for result in results.summary.results if result.entry == name]
+    mine = results.summary.of_entry(name)
     title, settings = cell.base or name, settings_of(cell)
     tables = [_table(results, name, mine), measures_table(shown, mine)]
     wide = [element("div", stacked(table), class_="wide") for table in tables if table is not None]

@@ -143,7 +143,7 @@ def _distinct(values: Iterator[Any]) -> list[Any]:
 
 
 def _sweep(results: Results, axis: Axis, values: Sequence[Any], fixed: Mapping[str, Any]) -> Sweep:
-    by_cell = {(result.entry, result.method): result for result in results.summary.results}
+    by_cell = results.summary.by_cell
     texts = {key: value_text(value) for key, value in fixed.items()}
     panels: dict[str, dict[str, list[Point]]] = {}
     for base, cells in _bases(results).items():
