@@ -114,7 +114,7 @@ def trials_of(found: Sequence[Results], method: str) -> Trials:
     """Trials of a method in results folders; a trial that failed by a defect is no success."""
     return {
         (str(each.manifest.arguments.get("suite") or ""), entry, row.seed): Trial(
-            row.outcome == "success", row.outcome == "collision", row.t_s if row.outcome == "success" else None
+            row.outcome == "success", row.outcome == "collision", row.success_time
         )
         for each in found
         if method in each.methods

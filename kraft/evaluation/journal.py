@@ -9,7 +9,7 @@ import fcntl
 import hashlib
 import json
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,6 +83,11 @@ class TrialRow(Record):
         """Entry, method and seed."""
         return self.entry or self.scenario, self.method, self.seed
 
+    @property
+    def success_time(self) -> float | None:
+        """Duration of a successful trial, s; None for the others."""
+        return self.t_s if self.outcome == "success" else None
+
 
 def trial_row(key: Key, result: TrialResult, wall: float, replay: Replay | None = None) -> TrialRow:
     """Row of a trial; `wall` is the duration of its computation (s)."""
@@ -112,6 +117,11 @@ def trial_row(key: Key, result: TrialResult, wall: float, replay: Replay | None 
             wall_s=round(wall, 3),
         ),
     )
+
+
+def success_times(rows: Iterable[TrialRow]) -> list[float]:
+    """Durations of the successful trials, s."""
+    return [time for row in rows if (time := row.success_time) is not None]
 
 
 def digest(result: TrialResult) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from kraft.evaluation.experiment import Experiment
-from kraft.evaluation.journal import Key, TrialRow
+from kraft.evaluation.journal import Key, TrialRow, success_times
 from kraft.evaluation.paper import PaperRow, paper_row
 from kraft.evaluation.statistics import McNemar, mcnemar, percentile, while_driving, wilson
 from kraft.scenario import Score
@@ -231,11 +231,11 @@ def _successes(rows: Sequence[TrialRow]) -> dict[int, bool]:
 def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) -> Result:
     outcomes = [row.outcome for row in rows]
     success = outcomes.count("success")
-    durations = [row.t_s for row in rows if row.outcome == "success" and row.t_s is not None]
+    durations = success_times(rows)
     planning = [value for row in rows for value in while_driving(row.measured.planning_ms)]
     first_plans = [row.measured.planning_ms[0] for row in rows if row.measured.planning_ms]
     commands = [value / 1000.0 for row in rows for value in row.measured.command_us]
-    scores = [name.score.of(row.t_s if row.outcome == "success" else None) for row in rows] if name.score else []
+    scores = [name.score.of(row.success_time) for row in rows] if name.score else []
     clearances = [row.min_clearance_m for row in rows if row.min_clearance_m is not None]
     return Result(
         entry=name.entry,

@@ -83,9 +83,9 @@ def trial_text(row: TrialRow) -> str:
 def times(result: Result, rows: Sequence[TrialRow], longest: float) -> Element:
     """Durations of the successful trials as dots, their mean as a line, the paper's as a ring, the bound dashed."""
     dots = [
-        element("circle", element("title", trial_text(row)), class_="time", cx=_at(row.t_s, longest), cy=12.0, r=3.0)
+        element("circle", element("title", trial_text(row)), class_="time", cx=_at(time, longest), cy=12.0, r=3.0)
         for row in rows
-        if row.outcome == "success" and row.t_s is not None
+        if (time := row.success_time) is not None
     ]
     base = [element("line", class_="base", x1=EDGE, x2=TIMES - EDGE, y1=12.0, y2=12.0)]
     if result.bound is not None and result.bound <= longest:

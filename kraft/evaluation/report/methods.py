@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 from xml.etree.ElementTree import Element
 
+from kraft.evaluation.journal import success_times
 from kraft.evaluation.report.elements import NO_VALUE, element, number, stacked, svg
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.report.sweep_picture import nice_ticks
@@ -44,10 +45,9 @@ class _Total:
     def of(cls, results: Results, method: str, rows: Sequence[Result]) -> _Total:
         bounds = {row.entry: row.bound for row in rows}
         ended = [
-            (trial.t_s, bounds.get(entry))
+            (time, bounds.get(entry))
             for entry in results.entries
-            for trial in results.of_cell(entry, method)
-            if trial.outcome == "success" and trial.t_s is not None
+            for time in success_times(results.of_cell(entry, method))
         ]
         return cls(
             results.methods[method],

@@ -10,7 +10,7 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.journal import TrialRow
+from kraft.evaluation.journal import TrialRow, success_times
 from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, stacked
 from kraft.evaluation.report.floor import floor_plan
@@ -142,8 +142,10 @@ def _entry(results: Results, name: str, shown: Shown) -> Element:
 
 def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
     """Table of the outcomes and times of an entry."""
-    durations = [row.t_s for row in results.of_cell(name) if row.outcome == "success" and row.t_s is not None]
-    times = [*durations, *(r.paper.t_ex for r in mine if r.paper and r.paper.t_ex is not None)]
+    times = [
+        *success_times(results.of_cell(name)),
+        *(r.paper.t_ex for r in mine if r.paper and r.paper.t_ex is not None),
+    ]
     longest = 1.02 * max(times, default=1.0)
     heading = [element("th", text) for text in ("method", "how trials ended", "succ / coll / timeout")]
     heading += [element("th", "time, s", charts.time_axis(longest))]

@@ -11,6 +11,7 @@ from typing import Any, Final
 from kraft.config.overrides import value_text
 from kraft.config.source import parse_path
 from kraft.config.validation import lookup
+from kraft.evaluation.journal import success_times
 from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.statistics import mean_interval, wilson
 from kraft.evaluation.summary import Result
@@ -165,8 +166,7 @@ def _sweep(results: Results, axis: Axis, values: Sequence[Any], fixed: Mapping[s
 
 def _point(results: Results, place: float, result: Result) -> Point:
     rows = results.of_cell(result.entry, result.method)
-    durations = [row.t_s for row in rows if row.outcome == "success" and row.t_s is not None]
-    time = None if result.t_ex is None else Estimate(result.t_ex, mean_interval(durations))
+    time = None if result.t_ex is None else Estimate(result.t_ex, mean_interval(success_times(rows)))
     return Point(place, result, _share(result.success, result), _share(result.collision, result), time)
 
 
