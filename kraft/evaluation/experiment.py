@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Final, TypeAlias, TypeVar
+from typing import Final, TypeAlias
 
 from kraft.driving.method import Method, check_vehicle, load_method
-from kraft.errors import Code, Diagnostic, InputError, out_of_range
+from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.evaluation.job import Job
-from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of
+from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of, list_problems, repeated_names
 from kraft.planning.feasibility import check_placement
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
@@ -35,8 +35,6 @@ TRIALS_MAX: Final = 100_000
 """Largest number of trials of a method in an entry; the list of all trials is kept in memory."""
 
 MethodLike: TypeAlias = str | Path | Method
-Loaded = TypeVar("Loaded")
-Given = TypeVar("Given")
 
 
 @dataclass(frozen=True)
@@ -104,29 +102,31 @@ def experiment_of(
     Raises:
         InputError: with every problem of names, files, keys, numbers, starts and goals.
     """
-    problems = [*out_of_range("trials", trials, 1, TRIALS_MAX), *out_of_range("seed", seed, 0)]
-    entries: list[Entry] = []
-    try:
-        entries = entries_of(scenarios, suite=suite, settings=settings, vary=vary)
-    except InputError as error:
-        problems += error.diagnostics
-    found_methods = _loaded("method", methods, _method, problems)
-    if vehicle is not None:
-        try:
-            vehicle = resolve_vehicle(vehicle, Path.cwd())
-            load_vehicle(vehicle)
-        except VehicleProblem as error:
-            problems.append(Diagnostic(vehicle, error.problem, error.expected, code=error.code))
-        except InputError as error:
-            problems += error.diagnostics
-    if problems:
-        raise InputError(problems)
+    problems = Problems()
+    problems.found += [*out_of_range("trials", trials, 1, TRIALS_MAX), *out_of_range("seed", seed, 0)]
+    entries = problems.of(lambda: entries_of(scenarios, suite=suite, settings=settings, vary=vary)) or []
+    loaded = _methods(methods, problems)
+    reference = None if vehicle is None else problems.of(lambda: _reference(vehicle))
+    problems.check()
     if realtime:
-        problems += [diagnostic for method in found_methods for diagnostic in _too_little_time(method)]
-    cells = tuple(_cells(entries, found_methods, vehicle, problems))
-    if problems:
-        raise InputError(problems)
+        problems.found += [diagnostic for method in loaded for diagnostic in _too_little_time(method)]
+    cells = tuple(_cells(entries, loaded, reference, problems.found))
+    problems.check()
     return Experiment(cells, trials, seed, realtime)
+
+
+def _reference(vehicle: str) -> str:
+    """Reference of a vehicle that loads, which holds in any folder.
+
+    Raises:
+        InputError: if there is none, or it cannot be loaded.
+    """
+    try:
+        reference = resolve_vehicle(vehicle, Path.cwd())
+    except VehicleProblem as error:
+        raise InputError.of(vehicle, error.problem, error.expected, error.code) from None
+    load_vehicle(reference)
+    return reference
 
 
 def _too_little_time(method: Method) -> Iterator[Diagnostic]:
@@ -137,34 +137,13 @@ def _too_little_time(method: Method) -> Iterator[Diagnostic]:
         yield method.source.diagnostic("planner.lead", problem, f"expected less than {most:g}", code=Code.CONFLICT)
 
 
-def _method(given: MethodLike) -> Method:
-    return given if isinstance(given, Method) else load_method(given)
-
-
-def _loaded(
-    kind: str, given: Sequence[Given], load: Callable[[Given], Loaded], problems: list[Diagnostic]
-) -> list[Loaded]:
-    """Load each; problems are added to `problems`."""
-    found: list[Loaded] = []
-    if not given:
-        expected = f"expected at least one {kind}"
-        problems.append(Diagnostic(f"{kind}s", "none are given", expected, code=Code.MISSING, argument=True))
-    for each in given:
-        if each == "":
-            problems.append(
-                Diagnostic(f"{kind}s", "there is an empty name", f"expected names of {kind}s", argument=True)
-            )
-            continue
-        try:
-            found.append(load(each))
-        except InputError as error:
-            problems += error.diagnostics
-    names = Counter(str(getattr(each, "name", "")) for each in found)
-    problems += [
-        Diagnostic(name, f"the {kind} is given {count} times", "expected each name once", code=Code.DUPLICATE)
-        for name, count in names.items()
-        if count > 1
-    ]
+def _methods(given: Sequence[MethodLike], problems: Problems) -> list[Method]:
+    """Load those that can be loaded; the problems of the others and of the list are added to `problems`."""
+    problems.found += list_problems("method", given)
+    named = [each for each in given if each != ""]
+    loaded = [each if isinstance(each, Method) else problems.of(partial(load_method, each)) for each in named]
+    found = [method for method in loaded if method is not None]
+    problems.found += repeated_names("method", (method.name for method in found))
     return found
 
 

@@ -7,7 +7,8 @@ from keys that are varied.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -136,7 +137,7 @@ def entries_of(
             entries += list(_varied(draft, base, common, sweeps))
         except InputError as error:
             problems += [*error.diagnostics, *_sweep_problems(draft, sweeps)]
-    problems += _repeated_names(entries) if suite is None else []
+    problems += repeated_names("scenario", (entry.name for entry in entries)) if suite is None else []
     if problems:
         raise InputError(problems)
     return entries
@@ -171,13 +172,26 @@ def _sweep_problems(draft: _Draft, sweeps: tuple[tuple[Override, ...], ...]) -> 
 
 
 def _drafts(scenarios: Sequence[ScenarioLike], problems: list[Diagnostic]) -> list[_Draft]:
-    if not scenarios:
-        expected = "expected at least one scenario"
-        problems.append(Diagnostic("scenarios", "none are given", expected, code=Code.MISSING, argument=True))
-    if "" in scenarios:
-        expected = "expected names of scenarios"
-        problems.append(Diagnostic("scenarios", "there is an empty name", expected, argument=True))
+    """Entries of scenarios, not loaded; problems of the list are added to `problems`."""
+    problems += list_problems("scenario", scenarios)
     return [_Draft("", "", scenario) for scenario in scenarios if scenario != ""]
+
+
+def list_problems(noun: str, given: Sequence[object]) -> Iterator[Diagnostic]:
+    """Problems of the argument that lists names, paths or objects: it is empty, or has an empty name."""
+    if not given:
+        expected = f"expected at least one {noun}"
+        yield Diagnostic(f"{noun}s", "none are given", expected, code=Code.MISSING, argument=True)
+    if "" in given:
+        yield Diagnostic(f"{noun}s", "there is an empty name", f"expected names of {noun}s", argument=True)
+
+
+def repeated_names(noun: str, names: Iterable[str]) -> Iterator[Diagnostic]:
+    """Problem of each name that occurs several times."""
+    for name, count in Counter(names).items():
+        if count > 1:
+            problem = f"the {noun} is given {count} times"
+            yield Diagnostic(name, problem, "expected each name once", code=Code.DUPLICATE)
 
 
 def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
@@ -229,14 +243,6 @@ def _repeated_entries(document: Document) -> Iterator[Diagnostic]:
             problem, expected = f"is the name of entry {names[name]} too", "expected each name once"
             yield document.source.diagnostic(("entries", k, "name"), problem, expected, code=Code.DUPLICATE)
         names.setdefault(name, k)
-
-
-def _repeated_names(entries: Sequence[Entry]) -> Iterator[Diagnostic]:
-    names = [entry.name for entry in entries]
-    for name in dict.fromkeys(names):
-        if (count := names.count(name)) > 1:
-            problem = f"the scenario is given {count} times"
-            yield Diagnostic(name, problem, "expected each name once", code=Code.DUPLICATE)
 
 
 def _check_apart(draft: _Draft, common: Sequence[Override], sweeps: Sequence[tuple[Override, ...]]) -> None:
