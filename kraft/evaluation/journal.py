@@ -20,7 +20,7 @@ from pydantic import Field, ValidationError
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.replay import Replay
-from kraft.files import EXPECTED
+from kraft.files import unwritable
 from kraft.text import finite
 from kraft.trial.cause import Cause
 from kraft.trial.measures import Measures, Record
@@ -232,7 +232,7 @@ class _Lines:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
-            raise self._problem(error) from error
+            raise unwritable(self.path, error) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.ftruncate(self._file, keep)
@@ -243,7 +243,7 @@ class _Lines:
             raise InputError.of(str(path), "is in use by another kraft eval", expected, Code.CONFLICT) from None
         except OSError as error:
             os.close(self._file)
-            raise self._problem(error) from error
+            raise unwritable(self.path, error) from error
 
     def append(self, line: bytes) -> None:
         line += b"\n"
@@ -254,7 +254,7 @@ class _Lines:
             os.fsync(self._file)
         except OSError as error:
             self._truncate()
-            raise self._problem(error) from error
+            raise unwritable(self.path, error) from error
         self._end += len(line)
 
     def close(self) -> None:
@@ -264,9 +264,6 @@ class _Lines:
         with suppress(OSError):  # the line stays incomplete, which reading allows
             os.ftruncate(self._file, self._end)
             os.lseek(self._file, self._end, os.SEEK_SET)
-
-    def _problem(self, error: OSError) -> InputError:
-        return InputError.of(str(self.path), f"cannot be written: {error.strerror}", EXPECTED, Code.UNWRITABLE)
 
 
 def complete_bytes(path: Path) -> int:
