@@ -10,7 +10,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final
 
 from kraft.errors import Code, InputError, MissingDependency
-from kraft.evaluation.job import Job, Log, StopRequested, failed_row, perform
+from kraft.evaluation.job import POLL, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.journal import TrialRow
 from kraft.provenance import SIMULATION, versions
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ANSWER_TIMEOUT: Final = 10.0  # s, for the scheduler to answer
-POLL: Final = 0.1  # s, delay until a request to stop takes effect
 PREFETCHED: Final = 1  # trials queued at each worker thread besides the running one
 
 _one_trial_at_a_time = threading.Lock()

@@ -86,8 +86,8 @@ def _vehicle(reference: str) -> Vehicle:
 StopRequested: TypeAlias = Callable[[], bool]
 Log: TypeAlias = Callable[[str], None]
 
-DEATHS: Final = 2
-"""A trial has failed when this many workers died in it."""
+POLL: Final = 0.1
+"""Longest time until a request to stop takes effect, s."""
 
 
 class Executor(Protocol):

@@ -17,10 +17,10 @@ from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
 
 from kraft.errors import Defect, KraftError
-from kraft.evaluation.job import DEATHS, Job, Log, StopRequested, failed_row, perform
+from kraft.evaluation.job import POLL, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.journal import Key, TrialRow
 
-POLL: Final = 0.1  # s, delay until a request to stop takes effect
+DEATHS: Final = 2  # workers that die in a trial, after which it has failed
 FAILED_STARTS: Final = 3  # workers in a row that die before they are ready
 
 
