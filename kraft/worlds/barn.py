@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -14,12 +12,7 @@ import numpy as np
 from kraft.config.source import Place, Position
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.worlds.sdf import Shapes, read_sdf
-from kraft.worlds.world import SENSING, World, above, plain_name
-
-Start = tuple[float, float, float]
-"""x, y (m) and heading (degrees)."""
-Goal = tuple[float, float, float]
-"""x, y and radius, m."""
+from kraft.worlds.world import SENSING, Goal, Imported, Start, World, above, plain_name
 
 START: Final[Start] = (-2.25, 3.0, 90.0)
 GOAL: Final[Goal] = (-2.25, 13.0, 1.0)
@@ -34,15 +27,6 @@ LABEL: Final = "BARN layouts, known map"
 ROOM: Final = 1.5
 """Free space around obstacles, start and goal within the bounds, m."""
 SUFFIXES: Final = (".world", ".sdf", ".world.gz", ".sdf.gz")
-
-
-@dataclass(frozen=True)
-class Imported:
-    """World, the shapes that were left out, and why a BARN layout has no score (empty if it has one)."""
-
-    world: World
-    skipped: Counter[str]
-    missing: str = ""
 
 
 def worlds_in(folder: Path) -> list[Path]:

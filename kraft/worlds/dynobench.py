@@ -10,13 +10,12 @@ from typing import Annotated, Any, Final
 from pydantic import Field
 
 from kraft.config.schema import Coordinate, Length, StrictModel
-from kraft.config.source import Place
+from kraft.config.source import Place, Source
 from kraft.config.validation import check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import alternatives, counted
-from kraft.worlds.barn import Imported
-from kraft.worlds.world import SENSING, World, above, plain_name
+from kraft.worlds.world import SENSING, Imported, World, above, plain_name
 
 VEHICLES: Final = {
     "unicycle1_v0": "kraft.vehicles.dynobench:UNICYCLE1_V0",
@@ -98,17 +97,7 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
         problem = f"the robot {robot.type} is not known"
         expected = f"expected {alternatives(VEHICLES)}, or that a vehicle is given"
         problems.append(source.diagnostic(("robots", 0, "type"), problem, expected, code=Code.UNKNOWN))
-    obstacles: list[dict[str, Any]] = []
-    for k, each in enumerate(content.environment.obstacles):
-        size = each.size if isinstance(each.size, tuple) else (each.size,)
-        if each.type in SHAPES and len(size) != (2 if each.type == "box" else 1):
-            expected = "expected [length, width]" if each.type == "box" else "expected a radius"
-            at = ("environment", "obstacles", k, "size")
-            problems.append(source.diagnostic(at, f"is not the size of a {each.type}", expected))
-        elif each.type == "box":
-            obstacles.append({"name": f"box {k}", "box": {"center": list(each.center), "size": list(size)}})
-        elif each.type == "sphere":
-            obstacles.append({"name": f"sphere {k}", "circle": {"center": list(each.center), "radius": size[0]}})
+    obstacles = _obstacles(content.environment, source, problems)
     if problems:
         raise InputError(problems)
     low, high = content.environment.min, content.environment.max
@@ -127,7 +116,7 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
         },
         places=_places(document),
     )
-    return Imported(world, skipped, "")
+    return Imported(world, skipped)
 
 
 def _read(path: Path) -> tuple[ProblemFile, Document]:
@@ -174,13 +163,29 @@ def _other_shapes(content: ProblemFile, document: Document) -> list[Diagnostic]:
     ]
 
 
+def _obstacles(environment: EnvironmentFile, source: Source, problems: list[Diagnostic]) -> list[dict[str, Any]]:
+    """Obstacles of the types that are read, as a scenario file has them; problems are added to `problems`."""
+    found: list[dict[str, Any]] = []
+    for k, each in enumerate(environment.obstacles):
+        size = each.size if isinstance(each.size, tuple) else (each.size,)
+        if each.type in SHAPES and len(size) != (2 if each.type == "box" else 1):
+            expected = "expected [length, width]" if each.type == "box" else "expected a radius"
+            at = ("environment", "obstacles", k, "size")
+            problems.append(source.diagnostic(at, f"is not the size of a {each.type}", expected))
+        elif each.type == "box":
+            found.append({"name": f"box {k}", "box": {"center": list(each.center), "size": list(size)}})
+        elif each.type == "sphere":
+            found.append({"name": f"sphere {k}", "circle": {"center": list(each.center), "radius": size[0]}})
+    return found
+
+
 def _start(robot: RobotFile) -> dict[str, float]:
     x, y, theta, *rest = robot.start
     return {"x": x, "y": y, "heading_deg": _degrees(theta), "speed": rest[0] if rest else 0.0}
 
 
 def _goal(robot: RobotFile, *, own: bool) -> dict[str, Any]:
-    """Goal; the limits of the speeds are those of the robot's own model alone."""
+    """Goal; it limits the speeds only for the robot's `own` model, whose state has the problem's components."""
     x, y, theta, *rest = robot.goal
     goal = {
         "center": [x, y],

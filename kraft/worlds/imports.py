@@ -18,9 +18,20 @@ from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.scenario import OccupancyMap
 from kraft.scenario.occupancy import read_map
 from kraft.text import counted, suggestion
-from kraft.worlds.barn import LABEL, Goal, Imported, Start, read_barn, worlds_in
+from kraft.worlds.barn import LABEL, read_barn, worlds_in
 from kraft.worlds.dynobench import read_dynobench
-from kraft.worlds.world import SENSING, World, Written, above, check_new, plain_name, write_worlds
+from kraft.worlds.world import (
+    SENSING,
+    Goal,
+    Imported,
+    Start,
+    World,
+    Written,
+    above,
+    check_new,
+    plain_name,
+    write_worlds,
+)
 
 KINDS: Final = ("barn", "dynobench", "map")
 ROBOT, CAR = "jackal", "mushr"

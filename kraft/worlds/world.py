@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,10 @@ SUITE: Final = "suite.yaml"
 SENSING: Final = {"preset": "planar", "rate_hz": 50}
 HEIGHT: Final = 6.0
 """Height of the camera, m."""
+Start = tuple[float, float, float]
+"""x, y (m) and heading (degrees)."""
+Goal = tuple[float, float, float]
+"""x, y and radius, m."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,18 @@ class World:
             else:
                 lines.append(f"{key}: {value_text(value)}")
         return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class Imported:
+    """World of a file of another program, the shapes that were left out, and why a BARN layout has no score.
+
+    `missing` is empty if it has a score, and for a world of another kind.
+    """
+
+    world: World
+    skipped: Counter[str]
+    missing: str = ""
 
 
 @dataclass(frozen=True)
