@@ -23,8 +23,9 @@ from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
+from kraft.trial.approach import ClosestApproach
 from kraft.trial.cause import Cause, collision_cause, timeout_cause
-from kraft.trial.measures import ClosestApproach, Measures, Step, measure
+from kraft.trial.measures import Measures, Step, measure
 from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio, level_camera
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
