@@ -123,8 +123,8 @@ def timeout_cause(
         text = f"moved {extent:.2f} m in the last {end - max(since, 0.0):.0f} s, with plans in {len(late)} cycles"
         return Cause(kind=CauseKind.STUCK, text=text)
     left = late[-1].cost_to_goal
-    return Cause(kind=CauseKind.TOO_SLOW, text=f"the last plan needed {left:.1f} s more" if np.isfinite(left) else
-                 "still driving at the end")  # fmt: skip
+    text = f"the last plan needed {left:.1f} s more" if np.isfinite(left) else "still driving at the end"
+    return Cause(kind=CauseKind.TOO_SLOW, text=text)
 
 
 def estimate_errors(
@@ -180,6 +180,7 @@ def _allowed(cycle: Cycle, time: float) -> float | None:
 
 
 def _unwrapped(poses: Matrix) -> Matrix:
+    """Poses (n, 3) whose headings have no jumps by a whole turn."""
     poses = poses.copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
     return poses

@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from kraft.driving.messages import Cycle, Observation, Reference
+from kraft.driving.messages import Cycle, Observation, Reference, ReferenceKind
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
@@ -165,7 +165,7 @@ class TrialResult:
     @property
     def contingencies(self) -> int:
         """Number of cycles that committed the contingency instead of a plan."""
-        return sum(cycle.kind == "contingency" for cycle in self.cycles)
+        return sum(cycle.kind == ReferenceKind.CONTINGENCY for cycle in self.cycles)
 
     @property
     def missed(self) -> int:

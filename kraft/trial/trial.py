@@ -104,7 +104,9 @@ class _Trial:
         settings, vehicle = method.estimator, spec.vehicle
         self._plant = Plant(self.world, scenario, vehicle.controls, spec.seed, method.controller.rate_hz)
         if isinstance(settings, Oracle):
-            vehicle, *_ = (true_model(vehicle, world, state.vehicle) for state in scenario.truth.states)
+            # those after a change too: one that has no model is refused before the drive
+            models = [true_model(vehicle, world, state.vehicle) for state in scenario.truth.states]
+            vehicle = models[0]
         model, start = model_of(vehicle), start_state(scenario.task(), vehicle)
         self._estimator: Estimator = (
             OracleEstimator(self.world, scenario.sensing.command_delay, spec.vehicle, model, start)
