@@ -108,7 +108,6 @@ def _total(results: Sequence[Result]) -> dict[str, str]:
         for name in ("success", "collision", "timeout", "failed", "contingencies", "trials")
     }
     times = [result.t_ex * result.success for result in results if result.t_ex is not None]
-    low, high = wilson(sums["success"], sums["trials"])
     return {
         "method": results[0].title,
         "succ": str(sums["success"]),
@@ -117,9 +116,15 @@ def _total(results: Sequence[Result]) -> dict[str, str]:
         "failed": str(sums["failed"]),
         "score": decimals(_mean_score(results), 3),
         "T_ex s": decimals(sum(times) / sums["success"] if times else None, 2),
-        "95 % CI": f"{low:.0%}-{high:.0%}".replace("%-", "-"),
+        "95 % CI": _interval(wilson(sums["success"], sums["trials"])),
         "cont": str(sums["contingencies"]),
     }
+
+
+def _interval(shares: tuple[float, float]) -> str:
+    """Interval of a share: ``76-99%``."""
+    low, high = shares
+    return f"{low:.0%}-{high:.0%}".replace("%-", "-")
 
 
 def _mean_score(results: Sequence[Result]) -> float | None:
@@ -191,7 +196,6 @@ def _line(cells: Sequence[str]) -> str:
 
 def _cells(result: Result) -> dict[str, str]:
     paper, against = result.paper, result.against
-    low, high = result.interval
     kept = result.measures.clearance.coverage
     return {
         "method": result.title,
@@ -201,7 +205,7 @@ def _cells(result: Result) -> dict[str, str]:
         "failed": str(result.failed),
         "score": decimals(result.score, 3),
         "T_ex s": decimals(result.t_ex, 2),
-        "95 % CI": f"{low:.0%}-{high:.0%}".replace("%-", "-"),
+        "95 % CI": _interval(result.interval),
         "paper S/C/T": f"{paper.success}/{paper.collision}/{paper.timeout}" if paper else "-",
         "paper T_ex": decimals(paper.t_ex if paper else None, 2),
         "p": f"{against.p:.2g}" if against else "-",

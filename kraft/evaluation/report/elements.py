@@ -52,6 +52,12 @@ def stacked(table: Element) -> Element:
     return table
 
 
+def outcome_legend() -> list[Element]:
+    """Names of the outcomes success, timeout and collision, each with its colour."""
+    looks = ("success", "timeout", "collision")
+    return [element("span", element("i", class_=f"swatch {look}"), f" {look}") for look in looks]
+
+
 def number(value: float) -> str:
     """Length or coordinate with six digits."""
     return f"{value + 0.0:.6g}"

@@ -11,7 +11,7 @@ from kraft.evaluation.report.elements import NO_VALUE, Content, element, number,
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.summary import Result
 from kraft.text import counted, percent
-from kraft.trial.measures import BAND
+from kraft.trial.measures import BAND, BIN, REGRESSION
 
 WIDTH, HEIGHT = 170.0, 46.0
 EDGE: Final = 4.0
@@ -95,7 +95,7 @@ def _headings(shown: Shown) -> Iterator[Element]:
         title = "verified when committed / verified by an earlier cycle / verified by nothing"
         yield _heading("contingencies", "safe / in hand / emergency", title)
     if shown.regressions:
-        title = "plans that cost over 0.5 s more than what was left of the last plan"
+        title = f"plans that cost over {REGRESSION:g} s more than what was left of the last plan"
         yield _heading("regressions", "of plans compared", title)
     if shown.covariance:
         band = f"{BAND[0]:.2f} to {BAND[1]:.2f}"
@@ -168,7 +168,7 @@ def _drawing(result: Result, deviations: _Deviations, cycle: float, top: float) 
 
     parts = [element("line", class_="base", x1=EDGE, x2=WIDTH - EDGE, y1=y(0.0), y2=y(0.0))]
     for look, name, values in (("most", "99 %", deviations.most), ("median", "median", deviations.median)):
-        middles = [time - 0.05 for time in deviations.until]
+        middles = [time - BIN / 2 for time in deviations.until]
         path = "M" + "L".join(f"{number(x(t))} {number(y(v))}" for t, v in zip(middles, values, strict=True))
         title = f"{name}: {1000 * values[0]:.0f} mm at first, {1000 * values[-1]:.0f} mm at last"
         parts.append(element("path", element("title", title), class_=look, d=path))

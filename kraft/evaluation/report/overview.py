@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import urlencode
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.report.elements import NO_VALUE, Content, element, stacked
+from kraft.evaluation.report.elements import NO_VALUE, Content, element, outcome_legend, stacked
 from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.report.sweeps import settings_text
 from kraft.evaluation.summary import MANY, Result
@@ -93,15 +93,12 @@ def overview(results: Results) -> Element:
     return element(
         "section",
         element("h2", "Overview"),
-        element("p", *_legend(), words, " A heading sorts by its column, a number lists its trials.", class_="key"),
+        element(
+            "p", *outcome_legend(), words, " A heading sorts by its column, a number lists its trials.", class_="key"
+        ),
         element("div", table, class_="wide"),
         id="overview",
     )
-
-
-def _legend() -> list[Element]:
-    looks = ("success", "timeout", "collision")
-    return [element("span", element("i", class_=f"swatch {look}"), f" {look}") for look in looks]
 
 
 def causes(results: Results) -> Element | None:

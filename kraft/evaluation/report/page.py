@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 from kraft.evaluation.journal import TrialRow, success_times
 from kraft.evaluation.report import charts
-from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, stacked
+from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, outcome_legend, stacked
 from kraft.evaluation.report.floor import floor_plan
 from kraft.evaluation.report.measures import Shown, measures_table
 from kraft.evaluation.report.methods import methods
@@ -103,10 +103,6 @@ def _sweeps(results: Results) -> Element | None:
 
 def _key(shown: Shown) -> Element:
     """Legend of the charts."""
-    entries = [
-        element("span", element("i", class_=f"swatch {name}"), f" {name}")
-        for name in ("success", "timeout", "collision")
-    ]
     words = (
         "Below the bar of a method stands each trial, by seed; "
         "point at one to see how it ended, follow it to replay it. Black: 95 % Wilson interval of the success rate. "
@@ -118,7 +114,7 @@ def _key(shown: Shown) -> Element:
         " Deviation: the largest distance of a point of the true car from where the committed prediction has it, blue "
         "its median, red its 99 % quantile, dashed the mean clearance δ(v) that the method asked for."
     )
-    return element("p", *entries, " ", words, deviation if shown.deviations else None, class_="key")
+    return element("p", *outcome_legend(), " ", words, deviation if shown.deviations else None, class_="key")
 
 
 def _entry(results: Results, name: str, shown: Shown) -> Element:
