@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -16,7 +17,7 @@ def doctor(
     robot: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="Check the topics of a robot too (kraft list robots).")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: Json = False,
 ) -> ExitStatus:
     """Check Python, packages, processor, kernel cache and rendering, and the topics of a robot."""
     from kraft_cli.work.doctor import examine

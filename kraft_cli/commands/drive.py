@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from kraft_cli.commands.run import Json, Seed, Set, VehicleName, Video, View
+from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
+from kraft_cli.commands.run import Seed, Video, View
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -16,7 +17,6 @@ Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method with a co
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the drive into a new folder, as it is driven.")]
 Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the drive as ROS 2 messages: FILE.mcap.")]
 Speed = Annotated[float, typer.Option(metavar="X", help="Seconds of the simulation in a second of the clock.")]
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")]
 
 
 def drive(
@@ -24,7 +24,7 @@ def drive(
     scenario: ScenarioName,
     robot: RobotName,
     method: Method = "adaptive-kraft",
-    vehicle: VehicleName = None,
+    vehicle: PlanningModel = None,
     seed: Seed = 0,
     set_: Set = None,
     out: Out = None,
@@ -51,7 +51,7 @@ def world(
     context: typer.Context,
     scenario: ScenarioName,
     robot: RobotName,
-    vehicle: VehicleName = None,
+    vehicle: PlanningModel = None,
     seed: Seed = 0,
     set_: Set = None,
     speed: Speed = 1.0,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli.commands.options import Json, PlanningModel
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -27,9 +28,6 @@ Vary = Annotated[
 ]
 Trials = Annotated[int | None, typer.Option(metavar="N", help="Trials of each method in each scenario (30).")]
 Methods = Annotated[str | None, typer.Option(metavar="A,B", help="Methods (kraft list methods); the paper's seven.")]
-VehicleName = Annotated[
-    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
-]
 Seed = Annotated[int | None, typer.Option(metavar="N", help="Trial i has the seed N + i; N is 0.")]
 Jobs = Annotated[int | None, typer.Option(metavar="N", help="Worker processes; one for each core.")]
 ClusterAddress = Annotated[
@@ -40,7 +38,6 @@ Resume = Annotated[bool, typer.Option("--resume", help="Resume the evaluation in
 Realtime = Annotated[
     bool, typer.Option("--realtime", help="Limit planning by wall-clock time and count missed deadlines.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def eval_(
@@ -51,7 +48,7 @@ def eval_(
     vary: Vary = None,
     trials: Trials = None,
     methods: Methods = None,
-    vehicle: VehicleName = None,
+    vehicle: PlanningModel = None,
     seed: Seed = None,
     jobs: Jobs = None,
     cluster: ClusterAddress = None,

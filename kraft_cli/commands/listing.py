@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli.commands.options import Json
 from kraft_cli.terminal import Terminal
 
 THINGS = ("scenarios", "suites", "methods", "vehicles", "planners", "robots")
@@ -14,7 +15,7 @@ THINGS = ("scenarios", "suites", "methods", "vehicles", "planners", "robots")
 def list_(
     context: typer.Context,
     what: Annotated[str, typer.Argument(metavar="|".join(THINGS), help="What to list.")],
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: Json = False,
 ) -> None:
     """List scenarios, suites, methods, vehicles, planners or robots, each with its description."""
     terminal: Terminal = context.obj

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli.commands.options import Json, ScenarioName, Set
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -20,9 +21,6 @@ VehicleName = Annotated[
 Parameters = Annotated[
     list[str] | None, typer.Option("--param", metavar="K=V", help="Replace a parameter of the vehicle.")
 ]
-Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
-]
 Threads = Annotated[int, typer.Option(metavar="N", help="Grow trees on N cores, up to 64, which share the best cost.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write plan.json into DIR.")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the plan: FILE.png, .svg or .pdf.")]
@@ -30,12 +28,11 @@ From = Annotated[
     Path | None, typer.Option("--from", metavar="PLAN", help="Start from a plan file and retain its remaining edges.")
 ]
 After = Annotated[float, typer.Option(metavar="S", help="With --from: S seconds after the start of that plan.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def plan(
     context: typer.Context,
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")],
+    scenario: ScenarioName,
     time: Time = None,
     iterations: Iterations = None,
     seed: Seed = 0,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -31,7 +32,6 @@ Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives t
 Bag = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the runs as ROS 2 messages too: FILE_01.mcap and so on.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def record(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -14,13 +15,7 @@ if TYPE_CHECKING:
     from kraft_cli.work.run import RunRequest
 
 Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method (kraft list methods).")]
-VehicleName = Annotated[
-    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
-]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
-Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
-]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4, or FILE.webp for a page.")]
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
@@ -29,14 +24,13 @@ Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trial 
 Realtime = Annotated[
     bool, typer.Option("--realtime", help="On the wall clock, as kraft drive does, with the simulated robot beside it.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def run(
     context: typer.Context,
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")],
+    scenario: ScenarioName,
     method: Method = "kraft",
-    vehicle: VehicleName = None,
+    vehicle: PlanningModel = None,
     seed: Seed = 0,
     set_: Set = None,
     out: Out = None,

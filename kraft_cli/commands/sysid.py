@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -55,7 +56,6 @@ Area = Annotated[
 Commands = Annotated[
     Path | None, typer.Option(metavar="FOLDER", help="New folder for the commands of the next drives.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def sysid(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kraft_cli.boundary import explain
+from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -22,7 +23,7 @@ def validate(
         list[str],
         typer.Argument(metavar="FILE", help="Scenario, vehicle, method, suite, map, mapping, plan or robot files."),
     ],
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: Json = False,
 ) -> ExitStatus:
     """Check scenario, vehicle, method, suite, map, mapping, plan and robot files and print every problem."""
     from kraft_cli.work.validate import check_file

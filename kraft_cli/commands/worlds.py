@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kraft.text import counted
+from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -33,7 +34,6 @@ Count = Annotated[int, typer.Option(metavar="N", help="Number of worlds, up to 1
 Density = Annotated[
     float | None, typer.Option(metavar="SHARE", help="Share of the floor that clutter covers, 0.15 by default.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def import_(
