@@ -7,12 +7,12 @@ from pathlib import Path
 from types import MappingProxyType
 
 from kraft.plot.picture import PlanPicture, compose
-from kraft.plot.style import FORMATS, picture_format, plot_style, write_picture
+from kraft.plot.style import FORMATS, check_picture, picture_format, plot_style, write_picture
 from kraft.scenario import Task
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.vehicle import Vehicle
 
-__all__ = ["FORMATS", "picture_format", "plot_plan"]
+__all__ = ["FORMATS", "check_picture", "plot_plan"]
 
 
 def plot_plan(

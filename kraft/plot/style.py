@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -19,7 +19,7 @@ from matplotlib.textpath import TextPath
 from PIL import Image
 
 from kraft.errors import InputError
-from kraft.files import write_whole
+from kraft.files import check_all, check_writable, write_whole
 
 INK: Final = "#16181d"
 GREY: Final = "#667080"
@@ -118,6 +118,15 @@ def picture_format(path: Path) -> str:
         problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
         raise InputError.of(str(path), f"the picture's name {problem}", f"expected {', '.join(FORMATS)}")
     return suffix
+
+
+def check_picture(path: Path) -> None:
+    """Check before the work that a picture can be written.
+
+    Raises:
+        InputError: if no picture is made with the suffix of its path, and if nothing can be written there.
+    """
+    check_all(partial(picture_format, path), partial(check_writable, path))
 
 
 def write_picture(path: Path, figure: Figure) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from kraft.config.overrides import Override, parse_overrides, plain_value
 from kraft.errors import Code, Diagnostic, InputError, Problems
-from kraft.files import check_all, check_writable
+from kraft.files import check_all
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import memory_needed
 from kraft.planning.plan import PlanResult, budget_of, plan_task
@@ -149,9 +149,9 @@ def _check_places(target: Path | None, plot: Path | None) -> None:
     if target is not None:
         checks.append(partial(check_plan_target, target))
     if plot is not None:
-        from kraft.plot import picture_format
+        from kraft.plot import check_picture
 
-        checks += [partial(picture_format, plot), partial(check_writable, plot)]
+        checks.append(partial(check_picture, plot))
     check_all(*checks)
 
 

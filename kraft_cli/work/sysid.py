@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Final, Literal
 
 from kraft.errors import Code, Diagnostic, InputError, NegativeResult, Problems
-from kraft.files import check_all, check_writable
+from kraft.files import check_all
 from kraft.logs.discover import check_paths
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import load_mapping
-from kraft.plot.style import picture_format
+from kraft.plot.style import check_picture
 from kraft.sysid.acceptance import (
     PredictionEvaluation,
     evaluate_predictions,
@@ -239,7 +239,7 @@ def _checked(request: SysidRequest) -> tuple[BaseVehicle, Settings]:
         lambda: None if mapping is None else load_mapping(mapping),
         lambda: check_holdout(request.holdout),
         lambda: None if out is None else check_vehicle_target(out),
-        lambda: None if plot is None else check_all(lambda: picture_format(plot), lambda: check_writable(plot)),
+        lambda: None if plot is None else check_picture(plot),
         lambda: _check_next(request),
     ]
     problems.of(lambda: check_all(*checks))

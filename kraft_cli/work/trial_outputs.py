@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
 from kraft.driving.messages import Cycle
-from kraft.files import check_all, check_writable
+from kraft.files import check_all
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 
@@ -39,9 +39,9 @@ class OutputOptions:
         """
         checks: list[Callable[[], object]] = []
         if self.plot is not None:
-            from kraft.plot import picture_format
+            from kraft.plot import check_picture
 
-            checks += [partial(picture_format, self.plot), partial(check_writable, self.plot)]
+            checks.append(partial(check_picture, self.plot))
         if self.video is not None:
             from kraft.gl import check_video
 
