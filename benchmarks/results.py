@@ -23,7 +23,7 @@ from kraft.evaluation.summary import MANY, Result
 from kraft.evaluation.table import markdown, overview
 from kraft.files import write_whole
 from kraft.text import decimals
-from kraft_cli.work.evaluate import EvalRequest, resume_command
+from kraft_cli.work.evaluate import EvalRequest, eval_command
 
 BEGIN, END = "<!-- results: written by python -m benchmarks.results -->", "<!-- end of results -->"
 HEADING = """# Results
@@ -113,7 +113,7 @@ def command(found: Results) -> str:
         arguments.get("seed"),
         realtime=bool(arguments.get("realtime")),
     )
-    return resume_command(request).partition(" --out")[0]
+    return eval_command(request)
 
 
 def _short(reference: str) -> str:

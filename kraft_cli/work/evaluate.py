@@ -131,6 +131,16 @@ def arguments_of(request: EvalRequest) -> dict[str, Any]:
 
 def resume_command(request: EvalRequest) -> str:
     """Command that resumes the evaluation."""
+    return shlex.join([*_words(request), "--out", str(request.out), "--resume"])
+
+
+def eval_command(request: EvalRequest) -> str:
+    """Command of the evaluation, without its results folder."""
+    return shlex.join(_words(request))
+
+
+def _words(request: EvalRequest) -> list[str]:
+    """Words of the command that defines the evaluation."""
     words = ["kraft", "eval", *request.scenarios]
     options = {
         "--suite": request.suite,
@@ -146,7 +156,7 @@ def resume_command(request: EvalRequest) -> str:
     words += [word for text in request.settings for word in ("--set", text)]
     words += [word for text in request.vary for word in ("--vary", text)]
     words += ["--realtime"] if request.realtime else []
-    return shlex.join([*words, "--out", str(request.out), "--resume"])
+    return words
 
 
 def _with_recorded_arguments(request: EvalRequest, path: Path) -> EvalRequest:
