@@ -19,6 +19,11 @@ class Claim:
     method: str
     reference: str
 
+    @property
+    def methods(self) -> tuple[str, str]:
+        """The method, then the other one."""
+        return self.method, self.reference
+
 
 LONG_HORIZONS: Final = "long horizons"
 FEEDBACK: Final = "feedback"
@@ -123,10 +128,10 @@ def trials_of(found: Sequence[Results], method: str) -> Trials:
     }
 
 
-def comparisons(found: Sequence[Results], claims: Sequence[Claim] = THREE) -> list[Comparison]:
-    """Claims of which the results folders have both methods."""
-    pairs = ((claim, trials_of(found, claim.method), trials_of(found, claim.reference)) for claim in claims)
-    return [each for claim, mine, theirs in pairs if (each := compare(claim, mine, theirs)) is not None]
+def comparisons(found: Sequence[Results]) -> list[Comparison]:
+    """The three claims, as far as the results folders have both methods."""
+    compared = (compare(claim, *(trials_of(found, method) for method in claim.methods)) for claim in THREE)
+    return [each for each in compared if each is not None]
 
 
 def table(compared: Sequence[Comparison], titles: Mapping[str, str]) -> list[list[str]]:
@@ -138,7 +143,7 @@ def table(compared: Sequence[Comparison], titles: Mapping[str, str]) -> list[lis
         if each.ratio_interval is not None:
             time += " ({:.3f} to {:.3f})".format(*each.ratio_interval)
         rows.append([
-            each.claim.part, *(titles.get(name, name) for name in (each.claim.method, each.claim.reference)),
+            each.claim.part, *(titles.get(name, name) for name in each.claim.methods),
             str(success.pairs), _points(success), f"{success.gained} / {success.lost}", f"{success.p:.2g}",
             _points(collision), f"{collision.lost} / {collision.gained}", f"{collision.p:.2g}", time, each.verdict,
         ])  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
@@ -22,6 +22,7 @@ from kraft.scenario import load_scenario
 from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
 
@@ -70,7 +71,7 @@ class Case:
 
 def cases() -> tuple[Case, ...]:
     """Rows of the table, and those that only the claims need."""
-    named = {name for claim in THREE for name in (claim.method, claim.reference)} | set(METHODS)
+    named = {name for claim in THREE for name in claim.methods} | set(METHODS)
     order = [*METHODS, *sorted(named - set(METHODS))]
     return (*(Case(name) for name in order), *(Case(name, contingency=False) for name in WITHOUT))
 
@@ -139,12 +140,8 @@ def table_of(drives: Sequence[Drive]) -> list[list[str]]:
 def comparisons(drives: Sequence[Drive]) -> list[claims.Comparison]:
     """The paper's claims, and that contingencies help the peers, on the same entries and seeds."""
     peers = (Claim(SAFETY, case.method, case.name) for case in cases() if not case.contingency)
-    found = (claims.compare(claim, *(trials(drives, name) for name in _pair(claim))) for claim in (*THREE, *peers))
+    found = (claims.compare(claim, *(trials(drives, name) for name in claim.methods)) for claim in (*THREE, *peers))
     return [each for each in found if each is not None]
-
-
-def _pair(claim: Claim) -> tuple[str, str]:
-    return claim.method, claim.reference
 
 
 def trials(drives: Sequence[Drive], name: str) -> claims.Trials:
@@ -187,14 +184,18 @@ def plans() -> list[list[str]]:
     for scene in ("turns", "boxes"):
         task = load_scenario(scene).task()
         for planner in PLANNERS:
-            settings = settings_of(task, vehicle)
-            settings = type(settings)(**{**vars(settings), "polish": False, "planner": planner})
+            settings = replace(settings_of(task, vehicle), polish=False, planner=planner)
             solver = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), Safety(enabled=False), settings)
-            costs = np.empty((5, len(BUDGETS)))
-            for seed in range(len(costs)):
-                solver.start(start_state(task, vehicle), seed)
-                for k, budget in enumerate(BUDGETS):
-                    solver.grow(iterations=budget - solver.progress.iterations)
-                    costs[seed, k] = solver.best_cost
+            costs = np.array([costs_of(solver, start_state(task, vehicle), seed) for seed in range(5)])
             found.append([scene, planner, *(number(float(np.median(column))) for column in costs.T)])
     return found
+
+
+def costs_of(solver: DirtSolver, start: Floats, seed: int) -> list[float]:
+    """Cost of the best plan after each of the `BUDGETS` of iterations of one search, s."""
+    costs = []
+    solver.start(start, seed)
+    for budget in BUDGETS:
+        solver.grow(iterations=budget - solver.progress.iterations)
+        costs.append(float(solver.best_cost))
+    return costs

@@ -136,9 +136,7 @@ def method_table(found: Sequence[Results]) -> list[str]:
 
 def cell(result: Result) -> str:
     """Successes, collisions, mean time and score of a method in an entry."""
-    found = [f"{result.success}"]
-    if result.trials:
-        found[0] += f" ({result.t_ex:.1f} s)" if result.t_ex is not None else ""
+    found = [f"{result.success} ({result.t_ex:.1f} s)" if result.t_ex is not None else f"{result.success}"]
     found += [f"{result.collision} hit"] if result.collision else []
     found += [f"{result.failed} failed"] if result.failed else []
     found += [f"score {result.score:.3f}"] if result.score is not None else []
@@ -188,12 +186,12 @@ def claims(found: Results) -> list[str]:
     """Table of the paper's claims, over all entries, on the same seeds."""
     rows = [["what helps", "method", "instead of", "successes", "gained / lost", "p"]]
     for claim in CLAIMS:
-        if claim.method not in found.methods or claim.reference not in found.methods:
+        if not found.methods.keys() >= set(claim.methods):
             continue
-        mine, theirs = (_successes(found, name) for name in (claim.method, claim.reference))
+        mine, theirs = (_successes(found, name) for name in claim.methods)
         test = mcnemar(mine, theirs)
         counts = f"{sum(mine.values())} : {sum(theirs.values())} of {len(mine)}"
-        titles = [found.methods[name] for name in (claim.method, claim.reference)]
+        titles = [found.methods[name] for name in claim.methods]
         rows.append([claim.part, *titles, counts, f"{test.gained} / {test.lost}", f"{test.p:.2g}"])
     if len(rows) == 1:
         return []
