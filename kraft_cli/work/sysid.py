@@ -157,15 +157,7 @@ def run_sysid(
         ensure_compiled(base.vehicle, base.reference, info)
         began = time.perf_counter()
         if auto:
-            for name in models_of_cars():
-                other = load_base_vehicle(name)
-                ensure_compiled(other.vehicle, other.reference, info)
-            model = identify_car(split.fitted, settings, ProgressReporter(info))
-            base, identification = model.base, model.identification
-            if has_terms(base.definition) and all(u.neutral == 0.0 < u.scale for u in units.values()):
-                factors = {name: unit.scale for name, unit in units.items()}
-                base, identification = with_recorded_commands(base, identification, factors)
-                split, units = _restored(split, units), {name: CommandUnit() for name in units}
+            base, identification, split, units = _identify_car(split, units, settings, info)
         else:
             identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
         seconds = time.perf_counter() - began
@@ -174,19 +166,12 @@ def run_sysid(
         _draw_logs(request, base, split, error)
         report_problems(error, warn)
         raise NegativeResult("the parameters cannot be identified from these logs") from None
+    unknown = _unknown_to_planning(request, identification)
+    excluded = () if has_terms(base.definition) else _excluded_note(base, settings)
     identification = replace(
         identification,
-        warnings=(
-            *identification.warnings,
-            *sign_warnings(units),
-            *evaluation.warnings,
-            *_unknown_to_planning(request, identification),
-        ),
-        notes=(
-            *identification.notes,
-            *unit_notes(units),
-            *(() if has_terms(base.definition) else _excluded_note(base, settings)),
-        ),
+        warnings=(*identification.warnings, *sign_warnings(units), *evaluation.warnings, *unknown),
+        notes=(*identification.notes, *unit_notes(units), *excluded),
     )
     found = objections(identification, evaluation)
     if request.out is not None and request.out.exists() and not found:
@@ -199,6 +184,29 @@ def run_sysid(
     wanted = NextRequest(request.next, request.area, request.commands)
     planned = next_drives(wanted, base, identification, settings, logs.logs, info)
     return replace(result, next_drives=planned)
+
+
+def _identify_car(
+    split: LogSplit, units: dict[str, CommandUnit], settings: Settings, info: MessageSink
+) -> tuple[BaseVehicle, Identification, LogSplit, dict[str, CommandUnit]]:
+    """Identify a car of any make.
+
+    Returns:
+        The car, its identification, the logs, and the units of the commands that both are for: those of the logs as
+        they were recorded, if the parameters of the car can hold the factors between the units.
+
+    Raises:
+        InputError: if the logs do not identify a car.
+    """
+    for name in models_of_cars():
+        base = load_base_vehicle(name)
+        ensure_compiled(base.vehicle, base.reference, info)
+    model = identify_car(split.fitted, settings, ProgressReporter(info))
+    if not has_terms(model.base.definition) or not all(u.neutral == 0.0 < u.scale for u in units.values()):
+        return model.base, model.identification, split, units
+    factors = {name: unit.scale for name, unit in units.items()}
+    car, identification = with_recorded_commands(model.base, model.identification, factors)
+    return car, identification, _restored(split, units), {name: CommandUnit() for name in units}
 
 
 def _earlier_objections(
