@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, out_of_range
 from kraft.files import check_writable
 from kraft.logs.log import Log, Part
 from kraft.planning.compilation import ensure_compiled
@@ -60,10 +60,7 @@ def check_next(request: NextRequest) -> None:
     Raises:
         InputError: with every problem.
     """
-    problems = []
-    if not 1 <= request.count <= COUNT_MAX:
-        expected = f"expected a number from 1 to {COUNT_MAX}"
-        problems.append(Diagnostic("next", f"is {request.count}", expected, argument=True))
+    problems = out_of_range("next", request.count, 1, COUNT_MAX)
     if request.area is not None and _sides(request.area) is None:
         expected = "expected length and width in m, as in 6,4"
         problems.append(Diagnostic("area", f"is {request.area!r}", expected, code=Code.SYNTAX, argument=True))
@@ -120,10 +117,10 @@ def next_drives(
         problem = f"{origin}is {area.length:.2g} m x {area.width:.2g} m, in which no drive fits"
         raise InputError.of_argument("area", problem, NO_ROOM, Code.GEOMETRY)
     files = []
-    for k, drive in enumerate(drives if request.commands is not None else (), 1):
-        assert request.commands is not None
-        files.append(request.commands / f"drive_{k}" / "commands.csv")
-        write_commands(files[-1], tuple(vehicle.controls), drive.commands)
+    if request.commands is not None:
+        for k, drive in enumerate(drives, 1):
+            files.append(request.commands / f"drive_{k}" / "commands.csv")
+            write_commands(files[-1], tuple(vehicle.controls), drive.commands)
     return NextDrives(tuple(drives), area, tuple(files))
 
 
