@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -89,7 +90,8 @@ def drive_robot(
     out, bag = request.out, request.bag
     spec = resolve(request)
     check_all(
-        *([] if out is None else [lambda: check_run_folder(out)]), *([] if bag is None else [lambda: check_bag(bag)])
+        lambda: None if out is None else check_run_folder(out),
+        lambda: None if bag is None else check_bag(bag),
     )
     for line in vehicle_details(spec.vehicle):
         detail(line)
@@ -99,21 +101,9 @@ def drive_robot(
     if out is not None:
         out.mkdir(parents=True)
         write_json(out / "manifest.json", _manifest(request, spec))
-
-    def on_check(checked: Checked) -> None:
-        for check in checked.checks:
-            say = problem if check.state == "problem" else report
-            say(f"{check.state:8s} {check.name}: {check.detail}")
-
-    def on_status(status: Status) -> None:
-        if status.note:
-            problem(f"{status.time:6.2f} s  {status.note}")
-        else:
-            age = "none yet" if math.isinf(status.pose_age) else f"{1000 * status.pose_age:.0f} ms old"
-            detail(f"{status.time:6.2f} s  newest pose {age}, {counted(status.late_ticks, 'late tick')}")
-
-    with contextlib.ExitStack() as stack:
-        display = stack.enter_context(Display(spec, bag))
+    on_check = partial(_report_checks, report=report, problem=problem)
+    on_status = partial(_report_status, problem=problem, detail=detail)
+    with Display(spec, bag) as display:
 
         def on_cycle(cycle: Cycle) -> None:
             report(cycle_line(cycle) + _learned(cycle, spec))
@@ -130,6 +120,22 @@ def drive_robot(
     if out is not None:
         write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})
     return driven
+
+
+def _report_checks(checked: Checked, report: Callable[[str], None], problem: Callable[[str], None]) -> None:
+    """Report the check list."""
+    for check in checked.checks:
+        say = problem if check.state == "problem" else report
+        say(f"{check.state:8s} {check.name}: {check.detail}")
+
+
+def _report_status(status: Status, problem: Callable[[str], None], detail: Callable[[str], None]) -> None:
+    """Report what the controller notes; without a note the age of the newest pose and the late ticks."""
+    if status.note:
+        problem(f"{status.time:6.2f} s  {status.note}")
+    else:
+        age = "none yet" if math.isinf(status.pose_age) else f"{1000 * status.pose_age:.0f} ms old"
+        detail(f"{status.time:6.2f} s  newest pose {age}, {counted(status.late_ticks, 'late tick')}")
 
 
 def resolve(request: DriveRequest) -> DriveSpec:

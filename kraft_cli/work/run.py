@@ -69,7 +69,7 @@ def run_scenario(
     timer = StageTimer(detail)
     experiment = _experiment(request)
     out = request.out
-    check_all(*([] if out is None else [lambda: check_run_folder(out)]), request.outputs.check)
+    check_all(lambda: None if out is None else check_run_folder(out), request.outputs.check)
     cell = experiment.cells[0]
     _log_details(detail, cell)
     timer.report("loaded and checked")
