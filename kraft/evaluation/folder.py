@@ -37,7 +37,7 @@ class Folder:
 
     @property
     def wall(self) -> float:
-        """Time that the evaluation took which is in the folder, s; 0 if it is not complete."""
+        """Duration in the summary of the folder, s; 0 if the evaluation is not complete and has no summary."""
         summary = self.path / SUMMARY
         return float(json.loads(summary.read_bytes())["wall_s"]) if summary.exists() else 0.0
 

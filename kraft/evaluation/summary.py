@@ -115,7 +115,10 @@ class Result:
 
 @dataclass(frozen=True)
 class Summary:
-    """All rows in the order of the experiment; `wall` is the duration of the last run of the evaluation, s."""
+    """All rows in the order of the experiment.
+
+    `wall` is the duration of the evaluation, s: of the last run of one that was interrupted before.
+    """
 
     trials: int
     seed: int

@@ -68,11 +68,21 @@ class TrialSpec:
             InputError: with what is wrong with scenario, settings, method or vehicle.
         """
         loaded, loaded_method = load_scenario(scenario, settings), load_method(method)
-        reference = vehicle_reference(loaded, loaded_method, vehicle)
-        model = load_planning_vehicle(loaded, reference)
-        check_vehicle(loaded_method, model, own=reference not in (vehicle, loaded.vehicle))
+        model = planning_vehicle(loaded, loaded_method, vehicle)
         check_robot(loaded, model)
         return cls(loaded, loaded_method, model, seed)
+
+
+def planning_vehicle(scenario: Scenario, method: Method, vehicle: str | None = None) -> Vehicle:
+    """Model of `vehicle_reference`, loaded and checked for the method.
+
+    Raises:
+        InputError: if it cannot be loaded, or lacks what the method's estimator needs.
+    """
+    reference = vehicle_reference(scenario, method, vehicle)
+    model = load_planning_vehicle(scenario, reference)
+    check_vehicle(method, model, own=reference not in (vehicle, scenario.vehicle))
+    return model
 
 
 def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = None) -> str:

@@ -14,7 +14,7 @@ from kraft.config import bundled
 from kraft.config.overrides import parse_overrides
 from kraft.driving.control import needs_steps
 from kraft.driving.messages import Cycle
-from kraft.driving.method import Method, check_vehicle, load_method
+from kraft.driving.method import Method, load_method
 from kraft.errors import Diagnostic, InputError, KraftError, Problems, out_of_range
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.files import check_all, write_json
@@ -30,7 +30,7 @@ from kraft.robot.show import Display
 from kraft.scenario import load_scenario
 from kraft.text import alternatives, counted
 from kraft.trial.plant import level_camera
-from kraft.trial.result import load_planning_vehicle, vehicle_reference
+from kraft.trial.result import planning_vehicle
 from kraft_cli.work.run import cycle_line
 from kraft_cli.work.run_folder import check_run_folder
 from kraft_cli.work.verbose import vehicle_details
@@ -154,9 +154,7 @@ def resolve(request: DriveRequest) -> DriveSpec:
     assert robot is not None, "every problem was raised"
     assert method is not None, "every problem was raised"
     assert scenario is not None, "every problem was raised"
-    reference = vehicle_reference(scenario, method, request.vehicle)
-    vehicle = load_planning_vehicle(scenario, reference)
-    check_vehicle(method, vehicle, own=reference not in (request.vehicle, scenario.vehicle))
+    vehicle = planning_vehicle(scenario, method, request.vehicle)
     camera = level_camera(scenario) if robot.pose.level_camera else None
     return DriveSpec(
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,

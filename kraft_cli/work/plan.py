@@ -26,7 +26,7 @@ from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 from ompl_ext.memory import in_words
 from ompl_ext.vehicle import Vehicle
 
-MUCH_MEMORY = 1_000_000_000  # bytes of maps from which on they are said without -v too
+MUCH_MEMORY = 1_000_000_000  # bytes of maps from which on the need of memory is reported without -v too
 
 
 @dataclass(frozen=True)
