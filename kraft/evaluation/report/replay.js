@@ -156,19 +156,19 @@ class Stage {
     }
     this.movable = [...this.ground.querySelectorAll(".movable")];
     for (const each of this.ground.querySelectorAll(".movable, .bump, .slippery, .uphill")) each.dataset.layer = "hidden";
-    const make = (layer, tag = "path") => this.ground.appendChild(draw(tag, { "data-layer": layer, class: `live ${layer}` }));
-    this.tree = make("tree");
-    this.trail = make("car");
+    const add = (layer, tag = "path") => this.ground.appendChild(draw(tag, { "data-layer": layer, class: `live ${layer}` }));
+    this.tree = add("tree");
+    this.trail = add("car");
     this.trail.classList.add("trail");
-    this.band = make("band", "g");
+    this.band = add("band", "g");
     this.sweep = this.band.appendChild(draw("path"));
-    this.plan = make("plan");
-    this.contingency = make("contingency");
-    this.seen = make("seen");
-    this.believed = make("believed");
-    this.car = make("car");
+    this.plan = add("plan");
+    this.contingency = add("contingency");
+    this.seen = add("seen");
+    this.believed = add("believed");
+    this.car = add("car");
     this.car.classList.add("body");
-    this.nose = make("car");
+    this.nose = add("car");
     this.nose.classList.add("nose");
     parent.replaceChildren(this.svg);
   }
