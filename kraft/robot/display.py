@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind
-from kraft.robot.messages import GRID, MARKERS, header, make, path, polygon, pose_fields
+from kraft.robot.messages import GRID, MARKERS, header, make, path, polygon, pose_fields, stamp
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Task
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import TreeView
@@ -47,7 +47,7 @@ def occupancy_grid(task: Task, time: int, frame: str) -> Any:
     for obstacle in task.obstacles:
         occupied |= _touched(obstacle, xs, ys, 0.5 * math.sqrt(2.0) * cell)
     info = {
-        "map_load_time": {"sec": time // 10**9, "nanosec": time % 10**9},
+        "map_load_time": stamp(time),
         "resolution": cell, "width": columns, "height": rows, "origin": pose_fields(x0, y0, 0.0),
     }  # fmt: skip
     return make(GRID, header=header(time, frame), info=info, data=np.where(occupied, 100, 0).astype(np.int8).ravel())

@@ -19,7 +19,19 @@ from kraft.driving.vehicle_model import stop_control
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.display import occupancy_grid
-from kraft.robot.messages import BOOL, CLOCK, GRID, ODOMETRY, POSE, TRANSFORM, header, make, pose_fields, transform
+from kraft.robot.messages import (
+    BOOL,
+    CLOCK,
+    GRID,
+    ODOMETRY,
+    POSE,
+    TRANSFORM,
+    header,
+    make,
+    pose_fields,
+    stamp,
+    transform,
+)
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import Scenario
@@ -273,7 +285,7 @@ class RobotWorld:
 
 def clock_message(time: int) -> Any:
     """Time of a simulation (ns) as a message."""
-    return make(CLOCK, clock={"sec": time // 10**9, "nanosec": time % 10**9})
+    return make(CLOCK, clock=stamp(time))
 
 
 def pose_message(kind: str, time: int, frame: str, pose: tuple[float, float, float]) -> Any:
