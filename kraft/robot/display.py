@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind
+from kraft.planning.workspace import poses_of
 from kraft.robot.messages import GRID, MARKERS, header, make, path, polygon, pose_fields, stamp
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Task
 from ompl_ext.arrays import Bools, Floats, Matrix
@@ -159,13 +160,6 @@ def _marker(
 
 def _vector(x: float, y: float, z: float) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
-
-
-def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
-    """Poses (n, 3) of states (n, nx); heading 0 for a vehicle that does not turn."""
-    theta = vehicle.index("theta")
-    heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
-    return np.column_stack([states[:, vehicle.index("x")], states[:, vehicle.index("y")], heading])
 
 
 def reference_path(reference: Reference, vehicle: Vehicle, time: int, epoch: int, frame: str) -> Any:
