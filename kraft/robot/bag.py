@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -131,9 +131,7 @@ def write_trial(path: Path, spec: TrialSpec, result: TrialResult) -> None:
     Raises:
         InputError: if the file cannot be written.
     """
-    with BagWriter(path) as bag:
-        for time, topic, message in sorted(_trial(spec, result), key=lambda timed: timed[0]):
-            bag.write(topic, time, message)
+    _write(path, _trial(spec, result))
 
 
 def _trial(spec: TrialSpec, result: TrialResult) -> Iterator[Timed]:
@@ -174,9 +172,7 @@ def write_recording(path: Path, task: Task, vehicle: Vehicle, recording: Recordi
     Raises:
         InputError: if the file cannot be written.
     """
-    with BagWriter(path) as bag:
-        for time, topic, message in sorted(_recording(task, vehicle, recording), key=lambda timed: timed[0]):
-            bag.write(topic, time, message)
+    _write(path, _recording(task, vehicle, recording))
 
 
 def _recording(task: Task, vehicle: Vehicle, recording: Recording) -> Iterator[Timed]:
@@ -189,6 +185,13 @@ def _recording(task: Task, vehicle: Vehicle, recording: Recording) -> Iterator[T
     for t, x, y, theta, speed in recording.truth.tolist():
         yield at(t), "/truth/odom", odometry(at(t), FRAMES.map, TRUTH_FRAME, (x, y, theta), speed)
         yield at(t), "/tf", make(TF, transforms=[transform(at(t), FRAMES.map, TRUTH_FRAME, (x, y, theta))])
+
+
+def _write(path: Path, messages: Iterable[Timed]) -> None:
+    """Write messages as a bag, in the order of their times; those of the same time stay in their order."""
+    with BagWriter(path) as bag:
+        for time, topic, message in sorted(messages, key=lambda timed: timed[0]):
+            bag.write(topic, time, message)
 
 
 def scene(task: Task, time: int = EPOCH, frame: str = FRAMES.map) -> Iterator[Timed]:
