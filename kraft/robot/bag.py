@@ -19,6 +19,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.files import check_writable, file_mode, unwritable
+from kraft.planning.workspace import pose_of
 from kraft.recording.recorder import Recording
 from kraft.robot.display import Frames, cycle_messages, occupancy_grid, scene_markers
 from kraft.robot.messages import (
@@ -143,12 +144,11 @@ def _trial(spec: TrialSpec, result: TrialResult) -> Iterator[Timed]:
     for step in result.steps:
         time = at(step.time)
         yield time, command_topic(vehicle), command(time, vehicle, step.command)
-        x, y, theta = (float(step.estimate[vehicle.index(name)]) for name in ("x", "y", "theta"))
-        speed = float(step.estimate[vehicle.rest_indices[0]])
-        yield time, "/odometry/filtered", odometry(time, FRAMES.map, FRAMES.body, (x, y, theta), speed)
+        pose, speed = pose_of(step.estimate, vehicle), float(step.estimate[vehicle.rest_indices[0]])
+        yield time, "/odometry/filtered", odometry(time, FRAMES.map, FRAMES.body, pose, speed)
         yield time, "/truth/odom", odometry(time, FRAMES.map, TRUTH_FRAME, step.pose, step.speed)
         moved = [
-            transform(time, FRAMES.map, FRAMES.body, (x, y, theta)),
+            transform(time, FRAMES.map, FRAMES.body, pose),
             transform(time, FRAMES.map, TRUTH_FRAME, step.pose),
         ]
         yield time, "/tf", make(TF, transforms=moved)
