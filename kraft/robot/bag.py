@@ -24,6 +24,7 @@ from kraft.recording.recorder import Recording
 from kraft.robot.display import Frames, cycle_messages, occupancy_grid, scene_markers
 from kraft.robot.messages import (
     ACKERMANN,
+    EPOCH,
     TF,
     header,
     joints,
@@ -41,8 +42,6 @@ from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
-EPOCH: Final = 1_000_000_000_000_000_000
-"""Time 0 of a simulated drive in its bag, ns; a stamp of 0 means "unknown" in ROS."""
 LATCHED: Final = ("/map", "/markers/scene")
 """Topics whose last message late subscribers get too."""
 FRAMES: Final = Frames()

@@ -22,6 +22,7 @@ from kraft.robot.display import occupancy_grid
 from kraft.robot.messages import (
     BOOL,
     CLOCK,
+    EPOCH,
     GRID,
     ODOMETRY,
     POSE,
@@ -50,8 +51,6 @@ RECORD_RATE: Final = 30.0
 """Rate at which the clearance is measured and callbacks are called, 1/s."""
 CLOCK_RATE: Final = 50.0
 """Rate of the messages of the simulation's time, 1/s of the machine's clock."""
-EPOCH: Final = 10**18
-"""Time at which a simulation begins that sends its time, ns."""
 DEAD_MAN_RATE: Final = 20.0
 """Rate of the messages of the simulated dead man, 1/s."""
 MOVES: Final = 0.02
