@@ -153,28 +153,14 @@ class RobotWorld:
         """
         world, dt = self.world, self.world.dt
         assert speed == 1.0 or self._robot.clock is not None, "others must know the time"
-        frames, records, switch, times = (
-            Ticks(rate, dt) for rate in (self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / speed)
-        )
+        rates = self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / speed
+        self._frames, records, self._switch, self._times = (Ticks(rate, dt) for rate in rates)
         self._speed = speed
         self._opened = clock.monotonic_ns()
         steps, ended, outcome = 0, None, None
         while True:
             self._wait(steps * dt)
-            self._stamp = EPOCH + round(1e9 * steps * dt) if self._robot.clock is not None else clock.time_ns()
-            if self._robot.clock is not None and steps >= times.due:
-                times.number += 1
-                self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
-            self._mux(steps)
-            if steps >= frames.due:
-                frames.number += 1
-                self._expose(steps)
-            if steps >= switch.due:
-                switch.number += 1
-                self._hold_dead_man()
-            while self._outgoing and self._outgoing[0][0] <= steps:
-                _, topic, message = self._outgoing.popleft()
-                self._transport.publish(topic, message)
+            self._exchange(steps)
             if self._began and steps >= records.due:
                 records.number = int(steps * dt * RECORD_RATE) + 1
                 self._record(on_step)
@@ -191,10 +177,32 @@ class RobotWorld:
             over = world.collision is not None or (coasted and not stays)
             if self.cancelled or (outcome is not None and over):
                 break
-        result = outcome or Outcome.TIMEOUT
-        obstacle = world.collision.obstacle if world.collision and result is Outcome.COLLISION else None
+        return self._result(outcome or Outcome.TIMEOUT, world.time if ended is None else ended)
+
+    def _exchange(self, steps: int) -> None:
+        """Apply the commands and send the messages that are due after some physics steps."""
+        dt = self.world.dt
+        self._stamp = EPOCH + round(1e9 * steps * dt) if self._robot.clock is not None else clock.time_ns()
+        if self._robot.clock is not None and steps >= self._times.due:
+            self._times.number += 1
+            self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
+        self._mux(steps)
+        if steps >= self._frames.due:
+            self._frames.number += 1
+            self._expose(steps)
+        if steps >= self._switch.due:
+            self._switch.number += 1
+            self._hold_dead_man()
+        while self._outgoing and self._outgoing[0][0] <= steps:
+            _, topic, message = self._outgoing.popleft()
+            self._transport.publish(topic, message)
+
+    def _result(self, outcome: Outcome, time: float) -> WorldResult:
+        """Result of a simulation with an outcome at a time (s)."""
+        world = self.world
+        obstacle = world.collision.obstacle if world.collision and outcome is Outcome.COLLISION else None
         return WorldResult(
-            self._scenario.name, self._seed, result, obstacle, world.time if ended is None else ended,
+            self._scenario.name, self._seed, outcome, obstacle, time,
             self._approach.least(), self._commands, self.mux_stops, self._lag, abs(world.speed) < STANDS,
         )  # fmt: skip
 
