@@ -1,9 +1,9 @@
 """The controller of a drive, in a process of its own: it holds a plan with its contingency and drives it on a clock.
 
-It waits for nobody.  Poses and messages of the planner are taken when they are there; without them it drives the plan
-that it has to its end and stops with the contingency, or the watchdog stops it.  If the planner's process ends it does
-the same, and the process ends when the vehicle stands.  If this process itself falls silent, the brake guard
-(`kraft.robot.guard`) does so.
+It never waits for poses or for messages of the planner, and takes them when they are there; without them it drives the
+plan that it has to its end and stops with the contingency, or the watchdog stops it.  If the planner's process ends it
+does the same, and the process ends when the vehicle stands.  If this process itself sends no commands any more, the
+brake guard (`kraft.robot.guard`) does so.
 """
 
 from __future__ import annotations
