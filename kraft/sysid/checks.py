@@ -66,10 +66,9 @@ class Solution:
     """of the optimiser, those of model selection included"""
 
     @property
-    def names(self) -> list[str]:
+    def names(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
-        parameters = self.problem.parameters
-        return [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
+        return self.problem.parameters.free_names
 
 
 def warnings_of(solution: Solution, *, windows: bool = False) -> tuple[str, ...]:

@@ -356,7 +356,7 @@ def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes
         model=vehicle.name,
         parameters=_estimated(solution),
         auxiliary=p.auxiliary,
-        names=tuple(solution.names),
+        names=solution.names,
         covariance=solution.uncertainty.covariance,
         interval=solution.uncertainty.kind,
         graph_covariance=solution.uncertainty.graph,

@@ -101,7 +101,7 @@ class Knowledge:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
-        return tuple(name for name, free in zip(self.parameters.names, self.parameters.free, strict=True) if free)
+        return self.parameters.free_names
 
     @property
     def std(self) -> Floats:

@@ -100,6 +100,11 @@ class Parameters:
         """(np,) whether a parameter is estimated."""
         return np.array([spec.name not in self.frozen for spec in self.specs], dtype=bool)
 
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters, in the order of rho."""
+        return tuple(spec.name for spec in self.specs if spec.name not in self.frozen)
+
     def within_bounds(self, rho: Floats) -> Floats:
         """Values (np,) clipped to the bounds, which rounding errors may exceed: low + (high - low) may exceed high."""
         clipped: Floats = np.clip(rho, self.low, self.high)
