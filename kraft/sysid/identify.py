@@ -35,7 +35,7 @@ from kraft.sysid.selection import (
 )
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
-from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, as_good, chosen
+from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, as_good, best_of, chosen
 from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
@@ -152,7 +152,7 @@ def identify_terms(
         alike = other.alike(best)
         search.iterations += other.iterations
         trials.append(alike)
-        if as_good(alike, min(path, key=lambda s: float(s.scores.mean()))):
+        if as_good(alike, best_of(path)):
             vehicle, best = simpler, alike
     identification = _identified(best, search, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
