@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.logs.log import LogSet
+from kraft.logs.log import Log, LogSet
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import Solution, at_bound, unidentified, warnings_of
@@ -40,10 +39,6 @@ from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from kraft.logs.log import Log
-
 
 RESIDUAL_SCALE_TOLERANCE = 1.5
 """Factor between residuals and their expectation from which the residuals set the threshold of the robust loss."""
