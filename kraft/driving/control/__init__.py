@@ -1,4 +1,4 @@
-"""Controllers: from an estimate and a reference to a command. None of them knows obstacles."""
+"""Controllers: from an estimate and a reference to a command.  Only the predictive ones know obstacles."""
 
 from __future__ import annotations
 
