@@ -432,6 +432,12 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
     )
 
 
+def lanes_of(vehicle: Vehicle, steps: int) -> Lanes:
+    """Working memory for edges or manoeuvres of a vehicle of up to `steps` integration steps."""
+    nx, nu = len(vehicle.state), len(vehicle.controls)
+    return make_lanes(nx, nu, len(vehicle.inputs) or nu, steps)
+
+
 def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tuple[list[int], Floats, Floats]:
     """Parents, controls and durations of the edges that remain of a path after `elapsed` s.
 
