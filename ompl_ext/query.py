@@ -18,7 +18,7 @@ from ompl_ext.kernels.functions import FUNCTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Maps, Problem, Retained
 from ompl_ext.kernels.posepath import PoseCostToGo
 from ompl_ext.kernels.posetogo import pose_cost_to_go
-from ompl_ext.motion import motion_of
+from ompl_ext.motion import motion_key, motion_of
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -310,12 +310,10 @@ COARSEST = 0.3  # cell of the cost-to-go of poses as a share of the footprint's 
 
 
 class _Vehicle:
-    """Vehicle as the key of a cache: what its motion depends on."""
+    """Vehicle as the key of a cache: its motion and its footprint."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle = vehicle
-        parts = vehicle.parameter_array, vehicle.control_bounds, vehicle.state_limits
-        self._key = (vehicle.hash, id(vehicle.derivative), vehicle.footprint, *(part.tobytes() for part in parts))
+        self.vehicle, self._key = vehicle, (vehicle.footprint, *motion_key(vehicle))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Vehicle) and self._key == other._key
