@@ -16,7 +16,7 @@ from benchmarks.report import Report, Row, Target, number, row
 from benchmarks.scenes import SCENES, Scene, endless, scene
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.search import search
-from ompl_ext.query import edges_to_retain, make_lanes
+from ompl_ext.query import edges_to_retain, lanes_of
 from ompl_ext.solver import DirtSolver
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
@@ -78,11 +78,9 @@ def grow(query: Scene, nodes: int, seed: int) -> list[Window]:
 def kernel_caller(dirt: DirtSolver) -> Callable[[int], None]:
     """A function that visits as many nodes as it is told, in one call of the compiled kernel."""
     vehicle, problem = dirt.vehicle, dirt.problem
-    nx, nu = len(vehicle.state), len(vehicle.controls)
-    inputs = len(vehicle.inputs) or nu
-    work = make_lanes(nx, nu, inputs, int(problem.option[at.STEPS]))
-    brake = make_lanes(nx, nu, inputs, int(problem.option[at.BRAKE_STEPS]))
-    q, nothing = np.zeros(at.Q_DIM), edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
+    work = lanes_of(vehicle, int(problem.option[at.STEPS]))
+    brake = lanes_of(vehicle, int(problem.option[at.BRAKE_STEPS]))
+    q, nothing = np.zeros(at.Q_DIM), edges_to_retain([], np.zeros((0, len(vehicle.controls))), np.zeros(0))
     kernel = search().grow
     return lambda iterations: kernel(dirt.tree_arrays, problem, work, brake, q, nothing, iterations)
 

@@ -17,7 +17,7 @@ from ompl_ext.kernels.search import search
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency
-from ompl_ext.query import Goal, Safety, Settings, make_lanes, make_problem
+from ompl_ext.query import Goal, Safety, Settings, lanes_of, make_problem
 from ompl_ext.vehicle import Vehicle
 
 
@@ -40,9 +40,8 @@ class EdgeChecker:
         problem = self._problem
         problem.functions[:] = self._kernels.functions
         self._maps = problem.field, problem.tile, problem.squares, problem.discs, problem.scalar
-        sizes = len(vehicle.state), len(vehicle.controls), len(vehicle.inputs) or len(vehicle.controls)
-        self._work = make_lanes(*sizes, int(problem.option[at.STEPS]))
-        self._brake = make_lanes(*sizes, int(problem.option[at.BRAKE_STEPS]))
+        self._work = lanes_of(vehicle, int(problem.option[at.STEPS]))
+        self._brake = lanes_of(vehicle, int(problem.option[at.BRAKE_STEPS]))
 
     @property
     def problem(self) -> Problem:

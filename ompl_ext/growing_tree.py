@@ -12,7 +12,7 @@ from ompl_ext.kernels.kernel_types import Problem, Retained, Tree
 from ompl_ext.kernels.search import search
 from ompl_ext.kernels.specialise import optional_module
 from ompl_ext.kernels.tree_memory import first_nodes, new_tree, reset, reset_indices, with_room
-from ompl_ext.query import Settings, edges_to_retain, make_lanes
+from ompl_ext.query import Settings, edges_to_retain, lanes_of
 from ompl_ext.vehicle import Vehicle
 
 
@@ -30,12 +30,11 @@ class GrowingTree:
     ) -> None:
         """Allocate memory for `capacity` nodes within `bounds`, which may grow to `max_nodes`."""
         nx, nu = len(vehicle.state), len(vehicle.controls)
-        inputs = len(vehicle.inputs) or nu
         self._memory = new_tree(capacity, nx, nu, bounds)
         self.tree: Tree = self._memory
         self._capacity, self._max_nodes = capacity, max_nodes
-        self.work = make_lanes(nx, nu, inputs, int(problem.option[at.STEPS]))
-        self.brake = make_lanes(nx, nu, inputs, int(problem.option[at.BRAKE_STEPS]))
+        self.work = lanes_of(vehicle, int(problem.option[at.STEPS]))
+        self.brake = lanes_of(vehicle, int(problem.option[at.BRAKE_STEPS]))
         self._q = np.zeros(at.Q_DIM)
         self._no_edges = edges_to_retain([], np.zeros((0, nu)), np.zeros(0))
         self.retained = self._no_edges

@@ -73,10 +73,15 @@ def _distinct(scaled: Matrix, indices: list[int]) -> list[int]:
     return kept
 
 
+def motion_key(vehicle: Vehicle) -> tuple[object, ...]:
+    """Key that is the same for vehicles with the same motion: of the model, the parameters and the bounds."""
+    parts = vehicle.parameter_array, vehicle.control_bounds, vehicle.state_limits
+    return (vehicle.hash, id(vehicle.derivative), *(part.tobytes() for part in parts))
+
+
 def motion_of(vehicle: Vehicle) -> Motion:
     """Motion of a vehicle, simulated once for its model, parameters and bounds."""
-    parts = vehicle.parameter_array, vehicle.control_bounds, vehicle.state_limits
-    key = (vehicle.hash, id(vehicle.derivative), *(part.tobytes() for part in parts))
+    key = motion_key(vehicle)
     if key not in _cache:
         _cache[key] = _simulate(vehicle)
         if len(_cache) > CACHED:

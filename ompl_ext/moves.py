@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.kernels.arcs import cross_track
 from ompl_ext.kernels.posepath import PosePath
 from ompl_ext.kernels.specialise import kernels
@@ -124,13 +124,11 @@ class Moves:
         settled = np.abs(states - states[-1]).max(axis=1, initial=0.0) < SETTLED * span.max()
         return control, step * int(np.argmax(settled))
 
-    def _moves(self, control: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def _moves(self, control: Floats) -> Bools:
         """Whether each component (nu,) of a control moves the vehicle from standstill if the others are idle."""
         single = np.where(np.eye(len(control), dtype=bool), control, self._idle)
         ends = self._rolled(np.zeros((len(control), len(self._limits))), single, 0.1, 5)[:, -1]
-        moved: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
-            np.linalg.norm(ends[:, self._pose] * self._scale, axis=1) > MOVED * self._reach
-        )
+        moved: Bools = np.linalg.norm(ends[:, self._pose] * self._scale, axis=1) > MOVED * self._reach
         return moved
 
     def _rolled(self, states: Matrix, controls: Matrix, step: float, count: int) -> Floats:

@@ -40,8 +40,7 @@ class OccupancyGrid:
         rows, columns = np.nonzero(self.occupied)
         local = (np.column_stack([columns, rows]) + 0.5) * self.resolution
         x, y, yaw = self.origin
-        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        centres: Matrix = local @ turn.T + np.array([x, y])
+        centres: Matrix = local @ _rotation(yaw).T + np.array([x, y])
         return centres
 
     def rectangles(self) -> list[tuple[int, int, int, int]]:
@@ -67,7 +66,7 @@ class OccupancyGrid:
     def boxes(self) -> list[Polygon]:
         """Disjoint rectangles in the world that cover exactly the occupied cells."""
         x, y, yaw = self.origin
-        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        turn = _rotation(yaw)
         corners = [
             np.array([[column, row], [column + columns, row], [column + columns, row + rows], [column, row + rows]])
             for row, column, rows, columns in self.rectangles()
@@ -78,11 +77,15 @@ class OccupancyGrid:
 Obstacle = Polygon | Circle | OccupancyGrid
 
 
+def _rotation(yaw: float) -> Matrix:
+    """Matrix that rotates by `yaw` rad."""
+    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+
 def box(center: tuple[float, float], size: tuple[float, float], yaw: float = 0.0) -> Polygon:
     """Rectangle of full `size` around `center`, rotated by `yaw` rad."""
     half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
-    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    return Polygon(half @ turn.T + np.array(center))
+    return Polygon(half @ _rotation(yaw).T + np.array(center))
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ class DIRT(ob.Planner):
         limit = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
         condition = _condition(limit, checkInterval)
         status = ob.PlannerStatus
-        definition, goal = self.getProblemDefinition(), None
+        definition = self.getProblemDefinition()
         if definition is None:
             raise RuntimeError("DIRT: the problem definition is not set")
         goal = definition.getGoal()

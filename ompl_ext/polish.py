@@ -30,7 +30,7 @@ from ompl_ext.kernels.posepath import PosePath
 from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
-from ompl_ext.query import Goal, Settings, make_lanes, pose_cost_to_go_of, settings_for
+from ompl_ext.query import Goal, Settings, lanes_of, pose_cost_to_go_of, settings_for
 from ompl_ext.vehicle import Vehicle
 
 INTERVAL, STRIDE = 0.1, 0.35  # longest interval of a guess (s), and motion in it at the top speed (footprint's lengths)
@@ -84,10 +84,8 @@ class Polish:
         problem.functions[INTERVALS] = self._kernels.intervals
         self._signed = np.empty_like(problem.field)
         fill_penetration(problem.field, 1.0 / problem.scalar[at.GRID_INVERSE], self._signed)
-        nx, nu = len(vehicle.state), len(vehicle.controls)
-        sizes = nx, nu, len(vehicle.inputs) or nu
-        self._lanes = make_lanes(*sizes, int(problem.option[at.STEPS]))
-        self._braking = make_lanes(*sizes, int(problem.option[at.BRAKE_STEPS]))
+        self._lanes = lanes_of(vehicle, int(problem.option[at.STEPS]))
+        self._braking = lanes_of(vehicle, int(problem.option[at.BRAKE_STEPS]))
         self._setting, self._n, self._capacity = np.zeros(st.SETTINGS), 0, 0
         self._weights = USUAL
 

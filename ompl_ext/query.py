@@ -18,7 +18,7 @@ from ompl_ext.kernels.functions import FUNCTIONS
 from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Maps, Problem, Retained
 from ompl_ext.kernels.posepath import PoseCostToGo
 from ompl_ext.kernels.posetogo import pose_cost_to_go
-from ompl_ext.motion import motion_of
+from ompl_ext.motion import motion_key, motion_of
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -189,7 +189,6 @@ def make_problem(
     settings = settings_for(settings, vehicle, goal)
     few = cover(vehicle.footprint, settings.discs).discs
     discs = _tight_cover(vehicle.footprint, EXCESS) if precise else np.column_stack([few, np.zeros(len(few))])
-    reach = vehicle.footprint.reach
     delta = _largest_delta(vehicle, safety)
     smallest = float(discs[:, 2].min())
     field, fine = _fields(workspace, vehicle.footprint, smallest, settings.cell, delta, spacing)
@@ -197,47 +196,13 @@ def make_problem(
     if goal is not None:
         goal.check(vehicle)
         seconds = _seconds(
-            workspace,
-            vehicle.footprint,
-            smallest,
-            settings.cell,
-            delta,
-            goal.center,
-            goal.radius,
-            vehicle.top_speed,
+            workspace, vehicle.footprint, smallest, settings.cell, delta, goal.center, goal.radius, vehicle.top_speed,
             spacing,
-        )
-    limits = vehicle.state_limits.copy()
-    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
-        k = vehicle.index(name)
-        limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
-    scalar = np.zeros(SCALARS)
-    scalar[[at.SHORTEST, at.LONGEST, at.QUANTUM]] = settings.shortest, settings.longest, settings.quantum
-    scalar[[at.HEADING_WEIGHT, at.RESOLUTION]] = settings.heading_weight, settings.resolution
-    scalar[[at.CYCLE, at.DELTA, at.DELTA_PER_SPEED]] = safety.cycle, safety.delta, safety.delta_per_speed
-    scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = safety.delta_per_time, safety.delta_horizon
-    scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
-    scalar[[at.REACH, at.LENGTH, at.TOP_SPEED]] = reach, vehicle.footprint.length, vehicle.top_speed
-    scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE]] = *field.origin, 1 / field.cell
-    if fine is not None:
-        x, y, c, s, spacing = fine.lattice
-        scalar[[at.FINE_X, at.FINE_Y, at.FINE_COS, at.FINE_SIN, at.FINE_INVERSE]] = x, y, c, s, 1 / spacing
-    scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
-    scalar[[at.GOAL_BIAS, at.EXPLORATION, at.CONTROL_BOUND_BIAS]] = (
-        settings.goal_bias,
-        settings.exploration,
-        settings.beyond,
-    )
-    option = np.zeros(OPTIONS, np.int64)
-    option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
-    option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
-    option[at.MANOEUVRES] = len(vehicle.manoeuvres)
-    option[[at.BLOSSOM, at.INSERTIONS]] = settings.blossom, settings.insertions
-    option[[at.CHILD_EXTENSION, at.REQUIRE_SAFETY]] = settings.child_extension, safety.enabled
+        )  # fmt: skip
     problem = Problem(
         parameters=vehicle.parameter_array,
         controls=vehicle.control_bounds,
-        limits=limits,
+        limits=_limits(vehicle, workspace),
         discs=discs,
         field=field.values,
         togo=seconds,
@@ -245,8 +210,8 @@ def make_problem(
         squares=np.zeros((1, 1), np.uint16) if fine is None else fine.squares,
         pose_togo=np.zeros(0, np.float32),
         goal_limits=np.zeros((len(vehicle.state), 3)),
-        scalar=scalar,
-        option=option,
+        scalar=_scalars(vehicle, workspace, safety, settings, field, fine),
+        option=_options(vehicle, safety, settings),
         functions=np.zeros(FUNCTIONS, np.int64),  # `EdgeChecker` enters them, when they are compiled
     )
     if goal is None:
@@ -255,6 +220,55 @@ def make_problem(
     if settings.pose_cost_to_go if settings.pose_cost_to_go is not None else precise:
         problem = _with_pose_cost_to_go(problem, vehicle, workspace, goal, settings)
     return problem
+
+
+def _limits(vehicle: Vehicle, workspace: Workspace) -> Floats:
+    """Limits (nx, 2) of the state, within the bounds of the workspace."""
+    limits = vehicle.state_limits.copy()
+    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
+        k = vehicle.index(name)
+        limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
+    return limits
+
+
+def _scalars(
+    vehicle: Vehicle, workspace: Workspace, safety: Safety, settings: Settings, field: ClearanceField,
+    fine: FineField | None,
+) -> Floats:  # fmt: skip
+    """Numbers of a query without a goal, see `ompl_ext.kernels.kernel_types`."""
+    scalar = np.zeros(SCALARS)
+    scalar[[at.SHORTEST, at.LONGEST, at.QUANTUM]] = settings.shortest, settings.longest, settings.quantum
+    scalar[[at.HEADING_WEIGHT, at.RESOLUTION]] = settings.heading_weight, settings.resolution
+    scalar[[at.CYCLE, at.DELTA, at.DELTA_PER_SPEED]] = safety.cycle, safety.delta, safety.delta_per_speed
+    scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = safety.delta_per_time, safety.delta_horizon
+    scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
+    scalar[[at.LENGTH, at.TOP_SPEED]] = vehicle.footprint.length, vehicle.top_speed
+    scalar[[at.GOAL_BIAS, at.EXPLORATION]] = settings.goal_bias, settings.exploration
+    scalar[at.CONTROL_BOUND_BIAS] = settings.beyond
+    _set_maps(scalar, workspace, vehicle.footprint, field, fine)
+    return scalar
+
+
+def _set_maps(
+    scalar: Floats, workspace: Workspace, footprint: Footprint, field: ClearanceField, fine: FineField | None
+) -> None:
+    """Write what the check of a pose needs: the bounds, the footprint's reach, and the frames of the fields."""
+    scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
+    scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE, at.REACH]] = *field.origin, 1 / field.cell, footprint.reach
+    if fine is not None:
+        x, y, c, s, spacing = fine.lattice
+        scalar[[at.FINE_X, at.FINE_Y, at.FINE_COS, at.FINE_SIN, at.FINE_INVERSE]] = x, y, c, s, 1 / spacing
+
+
+def _options(vehicle: Vehicle, safety: Safety, settings: Settings) -> Ints:
+    """Whole numbers of a query without a goal, see `ompl_ext.kernels.kernel_types`."""
+    option = np.zeros(OPTIONS, np.int64)
+    option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
+    option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
+    option[at.MANOEUVRES] = len(vehicle.manoeuvres)
+    option[[at.BLOSSOM, at.INSERTIONS]] = settings.blossom, settings.insertions
+    option[[at.CHILD_EXTENSION, at.REQUIRE_SAFETY]] = settings.child_extension, safety.enabled
+    return option
 
 
 def settings_for(settings: Settings, vehicle: Vehicle, goal: Goal | None) -> Settings:
@@ -310,12 +324,10 @@ COARSEST = 0.3  # cell of the cost-to-go of poses as a share of the footprint's 
 
 
 class _Vehicle:
-    """Vehicle as the key of a cache: what its motion depends on."""
+    """Vehicle as the key of a cache: its motion and its footprint."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle = vehicle
-        parts = vehicle.parameter_array, vehicle.control_bounds, vehicle.state_limits
-        self._key = (vehicle.hash, id(vehicle.derivative), vehicle.footprint, *(part.tobytes() for part in parts))
+        self.vehicle, self._key = vehicle, (vehicle.footprint, *motion_key(vehicle))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Vehicle) and self._key == other._key
@@ -353,10 +365,7 @@ def _pose_seconds(
     field, fine = _fields(workspace, footprint, smallest, cell, 0.0, spacing)
     assert fine is not None
     scalar = np.zeros(SCALARS)
-    scalar[[at.X_LOW, at.X_HIGH, at.Y_LOW, at.Y_HIGH]] = *workspace.bounds[0], *workspace.bounds[1]
-    scalar[[at.GRID_X, at.GRID_Y, at.GRID_INVERSE, at.REACH]] = *field.origin, 1 / field.cell, footprint.reach
-    x, y, c, s, spacing_used = fine.lattice
-    scalar[[at.FINE_X, at.FINE_Y, at.FINE_COS, at.FINE_SIN, at.FINE_INVERSE]] = x, y, c, s, 1 / spacing_used
+    _set_maps(scalar, workspace, footprint, field, fine)
     maps = Maps(_tight_cover(footprint, LARGE_EXCESS), field.values, fine.tile, fine.squares, scalar)
     speed = vehicle.rest_indices[0] if vehicle.rest_indices else -1
     reversal = vehicle.top_speed / motion.rate[speed] if speed >= 0 and motion.rate[speed] > 0 else 0.0
@@ -430,6 +439,12 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
         slack=np.zeros(width),
         source=np.zeros(nx),
     )
+
+
+def lanes_of(vehicle: Vehicle, steps: int) -> Lanes:
+    """Working memory for edges or manoeuvres of a vehicle of up to `steps` integration steps."""
+    nx, nu = len(vehicle.state), len(vehicle.controls)
+    return make_lanes(nx, nu, len(vehicle.inputs) or nu, steps)
 
 
 def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tuple[list[int], Floats, Floats]:

@@ -1,11 +1,11 @@
-"""Base class of all schemas of files, and the types of their numbers."""
+"""Base class of all schemas of files, and the types of their numbers and names."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, ClassVar, Final, TypeAlias
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from kraft.config.source import KeyPath
@@ -51,6 +51,9 @@ LENGTH_MIN: Final = 0.001
 LENGTH_MAX: Final = 10_000.0
 """Metres. A larger workspace is a typing mistake, and grids over it would not fit into memory."""
 
+NAME: Final = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$"
+"""Pattern of the name of what a file defines."""
+Name: TypeAlias = Annotated[str, StringConstraints(pattern=NAME)]
 Coordinate: TypeAlias = Annotated[float, Field(ge=-LENGTH_MAX, le=LENGTH_MAX)]
 Length: TypeAlias = Annotated[float, Field(ge=LENGTH_MIN, le=LENGTH_MAX)]
 Angle: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]

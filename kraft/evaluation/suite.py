@@ -17,7 +17,7 @@ from pydantic import Field, StringConstraints
 
 from kraft.config import bundled
 from kraft.config.overrides import Override, overrides_of, plain_value, repeated, value_text
-from kraft.config.schema import StrictModel
+from kraft.config.schema import Name, StrictModel
 from kraft.config.source import Place, Source
 from kraft.config.validation import check
 from kraft.config.yaml_reader import Document, Value, read_document
@@ -46,7 +46,7 @@ class EntryFile(StrictModel):
 class SuiteFile(StrictModel):
     """A suite: the entries of an evaluation."""
 
-    name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
+    name: Name
     """short name of letters, digits, - and _"""
     description: str = ""
     """one sentence for `kraft list suites`"""

@@ -12,7 +12,7 @@ from kraft.errors import InputError
 from kraft.scenario import Bounds, Box, Circle, Obstacle, OccupancyMap, Polygon, Task
 from kraft.vehicles.load import load_vehicle
 from ompl_ext import obstacles as planar
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.motion import edge_durations
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
@@ -113,6 +113,13 @@ def heading_of(state: Floats, vehicle: Vehicle) -> float:
 def pose_of(state: Floats, vehicle: Vehicle) -> tuple[float, float, float]:
     """Position (m) and heading (rad) of a state; heading 0 for a vehicle that does not turn."""
     return float(state[vehicle.index("x")]), float(state[vehicle.index("y")]), heading_of(state, vehicle)
+
+
+def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
+    """Poses (n, 3), x, y (m) and heading (rad), of states (n, nx); heading 0 for a vehicle that does not turn."""
+    theta = vehicle.index("theta")
+    heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
+    return np.column_stack([states[:, vehicle.index("x")], states[:, vehicle.index("y")], heading])
 
 
 def displacement(state: Floats, other: Floats, vehicle: Vehicle) -> float:

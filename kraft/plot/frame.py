@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kraft.planning.workspace import poses_of
 from kraft.scenario import Bounds
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Footprint, Vehicle
@@ -67,10 +68,8 @@ class PoseTrajectory:
     @classmethod
     def of(cls, times: Floats, states: Matrix, vehicle: Vehicle) -> PoseTrajectory:
         """The poses of states (m, nx); a vehicle without theta never turns."""
-        poses = np.zeros((len(states), 3))
-        poses[:, 0], poses[:, 1] = states[:, vehicle.index("x")], states[:, vehicle.index("y")]
-        if vehicle.index("theta") >= 0:
-            poses[:, 2] = np.unwrap(states[:, vehicle.index("theta")])
+        poses = poses_of(states, vehicle)
+        poses[:, 2] = np.unwrap(poses[:, 2])
         return cls(times, poses)
 
     @property

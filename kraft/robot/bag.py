@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -19,10 +19,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.files import check_writable, file_mode, unwritable
+from kraft.planning.workspace import pose_of
 from kraft.recording.recorder import Recording
 from kraft.robot.display import Frames, cycle_messages, occupancy_grid, scene_markers
 from kraft.robot.messages import (
     ACKERMANN,
+    EPOCH,
     TF,
     header,
     joints,
@@ -40,8 +42,6 @@ from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
-EPOCH: Final = 1_000_000_000_000_000_000
-"""Time 0 of a simulated drive in its bag, ns; a stamp of 0 means "unknown" in ROS."""
 LATCHED: Final = ("/map", "/markers/scene")
 """Topics whose last message late subscribers get too."""
 FRAMES: Final = Frames()
@@ -131,9 +131,7 @@ def write_trial(path: Path, spec: TrialSpec, result: TrialResult) -> None:
     Raises:
         InputError: if the file cannot be written.
     """
-    with BagWriter(path) as bag:
-        for time, topic, message in sorted(_trial(spec, result), key=lambda timed: timed[0]):
-            bag.write(topic, time, message)
+    _write(path, _trial(spec, result))
 
 
 def _trial(spec: TrialSpec, result: TrialResult) -> Iterator[Timed]:
@@ -145,12 +143,11 @@ def _trial(spec: TrialSpec, result: TrialResult) -> Iterator[Timed]:
     for step in result.steps:
         time = at(step.time)
         yield time, command_topic(vehicle), command(time, vehicle, step.command)
-        x, y, theta = (float(step.estimate[vehicle.index(name)]) for name in ("x", "y", "theta"))
-        speed = float(step.estimate[vehicle.rest_indices[0]])
-        yield time, "/odometry/filtered", odometry(time, FRAMES.map, FRAMES.body, (x, y, theta), speed)
+        pose, speed = pose_of(step.estimate, vehicle), float(step.estimate[vehicle.rest_indices[0]])
+        yield time, "/odometry/filtered", odometry(time, FRAMES.map, FRAMES.body, pose, speed)
         yield time, "/truth/odom", odometry(time, FRAMES.map, TRUTH_FRAME, step.pose, step.speed)
         moved = [
-            transform(time, FRAMES.map, FRAMES.body, (x, y, theta)),
+            transform(time, FRAMES.map, FRAMES.body, pose),
             transform(time, FRAMES.map, TRUTH_FRAME, step.pose),
         ]
         yield time, "/tf", make(TF, transforms=moved)
@@ -174,9 +171,7 @@ def write_recording(path: Path, task: Task, vehicle: Vehicle, recording: Recordi
     Raises:
         InputError: if the file cannot be written.
     """
-    with BagWriter(path) as bag:
-        for time, topic, message in sorted(_recording(task, vehicle, recording), key=lambda timed: timed[0]):
-            bag.write(topic, time, message)
+    _write(path, _recording(task, vehicle, recording))
 
 
 def _recording(task: Task, vehicle: Vehicle, recording: Recording) -> Iterator[Timed]:
@@ -189,6 +184,13 @@ def _recording(task: Task, vehicle: Vehicle, recording: Recording) -> Iterator[T
     for t, x, y, theta, speed in recording.truth.tolist():
         yield at(t), "/truth/odom", odometry(at(t), FRAMES.map, TRUTH_FRAME, (x, y, theta), speed)
         yield at(t), "/tf", make(TF, transforms=[transform(at(t), FRAMES.map, TRUTH_FRAME, (x, y, theta))])
+
+
+def _write(path: Path, messages: Iterable[Timed]) -> None:
+    """Write messages as a bag, in the order of their times; those of the same time stay in their order."""
+    with BagWriter(path) as bag:
+        for time, topic, message in sorted(messages, key=lambda timed: timed[0]):
+            bag.write(topic, time, message)
 
 
 def scene(task: Task, time: int = EPOCH, frame: str = FRAMES.map) -> Iterator[Timed]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
-from kraft.robot.poses import Received, units_hint
+from kraft.robot.poses import Pose, Received, units_hint
 from kraft.robot.priority import is_preferred
 from kraft.robot.protocol import Check, Checked, DriveSpec
 from kraft.robot.robot_file import Robot
@@ -30,7 +30,7 @@ SLOW: Final = 0.7
 LATENCY: Final = 0.15
 """Age of an arriving pose beyond which there is a warning, s."""
 FUTURE: Final = -0.02
-"""The same of a pose that is younger than nothing, s."""
+"""Age of an arriving pose below which there is a warning, s: its stamp is later than its arrival."""
 MOVING: Final = 0.15
 """Distance between the poses of a vehicle that should stand beyond which it moves, m."""
 
@@ -78,8 +78,7 @@ class Checklist:
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
-        pose = _mean(poses) if poses and all(map(math.isfinite, _mean(poses))) else None
-        return Checked(tuple(checks), pose, self._inputs.take_map())
+        return Checked(tuple(checks), _mean_pose(poses), self._inputs.take_map())
 
     def _listen(self, is_cancelled: Callable[[], bool]) -> tuple[list[Received], Peers]:
         """Poses of a while after the first one, and the peers of the commands."""
@@ -119,8 +118,7 @@ class Checklist:
         if frames != {robot.pose.frame}:
             there = ", ".join(repr(frame) for frame in sorted(frames))
             return [Check("poses", "problem", f"their frame is {there}, expected {robot.pose.frame!r} (pose.frame)")]
-        mean = _mean(poses)
-        if not all(map(math.isfinite, mean)):
+        if _mean_pose(poses) is None:
             return [Check("poses", "problem", "they are no numbers, or their orientation is no unit quaternion")]
         checks = [self._check_rate(poses)]
         moved = _way(poses)
@@ -129,8 +127,8 @@ class Checklist:
         return checks
 
     def _check_start(self, poses: list[Received], task: Task) -> list[Check]:
-        watchdog = self._robot.watchdog
-        if not poses or not all(map(math.isfinite, mean := _mean(poses))):
+        watchdog, mean = self._robot.watchdog, _mean_pose(poses)
+        if mean is None:
             return []
         start = task.start.x, task.start.y, task.start.heading
         off = math.hypot(mean[0] - start[0], mean[1] - start[1])
@@ -212,8 +210,11 @@ def _way(poses: list[Received]) -> float:
     return float(np.hypot(*(np.median(places[-third:], axis=0) - np.median(places[:third], axis=0))))
 
 
-def _mean(poses: list[Received]) -> tuple[float, float, float]:
-    """Mean pose, with the mean direction as heading."""
+def _mean_pose(poses: list[Received]) -> Pose | None:
+    """Mean pose, with the mean direction as heading; None without poses, or if a number is not finite."""
+    if not poses:
+        return None
     table = np.array([pose.pose for pose in poses])
     x, y = table[:, :2].mean(axis=0).tolist()
-    return x, y, math.atan2(float(np.sin(table[:, 2]).mean()), float(np.cos(table[:, 2]).mean()))
+    heading = math.atan2(float(np.sin(table[:, 2]).mean()), float(np.cos(table[:, 2]).mean()))
+    return (x, y, heading) if all(map(math.isfinite, (x, y, heading))) else None

@@ -1,9 +1,9 @@
 """The controller of a drive, in a process of its own: it holds a plan with its contingency and drives it on a clock.
 
-It waits for nobody.  Poses and messages of the planner are taken when they are there; without them it drives the plan
-that it has to its end and stops with the contingency, or the watchdog stops it.  If the planner's process ends it does
-the same, and the process ends when the vehicle stands.  If this process itself falls silent, the brake guard
-(`kraft.robot.guard`) does so.
+It never waits for poses or for messages of the planner, and takes them when they are there; without them it drives the
+plan that it has to its end and stops with the contingency, or the watchdog stops it.  If the planner's process ends it
+does the same, and the process ends when the vehicle stands.  If this process itself sends no commands any more, the
+brake guard (`kraft.robot.guard`) does so.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import threading
 import time as clock
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Final
 
@@ -49,6 +48,7 @@ from kraft.robot.protocol import (
     Status,
     Stop,
     TaskChange,
+    moved_goal,
 )
 from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
@@ -364,7 +364,7 @@ class Control:
         """Hand a new goal or map to the planner at once: it gets ready for it before it decides the next time."""
         goal, grid = self._inputs.take_goal(), self._inputs.take_map()
         if goal is not None:
-            self._goal = replace(self._goal, center=goal, heading=None, heading_tolerance=None)
+            self._goal = moved_goal(self._goal, goal)
         if (goal is not None or grid is not None) and not self._mailbox.closed:
             self._mailbox.send(TaskChange(goal, grid))
 

@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind
-from kraft.robot.messages import GRID, MARKERS, header, make, path, polygon, pose_fields
+from kraft.planning.workspace import poses_of
+from kraft.robot.messages import GRID, MARKERS, header, make, path, polygon, pose_fields, stamp
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Task
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import TreeView
@@ -47,7 +48,7 @@ def occupancy_grid(task: Task, time: int, frame: str) -> Any:
     for obstacle in task.obstacles:
         occupied |= _touched(obstacle, xs, ys, 0.5 * math.sqrt(2.0) * cell)
     info = {
-        "map_load_time": {"sec": time // 10**9, "nanosec": time % 10**9},
+        "map_load_time": stamp(time),
         "resolution": cell, "width": columns, "height": rows, "origin": pose_fields(x0, y0, 0.0),
     }  # fmt: skip
     return make(GRID, header=header(time, frame), info=info, data=np.where(occupied, 100, 0).astype(np.int8).ravel())
@@ -159,13 +160,6 @@ def _marker(
 
 def _vector(x: float, y: float, z: float) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
-
-
-def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
-    """Poses (n, 3) of states (n, nx); heading 0 for a vehicle that does not turn."""
-    theta = vehicle.index("theta")
-    heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
-    return np.column_stack([states[:, vehicle.index("x")], states[:, vehicle.index("y")], heading])
 
 
 def reference_path(reference: Reference, vehicle: Vehicle, time: int, epoch: int, frame: str) -> Any:

@@ -30,7 +30,19 @@ from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
 from kraft.robot.priority import preferred_planner, process_context
-from kraft.robot.protocol import Begin, Checked, DriveSpec, Ended, Planned, PlanRequest, Sense, Status, Stop, TaskChange
+from kraft.robot.protocol import (
+    Begin,
+    Checked,
+    DriveSpec,
+    Ended,
+    Planned,
+    PlanRequest,
+    Sense,
+    Status,
+    Stop,
+    TaskChange,
+    moved_goal,
+)
 from kraft.robot.tracker import warm_up
 from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
@@ -296,7 +308,7 @@ class Planner:
 def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:
     """Task with a new goal, and with a new map instead of the last one of the same name."""
     if goal is not None:
-        task = replace(task, goal=replace(task.goal, center=goal, heading=None, heading_tolerance=None))
+        task = replace(task, goal=moved_goal(task.goal, goal))
     if grid is not None:
         kept = tuple(each for each in task.obstacles if each.name != grid.name)
         task = replace(task, obstacles=(*kept, grid))

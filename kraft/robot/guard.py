@@ -1,4 +1,4 @@
-"""The brake guard: a process that drives the vehicle to a standstill when the controller falls silent.
+"""The brake guard: a process that drives the vehicle to a standstill when the controller sends no commands any more.
 
 It knows what the controller knows: every tick the controller tells it the command, the observations, and what is on
 board.  When no such message arrives for longer than two commands should be apart, the guard receives the poses itself

@@ -18,12 +18,10 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.robot.messages import from_cdr, to_cdr
-from kraft.robot.outbox import Outbox
+from kraft.robot.outbox import SEND_BUFFER, Outbox
 from kraft.robot.transport import Peers, Receive
 
 LENGTH: Final = struct.Struct("<I")
-SEND_BUFFER: Final = 32 * 1024
-"""Bytes that wait in the operating system: after a pause of its receiver few old messages are delivered."""
 ANSWER_TIME: Final = 1.0
 """Time to wait for an answer of the robot's end, s."""
 

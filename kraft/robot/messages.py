@@ -30,11 +30,11 @@ ODOMETRY: Final = "nav_msgs/msg/Odometry"
 PATH: Final = "nav_msgs/msg/Path"
 POLYGON: Final = "geometry_msgs/msg/PolygonStamped"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
-POSE_COVARIANCE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TF: Final = "tf2_msgs/msg/TFMessage"
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
-TWIST: Final = "geometry_msgs/msg/Twist"
-TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
+
+EPOCH: Final = 10**18
+"""Stamp of time 0 of a simulation, ns; a stamp of 0 means "unknown" in ROS."""
 
 _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # kinds of fields in rosbags' definitions
 _DTYPES: Final = {

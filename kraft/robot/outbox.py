@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
+SEND_BUFFER: Final = 32 * 1024
+"""Size of a socket's buffer for sending, bytes: after a pause of its receiver few old messages are delivered."""
 Operation = TypeVar("Operation")
 Content = TypeVar("Content")
 

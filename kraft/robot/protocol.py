@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from kraft.driving.method import Method
 from kraft.planning.workspace import start_state
 from kraft.robot.poses import Clocks, Pose
 from kraft.robot.robot_file import Robot
-from kraft.scenario import OccupancyMap, Task
+from kraft.scenario import Goal, OccupancyMap, Task
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
@@ -108,6 +108,11 @@ class TaskChange:
 
     goal: tuple[float, float] | None
     map: OccupancyMap | None
+
+
+def moved_goal(goal: Goal, center: tuple[float, float]) -> Goal:
+    """Goal region around another position (m), which a vehicle may reach with any heading."""
+    return replace(goal, center=center, heading=None, heading_tolerance=None)
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
-from kraft.config.schema import Angle, Positive, StrictModel, refuse
+from kraft.config.schema import Angle, Name, Positive, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
 from kraft.errors import Code
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Topic = Annotated[str, StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
 Frame = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_/]*$")]
 Seconds = Annotated[float, Field(gt=0, le=60)]

@@ -16,7 +16,7 @@ from urllib.parse import urlparse
 
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.robot.messages import from_json, is_known, to_json
-from kraft.robot.outbox import Outbox
+from kraft.robot.outbox import SEND_BUFFER, Outbox
 from kraft.robot.robot_file import Rosbridge
 from kraft.robot.transport import Peers, Receive
 
@@ -28,8 +28,6 @@ RETRY_TIME: Final = 0.5
 """Time between two attempts to connect again, s."""
 MESSAGE_MAX: Final = 256 * 2**20
 """Largest message, bytes: maps are long."""
-SEND_BUFFER: Final = 32 * 1024
-"""Bytes that wait in the operating system: after a pause of the network few old commands are delivered."""
 
 
 def check_library() -> None:

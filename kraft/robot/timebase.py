@@ -18,7 +18,7 @@ SHORTEST: Final = 200_000_000
 
 
 class Timebase(Protocol):
-    """Clock by which a drive happens; its times are ns, and differences of them are what the robot lives through."""
+    """Clock by which a drive happens; its times are ns, and their differences are the durations of the drive."""
 
     is_running: bool
     """Whether the time is known."""

@@ -19,7 +19,20 @@ from kraft.driving.vehicle_model import stop_control
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.display import occupancy_grid
-from kraft.robot.messages import BOOL, CLOCK, GRID, ODOMETRY, POSE, TRANSFORM, header, make, pose_fields, transform
+from kraft.robot.messages import (
+    BOOL,
+    CLOCK,
+    EPOCH,
+    GRID,
+    ODOMETRY,
+    POSE,
+    TRANSFORM,
+    header,
+    make,
+    pose_fields,
+    stamp,
+    transform,
+)
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import Scenario
@@ -39,8 +52,6 @@ RECORD_RATE: Final = 30.0
 """Rate at which the clearance is measured and callbacks are called, 1/s."""
 CLOCK_RATE: Final = 50.0
 """Rate of the messages of the simulation's time, 1/s of the machine's clock."""
-EPOCH: Final = 10**18
-"""Time at which a simulation begins that sends its time, ns."""
 DEAD_MAN_RATE: Final = 20.0
 """Rate of the messages of the simulated dead man, 1/s."""
 MOVES: Final = 0.02
@@ -143,28 +154,14 @@ class RobotWorld:
         """
         world, dt = self.world, self.world.dt
         assert speed == 1.0 or self._robot.clock is not None, "others must know the time"
-        frames, records, switch, times = (
-            Ticks(rate, dt) for rate in (self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / speed)
-        )
+        rates = self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / speed
+        self._frames, records, self._switch, self._times = (Ticks(rate, dt) for rate in rates)
         self._speed = speed
         self._opened = clock.monotonic_ns()
         steps, ended, outcome = 0, None, None
         while True:
             self._wait(steps * dt)
-            self._stamp = EPOCH + round(1e9 * steps * dt) if self._robot.clock is not None else clock.time_ns()
-            if self._robot.clock is not None and steps >= times.due:
-                times.number += 1
-                self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
-            self._mux(steps)
-            if steps >= frames.due:
-                frames.number += 1
-                self._expose(steps)
-            if steps >= switch.due:
-                switch.number += 1
-                self._hold_dead_man()
-            while self._outgoing and self._outgoing[0][0] <= steps:
-                _, topic, message = self._outgoing.popleft()
-                self._transport.publish(topic, message)
+            self._exchange(steps)
             if self._began and steps >= records.due:
                 records.number = int(steps * dt * RECORD_RATE) + 1
                 self._record(on_step)
@@ -181,10 +178,32 @@ class RobotWorld:
             over = world.collision is not None or (coasted and not stays)
             if self.cancelled or (outcome is not None and over):
                 break
-        result = outcome or Outcome.TIMEOUT
-        obstacle = world.collision.obstacle if world.collision and result is Outcome.COLLISION else None
+        return self._result(outcome or Outcome.TIMEOUT, world.time if ended is None else ended)
+
+    def _exchange(self, steps: int) -> None:
+        """Apply the commands and send the messages that are due after some physics steps."""
+        dt = self.world.dt
+        self._stamp = EPOCH + round(1e9 * steps * dt) if self._robot.clock is not None else clock.time_ns()
+        if self._robot.clock is not None and steps >= self._times.due:
+            self._times.number += 1
+            self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
+        self._mux(steps)
+        if steps >= self._frames.due:
+            self._frames.number += 1
+            self._expose(steps)
+        if steps >= self._switch.due:
+            self._switch.number += 1
+            self._hold_dead_man()
+        while self._outgoing and self._outgoing[0][0] <= steps:
+            _, topic, message = self._outgoing.popleft()
+            self._transport.publish(topic, message)
+
+    def _result(self, outcome: Outcome, time: float) -> WorldResult:
+        """Result of a simulation with an outcome at a time (s)."""
+        world = self.world
+        obstacle = world.collision.obstacle if world.collision and outcome is Outcome.COLLISION else None
         return WorldResult(
-            self._scenario.name, self._seed, result, obstacle, world.time if ended is None else ended,
+            self._scenario.name, self._seed, outcome, obstacle, time,
             self._approach.least(), self._commands, self.mux_stops, self._lag, abs(world.speed) < STANDS,
         )  # fmt: skip
 
@@ -274,7 +293,7 @@ class RobotWorld:
 
 def clock_message(time: int) -> Any:
     """Time of a simulation (ns) as a message."""
-    return make(CLOCK, clock={"sec": time // 10**9, "nanosec": time % 10**9})
+    return make(CLOCK, clock=stamp(time))
 
 
 def pose_message(kind: str, time: int, frame: str, pose: tuple[float, float, float]) -> Any:

@@ -14,6 +14,7 @@ from kraft.config.schema import (
     Angle,
     Coordinate,
     Length,
+    Name,
     Point,
     Probability,
     Size,
@@ -100,8 +101,6 @@ class Trial(StrictModel):
 
 VERTICES_MAX = 1000
 Component = Annotated[float, Field(ge=-1e6, le=1e6)]
-
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 
 
 class Bounds(StrictModel):

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from kraft.sysid.prediction import HORIZONS, Window, constant_windows, predict_windows, window_errors
-from kraft.sysid.result import CORRELATION_INDISTINGUISHABLE
-
-if TYPE_CHECKING:
-    from kraft.logs.log import Log
-
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from kraft.errors import InputError
 from kraft.sysid.data import LogSplit
-from kraft.sysid.result import Identification, PredictionErrors, correlations
+from kraft.sysid.prediction import HORIZONS, Window, constant_windows, predict_windows, window_errors
+from kraft.sysid.result import CORRELATION_INDISTINGUISHABLE, Identification, PredictionErrors, correlations
 from kraft.sysid.settings import Settings
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Log
+
 
 SIMILAR_ERROR_RATIO: Final = 1.01
 """Ratio of position errors up to which they count as equal, as when the initial values come from the same logs."""

@@ -38,7 +38,7 @@ class ActuatorModel:
 
     def __init__(self, segments: Sequence[Segment], parameters: Parameters) -> None:
         """Look up the auxiliary parameters that apply to each control."""
-        self._stretches, self._size = segments, len(parameters.names)
+        self._segments, self._size = segments, len(parameters.names)
         self._controls = list(parameters.vehicle.controls)
         bounds = parameters.vehicle.control_bounds
         self._rest = np.clip(0.0, bounds[:, 0], bounds[:, 1])
@@ -63,7 +63,7 @@ class ActuatorModel:
         return self._last[1], self._last[2]
 
     def _mean(self, rho: Floats) -> tuple[Matrix, Floats]:
-        total = sum(s.steps for s in self._stretches)
+        total = sum(s.steps for s in self._segments)
         means, slopes = np.empty((total, len(self._controls))), np.zeros((total, len(self._controls), self._size))
         for drive in self._drives:
             for k in range(len(self._controls)):
@@ -78,7 +78,7 @@ class ActuatorModel:
 
         Of several jumps in a step the largest counts; a step without one is split in the middle.
         """
-        total = sum(s.steps for s in self._stretches)
+        total = sum(s.steps for s in self._segments)
         shares, means = np.empty(total), np.empty((total, 2, len(self._controls)))
         for drive in self._drives:
             share = self._jumps(drive, rho)

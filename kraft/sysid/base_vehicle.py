@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kraft.errors import InputError
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.result import Identification
 from kraft.sysid.smoothing import high_speed
@@ -20,8 +19,8 @@ from kraft.vehicles.config import (
     VehicleConfig,
 )
 from kraft.vehicles.fit import units_of
-from kraft.vehicles.load import configured, read_vehicle_file
-from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from kraft.vehicles.load import configured, read_vehicle_file, resolved_reference
+from kraft.vehicles.reference import is_code, resolve_vehicle, split_file
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 
@@ -89,11 +88,8 @@ def load_base_vehicle(reference: str) -> BaseVehicle:
     Raises:
         InputError: with everything that is wrong with it.
     """
-    try:
-        resolved = resolve_vehicle(reference, Path.cwd())
-    except VehicleProblem as error:
-        raise InputError.of(reference, error.problem, error.expected, error.code) from None
-    if is_attribute(resolved) or split_file(resolved) is not None:
+    resolved = resolved_reference(reference, Path.cwd())
+    if is_code(resolved):
         vehicle = vehicle_of(resolved, reference)
         base = BaseVehicle(reference, vehicle, vehicle, resolved)
     else:

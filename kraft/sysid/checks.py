@@ -66,10 +66,9 @@ class Solution:
     """of the optimiser, those of model selection included"""
 
     @property
-    def names(self) -> list[str]:
+    def names(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
-        parameters = self.problem.parameters
-        return [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
+        return self.problem.parameters.free_names
 
 
 def warnings_of(solution: Solution, *, windows: bool = False) -> tuple[str, ...]:
@@ -167,8 +166,8 @@ def _unbounded(solution: Solution) -> Iterator[str]:
             continue
         yield (
             f"the data do not bound {name}: its 95 % interval, {value - reach:.3g} to {value + reach:.3g}, "
-            f"reaches beyond its bounds {spec.min:g} to {spec.max:g}{spec.unit_text}"
-            + f" and is truncated there; drive {informative_manoeuvres(p, name)}, or freeze it"
+            f"reaches beyond its bounds {spec.min:g} to {spec.max:g}{spec.unit_text} and is truncated there; "
+            f"drive {informative_manoeuvres(p, name)}, or freeze it"
         )
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.screening import SPAN, STEP, Motion, motions
+from kraft.sysid.screening import SPAN, STEP, Motion, motions, sums_of
 from ompl_ext.arrays import Floats
 
 if TYPE_CHECKING:
@@ -115,8 +115,8 @@ def _throttle_of_no_speed(found: Sequence[Motion]) -> float:
     """Throttle that would bring the car to rest, from the change of its speed with throttle and speed."""
     count, terms, changes = round(SPAN / STEP), [], []
     for m in found:
-        total = np.concatenate([[0.0], np.cumsum(m.commands()[:-1, 0])])
-        terms.append(np.column_stack([np.ones(len(m.speed) - count), total[count:] - total[:-count], m.speed[:-count]]))
+        given = sums_of(m.commands()[:, 0], count)
+        terms.append(np.column_stack([np.ones(len(given)), given, m.speed[:-count]]))
         changes.append(m.speed[count:] - m.speed[:-count])
     table = np.concatenate(terms) / [1.0, count, 1.0]
     level, slope, _ = np.linalg.lstsq(table, np.concatenate(changes), rcond=None)[0]

@@ -66,14 +66,8 @@ class FastGraph:
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate controls and states; `damping` raises the information of the states by that share."""
         eliminate(self._graph, damping, self._out)
-        parameters = self.problem.parameters
-        inverse = np.where(parameters.free, 1.0 / parameters.std, 0.0)
-        return RhoFactors(
-            information=self._out.information.copy(),
-            gradient=self._out.gradient.copy(),
-            prior_information=inverse**2,
-            prior_gradient=inverse * self.problem.prior_residuals(self._point.rho),
-        )
+        information, gradient = self._out.information.copy(), self._out.gradient.copy()
+        return RhoFactors.with_priors(information, gradient, self.problem, self._point.rho)
 
     def information_with(self, effects: Floats) -> Floats:
         """Information (logs, np + m, np + m) on rho and on m errors of the controls.

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.logs.log import LogSet
+from kraft.logs.log import Log, LogSet
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import Solution, at_bound, unidentified, warnings_of
@@ -35,15 +34,11 @@ from kraft.sysid.selection import (
 )
 from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
-from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, as_good, chosen
+from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, as_good, best_of, chosen
 from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from kraft.logs.log import Log
-
 
 RESIDUAL_SCALE_TOLERANCE = 1.5
 """Factor between residuals and their expectation from which the residuals set the threshold of the robust loss."""
@@ -152,7 +147,7 @@ def identify_terms(
         alike = other.alike(best)
         search.iterations += other.iterations
         trials.append(alike)
-        if as_good(alike, min(path, key=lambda s: float(s.scores.mean()))):
+        if as_good(alike, best_of(path)):
             vehicle, best = simpler, alike
     identification = _identified(best, search, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
@@ -356,7 +351,7 @@ def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes
         model=vehicle.name,
         parameters=_estimated(solution),
         auxiliary=p.auxiliary,
-        names=tuple(solution.names),
+        names=solution.names,
         covariance=solution.uncertainty.covariance,
         interval=solution.uncertainty.kind,
         graph_covariance=solution.uncertainty.graph,

@@ -101,7 +101,7 @@ class Knowledge:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
-        return tuple(name for name, free in zip(self.parameters.names, self.parameters.free, strict=True) if free)
+        return self.parameters.free_names
 
     @property
     def std(self) -> Floats:
@@ -173,11 +173,7 @@ class Knowledge:
         forced = jacobian[:, :, nx : nx + nu] @ problem.actuators.mean(point.rho)[1] + jacobian[:, :, nx + nu :]
         by_state, by_rho = problem.observation.linearise(point.states, point.rho)
         slope = np.zeros((len(begin), nx, forced.shape[2]))
-        for k, name in (
-            (2, "theta"),
-            (0, "x"),
-            (1, "y"),
-        ):  # the shown pose is known; the yaw first
+        for k, name in ((2, "theta"), (0, "x"), (1, "y")):  # the shown pose is known; the yaw first
             if name in self.parameters.vehicle.state:
                 shown = np.einsum("nx,nxr->nr", by_state[begin, k], slope) + by_rho[begin, k]
                 slope[:, self.parameters.vehicle.index(name)] -= shown

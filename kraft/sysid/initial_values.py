@@ -19,7 +19,7 @@ from kraft.sysid.chains import Chains
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
 from kraft.sysid.smoothing import smoothed
-from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
 WINDOW_LENGTH = 1.0
@@ -108,7 +108,7 @@ class InitialSearch:
         order = np.argsort(_loss(self._residuals(candidates)))
         return self._refine(candidates[order[:REFINED]], free)
 
-    def _candidates(self, free: np.typing.NDArray[np.bool_]) -> Matrix:
+    def _candidates(self, free: Bools) -> Matrix:
         p = self._parameters
         low, high = p.low[free], p.high[free]
         logarithmic = (low > 0.0) & (high > LOGARITHMIC_RATIO * low)
@@ -120,7 +120,7 @@ class InitialSearch:
         spread[:-1, free] = np.where(logarithmic, np.exp(np.where(logarithmic, values, 0.0)), values)
         return spread
 
-    def _refine(self, rho: Matrix, free: np.typing.NDArray[np.bool_]) -> Floats:
+    def _refine(self, rho: Matrix, free: Bools) -> Floats:
         """Damped Gauss-Newton steps of several starts together, under the Cauchy loss."""
         p, count, columns = self._parameters, len(rho), np.flatnonzero(free)
         change = 1e-4 * np.maximum(np.abs(p.high - p.low), 1e-6)

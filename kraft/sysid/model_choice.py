@@ -104,7 +104,8 @@ def _by_variety(logs: Sequence[Log]) -> list[int]:
 
 def _fits(logs: Sequence[Log]) -> list[int]:
     """Indices of the logs that known models are first fitted to; none if they would be more than a third of all."""
-    order, time = _by_variety(logs), np.cumsum([logs[k].duration for k in _by_variety(logs)])
+    order = _by_variety(logs)
+    time = np.cumsum([logs[k].duration for k in order])
     count = max(SCREENING_LOGS, int(np.searchsorted(time, SCREENING_TIME)) + 1)
     return order[:count] if 3 * count <= len(logs) else []
 
@@ -119,7 +120,8 @@ def _screened(
     name: str, car: _Candidate, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration
 ) -> _Candidate | None:
     """A known model fitted to few logs, and its errors on others; None if there are few, or if it does not fit."""
-    known = _known(name, [logs[k] for k in _fits(logs)], settings, on_iteration) if _fits(logs) else None
+    fitted = [logs[k] for k in _fits(logs)]
+    known = _known(name, fitted, settings, on_iteration) if fitted else None
     if known is None or len(car.errors) != len(logs):
         return None
     identification = replace(known.identification, without_log=())

@@ -344,10 +344,7 @@ class MultiStep:
         self._solved = np.linalg.solve(information, np.concatenate([cross, gradient[..., None]], axis=2))
         own -= np.swapaxes(cross, 1, 2) @ self._solved[..., :-1]
         slope -= np.einsum("wxr,wx->wr", cross, self._solved[..., -1])
-        p = self.problem.parameters
-        inverse = np.where(p.free, 1.0 / p.std, 0.0)
-        full, slopes = self._reduce_means(own, slope)
-        return RhoFactors(full, slopes, inverse**2, inverse * self.problem.prior_residuals(self._point.rho))
+        return RhoFactors.with_priors(*self._reduce_means(own, slope), self.problem, self._point.rho)
 
     def _reduce_means(self, own: Floats, slope: Matrix) -> tuple[Floats, Matrix]:
         """Information (folds, np, np) and gradient (folds, np) of rho without the means of the drives."""

@@ -138,6 +138,12 @@ class RhoFactors:
     prior_gradient: Floats
     """(np,)"""
 
+    @classmethod
+    def with_priors(cls, information: Floats, gradient: Matrix, problem: Problem, rho: Floats) -> RhoFactors:
+        """Costs of the logs, and those of the priors of a problem at rho (np,); frozen parameters have none."""
+        inverse = np.where(problem.parameters.free, 1.0 / problem.parameters.std, 0.0)
+        return cls(information, gradient, inverse**2, inverse * problem.prior_residuals(rho))
+
     @property
     def total_information(self) -> Matrix:
         """(np, np)"""

@@ -55,8 +55,7 @@ class PaperGraph:
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate controls and states of each log; `damping` is not used, only rho is damped later."""
         del damping
-        p = self.problem.parameters
-        size = len(p.names)
+        size = len(self.problem.parameters.names)
         information, gradient = np.zeros((len(self._linear), size, size)), np.zeros((len(self._linear), size))
         self._nets = []
         for log, (linear, ordering) in enumerate(zip(self._linear, self._orderings, strict=True)):
@@ -64,8 +63,7 @@ class PaperGraph:
             matrix, vector = rest.hessian()
             information[log], gradient[log] = matrix, -vector
             self._nets.append(net)
-        inverse = np.where(p.free, 1.0 / p.std, 0.0)
-        return RhoFactors(information, gradient, inverse**2, inverse * self.problem.prior_residuals(self._point.rho))
+        return RhoFactors.with_priors(information, gradient, self.problem, self._point.rho)
 
     def moved(self, change: Floats) -> Point:
         """The point that minimises the linearised problem among those whose rho changes by `change`."""

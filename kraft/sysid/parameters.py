@@ -31,8 +31,6 @@ class ParameterSpec:
     """of the prior, centred at `value`"""
     unit: str
     description: str
-    stated: bool
-    """whether the prior was stated rather than assumed"""
     neutral: float | None = None
     """value at which it has no effect"""
     fixed: bool = False
@@ -102,6 +100,11 @@ class Parameters:
         """(np,) whether a parameter is estimated."""
         return np.array([spec.name not in self.frozen for spec in self.specs], dtype=bool)
 
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters, in the order of rho."""
+        return tuple(spec.name for spec in self.specs if spec.name not in self.frozen)
+
     def within_bounds(self, rho: Floats) -> Floats:
         """Values (np,) clipped to the bounds, which rounding errors may exceed: low + (high - low) may exceed high."""
         clipped: Floats = np.clip(rho, self.low, self.high)
@@ -143,7 +146,7 @@ def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]
     own = (_spec(name, value, stated.get(name)) for name, value in model.parameters.items())
     known = auxiliary_parameters(model)
     added = (
-        ParameterSpec(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, False, 0.0)
+        ParameterSpec(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, neutral=0.0)
         for e in (known[n] for n in auxiliary)
     )
     return (*own, *added)
@@ -153,17 +156,15 @@ def _spec(name: str, value: float, stated: Parameter | None) -> ParameterSpec:
     """A parameter of the model, with default bounds and prior where its file states none."""
     low, high = _default_bounds(value)
     if stated is None:
-        return ParameterSpec(name, value, low, high, high - low, "", "", False)
+        return ParameterSpec(name, value, low, high, high - low, "", "")
     low = low if stated.min is None else stated.min
     high = high if stated.max is None else stated.max
     if not low <= value <= high:  # one bound is stated, and the nominal value is far beyond the default of the other
         low, high = min(low, value), max(high, value)
     std = stated.std if stated.std is not None else high - low
-    prior = stated.std is not None
     return ParameterSpec(
-        name, value, low, high, std, stated.unit, stated.description, prior, stated.neutral, stated.fixed,
-        stated.variation,
-    )  # fmt: skip
+        name, value, low, high, std, stated.unit, stated.description, stated.neutral, stated.fixed, stated.variation
+    )
 
 
 def _default_bounds(value: float) -> tuple[float, float]:

@@ -247,7 +247,7 @@ def prediction_errors(
     """Root mean square errors over all windows of the logs with the parameters `values`, auxiliary ones included.
 
     Raises:
-        InputError: as `windows`.
+        InputError: as `predict_windows`.
     """
     return window_errors(predict_windows(vehicle, logs, values, settings))
 

@@ -78,7 +78,7 @@ class Problem:
 
 
 def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noise: NoiseModel) -> Problem:
-    """The least-squares problem of stretches of `logs` logs."""
+    """The least-squares problem of segments of `logs` logs."""
     return Problem(
         parameters,
         chains_of(segments, logs),

@@ -117,12 +117,18 @@ def speed_error(found: Sequence[Motion], delay: float, *, swapped: bool = False)
     """Share of the change of the speed that throttle and speed do not explain, with throttle from `delay` s before."""
     control, count, terms, changes = 1 if swapped else 0, round(SPAN / STEP), [], []
     for m in found:
-        total = np.concatenate([[0.0], np.cumsum(m.commands(delay)[:-1, control])])
-        mean = (total[count:] - total[:-count]) / count
+        mean = sums_of(m.commands(delay)[:, control], count) / count
         terms.append(np.column_stack([np.ones(len(mean)), mean, m.speed[:-count]]))
         changes.append(m.speed[count:] - m.speed[:-count])
     change = np.concatenate(changes)
     return _unexplained(np.concatenate(terms), change - np.mean(change))
+
+
+def sums_of(values: Floats, count: int) -> Floats:
+    """Sums (n - count,) of `count` successive values of n, beginning with each value in turn."""
+    total = np.concatenate([[0.0], np.cumsum(values[:-1])])
+    sums: Floats = total[count:] - total[:-count]
+    return sums
 
 
 def _unexplained(terms: Matrix, values: Floats) -> float:
@@ -264,8 +270,7 @@ def _turning_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
 def _driving_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
     """Terms of the change of the speed and the change."""
     count, u, v = round(SPAN / STEP), m.commands(delay)[:, 0], m.speed
-    total = np.concatenate([[0.0], np.cumsum(u[:-1])])
-    mean, before = (total[count:] - total[:-count]) / count, v[:-count]
+    mean, before = sums_of(u, count) / count, v[:-count]
     turned = np.abs(m.commands(delay)[:-count, 1])
     terms = [np.ones(len(mean)), mean, mean * np.abs(mean), before, before * np.abs(before), np.tanh(10.0 * before)]
     return np.column_stack([*terms, before * turned]), v[count:] - before

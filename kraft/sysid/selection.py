@@ -85,7 +85,7 @@ def selected(
     parameters: Parameters, rho: Floats, uncertainty: Uncertainty, requested: frozenset[str]
 ) -> tuple[str, ...]:
     """Auxiliary parameters to keep; `requested` and frozen ones are always kept."""
-    names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
+    names = parameters.free_names
     prior = dict(zip(parameters.names, parameters.std, strict=True))
     remaining = list(range(len(names)))
     while True:

@@ -292,7 +292,7 @@ class StructureSearch:
 
     @staticmethod
     def _too_few(path: Sequence[Structure]) -> bool:
-        best = min(path, key=lambda s: float(s.scores.mean()))
+        best = best_of(path)
         return len(path) > WORSE_MAX and not any(as_good(s, best) for s in path[-WORSE_MAX:])
 
     def alike(self, other: Structure) -> Structure:
@@ -306,9 +306,14 @@ class StructureSearch:
         return self._judged(terms, graph, self._optimise(graph, start))
 
 
+def best_of(path: Sequence[Structure]) -> Structure:
+    """The structure with the least mean error."""
+    return min(path, key=lambda s: float(s.scores.mean()))
+
+
 def chosen(path: Sequence[Structure]) -> Structure:
     """The simplest structure that is as good as the best."""
-    best = min(path, key=lambda s: float(s.scores.mean()))
+    best = best_of(path)
     near = [s for s in path if as_good(s, best)]
     return min(near, key=lambda s: (len(s.terms), float(s.scores.mean())))
 

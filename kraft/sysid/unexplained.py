@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.screening import STEP, Motion, motions
+from kraft.sysid.screening import STEP, Motion, motions, sums_of
+from kraft.sysid.smoothing import MAD
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
     scaled = []
     for residuals, least in ((speed, SPEED_SHARE * high), (rate, RATE_SHARE * turning), (side, SIDE_SHARE * high)):
         averaged = [_averaged(r) for r in residuals]
-        usual = 1.4826 * float(np.median(np.abs(np.concatenate(averaged))))
+        usual = MAD * float(np.median(np.abs(np.concatenate(averaged))))
         scaled.append([a / max(DEVIATIONS * usual, least, 1e-9) for a in averaged])
     pad = np.zeros(ahead)
     return [
@@ -101,8 +102,7 @@ def _speed_terms(m: Motion, ahead: int) -> Matrix:
     for age in TAPS[::2]:
         u = m.commands(age)[:, 0]
         for signal in (u, u * np.abs(u), np.maximum(u, 0.0)):
-            total = np.concatenate([[0.0], np.cumsum(signal)])[:-1]
-            terms.append((total[ahead:] - total[:-ahead]) / ahead)
+            terms.append(sums_of(signal, ahead) / ahead)
     return np.column_stack([*terms, v, v * np.abs(v), np.tanh(10.0 * v), v * m.rate[:-ahead] ** 2, np.ones(len(v))])
 
 
@@ -130,7 +130,7 @@ def _residuals(terms: Sequence[Matrix], values: Sequence[Floats]) -> list[Floats
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
         left = y - x @ np.linalg.lstsq(x * root[:, None], y * root, rcond=1e-8)[0]
-        scale = 1.4826 * float(np.median(np.abs(left))) + 1e-9
+        scale = MAD * float(np.median(np.abs(left))) + 1e-9
         weight = 1.0 / (1.0 + (left / (2.0 * scale)) ** 2)
     return list(np.split(left, np.cumsum([len(v) for v in values])[:-1]))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from kraft.config.schema import NAME
 from kraft.config.validation import check
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError
@@ -76,7 +77,7 @@ def write_vehicle(
     Raises:
         InputError: if it cannot be written.
     """
-    name = path.stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", path.stem) else base.name
+    name = path.stem if re.fullmatch(NAME, path.stem) else base.name
     fitted = sum(not log.held_out for log in record.logs)
     description = f"{base.name} identified from {counted(fitted, 'log')}"
     write_whole(path, vehicle_text(path.parent, name, description, HEADER, base, estimated, record).encode())

@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 from numba import types
@@ -136,50 +136,69 @@ def check_functions(vehicle: Vehicle, reference: str) -> None:
     with interrupts_between_passes():
         problems = [
             Diagnostic(reference, problem, expected, code=Code.CODE)
-            for function, arguments, count, what in _functions(vehicle)
-            for problem, expected in _problems(function, arguments, count, what)
+            for function in _functions(vehicle)
+            for problem, expected in _problems(function)
         ]
     if problems:
         raise InputError(problems)
 
 
-def _functions(vehicle: Vehicle) -> Iterator[tuple[Callable[..., Any], tuple[Any, ...], int, str]]:
-    """Each function with arguments for a call, the required number of values, and its signature."""
+class _Function(NamedTuple):
+    """Function of a vehicle with `arguments` for a call.
+
+    `role` is what it is for the vehicle, `parameters` are the names of its arguments.  It has to return so many
+    `values`, one for each of the `components`.
+    """
+
+    code: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    role: str
+    parameters: str
+    values: int
+    components: str
+
+
+def _functions(vehicle: Vehicle) -> Iterator[_Function]:
+    """Each function of a vehicle."""
     x = (0.0,) * len(vehicle.state)
     u = tuple(0.5 * (low + high) for low, high in vehicle.controls.values())
     p = tuple(float(value) for value in vehicle.parameter_array)
     inputs = u
     if vehicle.actuation is not None:
         inputs = (0.5,) * len(vehicle.inputs)
-        yield vehicle.actuation, (u, p), len(vehicle.inputs), "actuation(u, p)"
-    yield vehicle.derivative, (x, inputs, p), len(vehicle.state), "derivative(x, u, p)"
+        yield _Function(vehicle.actuation, (u, p), "actuation", "(u, p)", len(vehicle.inputs), "the inputs")
+    count = len(vehicle.state)
+    yield _Function(vehicle.derivative, (x, inputs, p), "derivative", "(x, u, p)", count, "the state's components")
     if vehicle.stop is not None:
-        yield vehicle.stop, (x, p, 0), len(vehicle.controls), "stop(x, p, k)"
+        yield _Function(vehicle.stop, (x, p, 0), "stop", "(x, p, k)", len(vehicle.controls), "the controls")
 
 
-def _problems(
-    function: Callable[..., Any], arguments: tuple[Any, ...], count: int, what: str
-) -> Iterator[tuple[str, str]]:
-    name = getattr(function, "__name__", "?")
-    label = f"{what.partition('(')[0]} {name!r}"
-    if not isinstance(function, Dispatcher):
+def _problems(function: _Function) -> Iterator[tuple[str, str]]:
+    """What is wrong with a function, and what is expected."""
+    code, count = function.code, function.values
+    label = f"{function.role} {getattr(code, '__name__', '?')!r}"
+    if not isinstance(code, Dispatcher):
         yield f"{label} is not compiled", "expected @derivative above it (from ompl_ext.vehicle import derivative)"
         return
-    dispatcher, library = _untyped(function), _untyped(numba)
-    signature = tuple(library.typeof(value) for value in arguments)
+    dispatcher, library = _untyped(code), _untyped(numba)
+    signature = tuple(library.typeof(value) for value in function.arguments)
     try:
         dispatcher.compile(signature)
         returned: Any = dispatcher.overloads[signature].signature.return_type
     except (NumbaError, TypeError) as error:  # TypeError: another number of arguments
-        yield f"{label} does not compile: {readable(error)}", f"expected {what}, arithmetic on tuples of floats"
+        expected = f"expected {function.role}{function.parameters}, arithmetic on tuples of floats"
+        yield f"{label} does not compile: {readable(error)}", expected
         return
     kinds = list(_untyped(returned)) if isinstance(returned, types.BaseTuple) else None
     if kinds is None or not all(isinstance(kind, types.Number) for kind in kinds):
         yield f"{label} returns {_named(returned)}", f"expected a tuple of {count} numbers"
     elif len(kinds) != count:
-        yield f"{label} returns {counted(len(kinds), 'value')}", f"expected {count}, one for each of {_of(what)}"
+        yield (
+            f"{label} returns {counted(len(kinds), 'value')}",
+            f"expected {count}, one for each of {function.components}",
+        )
     else:
-        yield from _not_finite(dispatcher, arguments, label)
+        yield from _not_finite(dispatcher, function.arguments, label)
 
 
 def _not_finite(dispatcher: Any, arguments: tuple[Any, ...], label: str) -> Iterator[tuple[str, str]]:
@@ -219,7 +238,3 @@ def _named(returned: object) -> str:
         _untyped(types).unliteral(kind) for kind in _untyped(returned)
     ]  # versions of Python differ in which types are literal
     return "(" + ", ".join("text" if isinstance(kind, types.UnicodeType) else str(kind) for kind in kinds) + ")"
-
-
-def _of(what: str) -> str:
-    return {"d": "the state's components", "a": "the inputs", "s": "the controls"}[what[0]]

@@ -21,15 +21,14 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
-from kraft.config.schema import Length, NonNegative, Positive, StrictModel, refuse
+from kraft.config.schema import Length, Name, NonNegative, Positive, StrictModel, refuse
 from kraft.config.source import KeyPath, Source
 from kraft.config.validation import build, describe, read_model
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
-from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle
 from ompl_ext.vehicle import ParameterRange
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
 Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Quantity = Annotated[float, Field(ge=-1e9, le=1e9)]
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
@@ -42,7 +41,7 @@ SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a par
 
 
 def _model_reference(text: str) -> str:
-    if not is_attribute(text) and split_file(text) is None:
+    if not is_code(text):
         raise refuse(f"is {text!r}", "expected module:attribute, as in kraft.vehicles.mushr:MUSHR")
     return text
 

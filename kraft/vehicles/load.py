@@ -15,7 +15,7 @@ from kraft.vehicles import is_car
 from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import CarDimensions, Robot, VehicleConfig, load_vehicle_config, with_files
 from kraft.vehicles.fit import fit_problems
-from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle, split_file
+from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle, split_file
 from ompl_ext.vehicle import Footprint, Vehicle
 
 
@@ -30,16 +30,25 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
     Raises:
         InputError: with every problem of the reference, the file, the code or the parameters.
     """
-    try:
-        resolved = resolve_vehicle(reference, folder or Path.cwd())
-    except VehicleProblem as error:
-        raise InputError.of(reference, error.problem, error.expected, error.code) from None
-    if is_attribute(resolved) or split_file(resolved) is not None:
+    resolved = resolved_reference(reference, folder or Path.cwd())
+    if is_code(resolved):
         vehicle = with_parameters(vehicle_of(resolved, reference), parameters or {})
     else:
         vehicle = configured(read_vehicle_file(resolved).with_values(parameters or {}))
     check_functions(vehicle, reference)
     return vehicle
+
+
+def resolved_reference(reference: str, folder: Path) -> str:
+    """Reference as `resolve_vehicle` returns it.
+
+    Raises:
+        InputError: if there is no such vehicle; it names the reference.
+    """
+    try:
+        return resolve_vehicle(reference, folder)
+    except VehicleProblem as error:
+        raise InputError.of(reference, error.problem, error.expected, error.code) from None
 
 
 def read_vehicle_file(name_or_path: str | Path) -> VehicleConfig:
@@ -60,7 +69,7 @@ def read_vehicle_file(name_or_path: str | Path) -> VehicleConfig:
 def _code_problems(content: Mapping[str, object], source: Source) -> list[Diagnostic]:
     """Problems of the code that a file names and of what the file states about it."""
     reference = content.get("model")
-    if not isinstance(reference, str) or not (is_attribute(reference) or split_file(reference)):
+    if not isinstance(reference, str) or not is_code(reference):
         return []  # that is a problem of the file
     try:
         return fit_problems(_model(reference, source), reference, content, source)

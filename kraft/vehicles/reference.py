@@ -38,6 +38,11 @@ def split_file(text: str) -> tuple[str, str] | None:
     return (found["file"], found["attribute"] or "") if found else None
 
 
+def is_code(text: str) -> bool:
+    """Whether ``text`` has the form of a reference to code."""
+    return is_attribute(text) or split_file(text) is not None
+
+
 def resolve_vehicle(reference: str, folder: Path) -> str:
     """Check a reference and make its path, relative to ``folder``, absolute.
 

@@ -8,11 +8,12 @@ import mujoco
 import numpy as np
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind
+from kraft.planning.workspace import poses_of
 from kraft.plot.frame import outlines
 from kraft.simulation.floor_frame import Surface
 from kraft.video import palette
 from kraft.video.palette import Colour, colour
-from kraft.video.snapshot import Snapshot, poses_of
+from kraft.video.snapshot import Snapshot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle

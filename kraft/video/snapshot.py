@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from kraft.driving.messages import Cycle, as_driven
-from kraft.planning.workspace import workspace_of
+from kraft.planning.workspace import poses_of, workspace_of
 from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
-from ompl_ext.vehicle import Vehicle
 
 TRAIL_SPACING = 0.04
 """Distance between the points of the trail, m."""
@@ -75,12 +74,3 @@ class SnapshotRecorder:
             cycle=self._cycle,
             trail=np.array([*self._trail, here]),
         )
-
-
-def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
-    """Poses x, y, heading (n, 3) of states (n, nx); the heading is 0 for a vehicle without theta."""
-    poses = np.zeros((len(states), 3))
-    for column, name in enumerate(("x", "y", "theta")):
-        if vehicle.index(name) >= 0:
-            poses[:, column] = states[:, vehicle.index(name)]
-    return poses

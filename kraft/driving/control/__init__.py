@@ -1,10 +1,11 @@
-"""Controllers: from an estimate and a reference to a command. None of them knows obstacles."""
+"""Controllers: from an estimate and a reference to a command.  Only the predictive ones know obstacles."""
 
 from __future__ import annotations
 
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from kraft.driving.car_model import CarModel
+from kraft.driving.control.controller import Controller
 from kraft.driving.control.geometric import GeometricController
 from kraft.driving.control.kinodynamic import KinodynamicController
 from kraft.driving.control.lqr import LqrController, check_controllable
@@ -134,10 +135,3 @@ class OpenLoopController:
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) that the reference holds at the estimate's time."""
         return self._model.clamped(reference.control_at(estimate.time))
-
-
-class Controller(Protocol):
-    """Tracks a reference; each call may pass a new one."""
-
-    def command(self, estimate: Estimate, reference: Reference) -> Floats:
-        """Control (nu,) to send at the estimate's time, within the actuators' bounds."""

@@ -16,7 +16,8 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from kraft.driving.control.sampling import Law, moved
+from kraft.driving.control.controller import Controller
+from kraft.driving.control.sampling import moved
 from kraft.driving.control.symbolic import casadi_of, symbolic_derivative
 from kraft.driving.control_settings import Nmpc
 from kraft.driving.geodesic import interpolated
@@ -36,7 +37,7 @@ TOLERANCE: Final = 1e-3
 class NmpcController:
     """Solves a problem for each command and sends its first control."""
 
-    def __init__(self, settings: Nmpc, model: VehicleModel, dirt: DirtSolver, law: Law) -> None:
+    def __init__(self, settings: Nmpc, model: VehicleModel, dirt: DirtSolver, law: Controller) -> None:
         """Make the solver once; `law` tracks contingencies.
 
         Raises:

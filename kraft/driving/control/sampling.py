@@ -12,10 +12,11 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
+from kraft.driving.control.controller import Controller
 from kraft.driving.control_settings import Dwa, Mppi, RolloutCost
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.vehicle_model import VehicleModel, stop_control
@@ -23,13 +24,6 @@ from ompl_ext.arrays import Floats, Floats32Cube, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.specialise import optional_module
 from ompl_ext.solver import DirtSolver
-
-
-class Law(Protocol):
-    """Controller that tracks contingencies."""
-
-    def command(self, estimate: Estimate, reference: Reference) -> Floats:
-        """Control (nu,) at the estimate's time."""
 
 
 class Rollouts:
@@ -77,7 +71,7 @@ class Rollouts:
 class MppiController:
     """Model predictive path integral control: the mean of sampled controls, weighted by the costs of their rollouts."""
 
-    def __init__(self, settings: Mppi, model: VehicleModel, dirt: DirtSolver, law: Law, seed: int) -> None:
+    def __init__(self, settings: Mppi, model: VehicleModel, dirt: DirtSolver, law: Controller, seed: int) -> None:
         """`law` tracks contingencies; the samples depend on `seed` alone."""
         self._settings, self._model, self._law = settings, model, law
         self._deviation = settings.spread * (model.high - model.low)
@@ -144,7 +138,7 @@ def updated(nominal: Matrix, noise: Floats32Cube, costs: Floats, temperature: fl
 class DwaController:
     """Dynamic window: the best of the controls that are held over the whole horizon, each checked for collisions."""
 
-    def __init__(self, settings: Dwa, model: VehicleModel, dirt: DirtSolver, law: Law) -> None:
+    def __init__(self, settings: Dwa, model: VehicleModel, dirt: DirtSolver, law: Controller) -> None:
         """`law` tracks contingencies."""
         self._model, self._law = model, law
         self._rollouts = Rollouts(dirt, model, settings, np.ones(len(model.low)))

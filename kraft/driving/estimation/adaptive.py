@@ -249,14 +249,15 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     if problem := unstated_ranges(vehicle):
         raise InputError.of(vehicle.name, problem, RANGES_EXPECTED, Code.MISSING)
     specs = [
-        ParameterSpec(name, value, vehicle.ranges[name].low, vehicle.ranges[name].high, vehicle.ranges[name].std,
-                      "", "", True)
+        ParameterSpec(
+            name, value, vehicle.ranges[name].low, vehicle.ranges[name].high, vehicle.ranges[name].std, "", ""
+        )
         for name, value in vehicle.parameters.items()
-    ]  # fmt: skip
+    ]
     frozen = frozenset() if settings.identify else frozenset(vehicle.parameters)
     if settings.compensate:
         delay, std = vehicle.delay or (0.0, settings.delay_std)
-        specs.append(ParameterSpec(DELAY, delay, 0.0, DELAY_MAX, std, "s", "", True))
+        specs.append(ParameterSpec(DELAY, delay, 0.0, DELAY_MAX, std, "s", ""))
     return Parameters(vehicle, tuple(specs), frozen)
 
 
