@@ -46,9 +46,9 @@ class CalibratedBound(StrictModel):
     """standard deviation that the prediction gains in a second, m/s"""
     horizon: Seconds = 1.5
     """time after which the deviation grows no further, because the controller corrects it, s"""
-    initial: Positive = 1.2
+    initial: Positive = 1.0
     """scale of the bound before deviations are observed"""
-    prior_cycles: Positive = 10.0
+    prior_cycles: Positive = 5.0
     """number of cycles that the initial scale counts for"""
     memory_cycles: Annotated[float, Field(ge=2, le=1e6)] = 30.0
     """number of cycles after which an observed deviation has lost most of its weight"""
