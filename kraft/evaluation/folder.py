@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,7 +15,7 @@ from kraft.evaluation.journal import Journal, Key, TrialRow, read_journal
 from kraft.evaluation.ompl_log import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json
+from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, recorded_wall
 from kraft.files import check_writable, write_json, write_whole
 
 ROOT: Final = Path("results")
@@ -37,9 +36,8 @@ class Folder:
 
     @property
     def wall(self) -> float:
-        """Duration in the summary of the folder, s; 0 if the evaluation is not complete and has no summary."""
-        summary = self.path / SUMMARY
-        return float(json.loads(summary.read_bytes())["wall_s"]) if summary.exists() else 0.0
+        """Duration in the summary of the folder, s; 0 without one, or if it is damaged and is written again."""
+        return recorded_wall(self.path) or 0.0
 
 
 def default_path(seed: int, root: Path = ROOT) -> Path:

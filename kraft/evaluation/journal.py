@@ -172,7 +172,7 @@ def read_journal(path: Path, expected: Collection[Key] | None = None) -> Journal
         except ValidationError:
             problems.append(_line_problem(path, number, "is not a trial", Code.SYNTAX))
             continue
-        name = f"{row.scenario}, {row.method}, seed {row.seed}"
+        name = f"{', '.join(row.key[:2])}, seed {row.seed}"
         if expected is not None and row.key not in expected:
             problems.append(_line_problem(path, number, f"{name} is not a trial of this evaluation", Code.MISMATCH))
         if row.key in rows and rows[row.key].outcome != "failed":

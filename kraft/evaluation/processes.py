@@ -138,8 +138,7 @@ def _handle_death(state: _State, worker: _Worker, log: Log) -> TrialRow | None:
     state.deaths[job.key] += 1
     if state.deaths[job.key] >= DEATHS:
         return failed_row(job, f"its worker process died {state.deaths[job.key]} times ({how})")
-    name = f"{job.scenario.name}, {job.method.name}, seed {job.seed}"
-    log(f"the worker of {name} died ({how}); its trial is repeated on a new worker")
+    log(f"the worker of {', '.join(job.key[:2])}, seed {job.seed} died ({how}); its trial is repeated on a new worker")
     state.todo.appendleft(job)
     return None
 

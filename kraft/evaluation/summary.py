@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from kraft.evaluation.experiment import Experiment
@@ -220,6 +222,16 @@ def measures_json(measures: Measures) -> dict[str, Any]:
         if consistency is not None
         else None,
     }
+
+
+def recorded_wall(folder: Path) -> float | None:
+    """Duration of an evaluation in the summary of its folder, s; 0 without a summary, None if it is damaged."""
+    try:
+        return float(json.loads((folder / FILE).read_bytes())["wall_s"])
+    except FileNotFoundError:
+        return 0.0
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _rows(seeds: range, rows: Mapping[Key, TrialRow], entry: str, method: str) -> list[TrialRow]:

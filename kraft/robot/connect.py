@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from typing import Literal
 
 from kraft.errors import Code, InputError
@@ -43,6 +44,10 @@ def check_transport(robot: Robot) -> None:
         from kraft.robot.ros2 import domain_number
 
         domain_number(settings)
+        known = [name for _, name in socket.if_nameindex()]
+        if settings.interface is not None and settings.interface not in known:
+            problem, expected = f"{settings.interface!r} is no network interface", f"expected one of {', '.join(known)}"
+            raise InputError([robot.source.diagnostic("transport.interface", problem, expected, code=Code.MISMATCH)])
     elif isinstance(settings, Rosbridge):
         from kraft.robot.rosbridge import check_library
 

@@ -222,8 +222,11 @@ def _configure(number: int, interface: str | None) -> Any:
     text = f"<Domain id='any'>{general}{f'<Discovery>{peers}</Discovery>' if local else ''}</Domain>"
     try:
         return Domain(number, text)
-    except DDSException:
-        return None  # this process has configured the domain before
+    except DDSException as error:
+        if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
+            return None  # this process has configured the domain before
+        problem, expected = f"DDS cannot use {interface!r}", "expected a network interface that is up"
+        raise InputError.of("transport.interface", problem, expected, Code.MISMATCH) from None
 
 
 def _quality(*, reliable: bool, latched: bool) -> Any:

@@ -103,19 +103,19 @@ def drive_robot(
         write_json(out / "manifest.json", _manifest(request, spec))
     on_check = partial(_report_checks, report=report, problem=problem)
     on_status = partial(_report_status, problem=problem, detail=detail)
-    with Display(spec, bag) as display:
+    try:
+        with Display(spec, bag) as display:
 
-        def on_cycle(cycle: Cycle) -> None:
-            report(cycle_line(cycle) + _learned(cycle, spec))
-            display.show(cycle)
+            def on_cycle(cycle: Cycle) -> None:
+                report(cycle_line(cycle) + _learned(cycle, spec))
+                display.show(cycle)
 
-        try:
             result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
-        except KraftError:  # nothing was driven
-            if out is not None:
-                (out / "manifest.json").unlink()
-                out.rmdir()
-            raise
+    except KraftError:  # nothing was driven
+        if out is not None:
+            (out / "manifest.json").unlink()
+            out.rmdir()
+        raise
     driven = Driven(request, spec, result)
     if out is not None:
         write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})

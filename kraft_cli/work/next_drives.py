@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from kraft.errors import Code, Diagnostic, InputError, out_of_range
+from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.files import check_writable
 from kraft.logs.log import Log, Part
 from kraft.planning.compilation import ensure_compiled
@@ -60,18 +61,18 @@ def check_next(request: NextRequest) -> None:
     Raises:
         InputError: with every problem.
     """
-    problems = out_of_range("next", request.count, 1, COUNT_MAX)
+    problems = Problems()
+    problems.found += out_of_range("next", request.count, 1, COUNT_MAX)
     if request.area is not None and _sides(request.area) is None:
         expected = "expected length and width in m, as in 6,4"
-        problems.append(Diagnostic("area", f"is {request.area!r}", expected, code=Code.SYNTAX, argument=True))
+        problems.found.append(Diagnostic("area", f"is {request.area!r}", expected, code=Code.SYNTAX, argument=True))
     if request.commands is not None:
         if os.path.lexists(request.commands):
             expected = "expected a new folder for the commands"
-            problems.append(Diagnostic(str(request.commands), "is there already", expected, code=Code.EXISTS))
+            problems.found.append(Diagnostic(str(request.commands), "is there already", expected, code=Code.EXISTS))
         else:
-            check_writable(request.commands)
-    if problems:
-        raise InputError(problems)
+            problems.of(partial(check_writable, request.commands))
+    problems.check()
 
 
 def _sides(text: str) -> tuple[float, float] | None:

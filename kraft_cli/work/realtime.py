@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides
-from kraft.errors import Code, InputError
+from kraft.errors import Code, Defect, InputError
 from kraft.robot.priority import process_context
 from kraft.robot.robot_file import Loopback, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
@@ -89,7 +89,7 @@ def _world(request: WorldRequest) -> Iterator[Callable[[], WorldResult]]:
     there.close()
     try:
         if not here.poll(OPENING_TIME):
-            raise RuntimeError("the simulated robot has not started")
+            raise Defect("the simulated robot has not started")
         _received(here)
 
         def ended() -> WorldResult:

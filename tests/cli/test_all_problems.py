@@ -17,6 +17,7 @@ COMMANDS = {
     "sysid nologs --model foo --holdout 2 --param L=nan --graph slow --pose-noise 1 --next 50 --horizon 99 --plot a.gif "
     "--out b.txt --mapping no.yaml":
         "--graph, --holdout, --horizon, --next, --param, --pose-noise, a.gif, b.txt, foo, no.yaml, nologs",
+    "sysid nologs --model mushr --next 50 --area 3 --commands /proc/x": "--area, --next, /proc/x, nologs",
     "sysid nologs --model mushr --freeze zz --param L=nan": "--freeze, --param, nologs",
     "record nosuch --vehicle nope --for zip --commands nofile --runs 3 --bag a.txt --out /proc/x":
         "--bag, --for, --runs, /proc/x, nofile, nope, nosuch, zip",

@@ -115,6 +115,16 @@ def test_a_finished_evaluation_keeps_the_time_that_it_took(tmp_path: Path) -> No
     assert json.loads((tmp_path / "out/summary.json").read_text())["wall_s"] >= took - 1e-3
 
 
+@pytest.mark.parametrize("content", ["", "{", '{"wall_s": "x"}'])
+def test_a_damaged_summary_is_written_again(tmp_path: Path, content: str) -> None:
+    run(tmp_path / "out")
+    before = json.loads((tmp_path / "out" / "summary.json").read_text())
+    (tmp_path / "out" / "summary.json").write_text(content)
+    run(tmp_path / "out", resume=True)
+    after = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert {**after, "wall_s": 0.0} == {**before, "wall_s": 0.0}
+
+
 def test_a_incomplete_last_line_is_reported_and_its_trial_repeated(tmp_path: Path) -> None:
     run(tmp_path / "whole")
     run(tmp_path / "out", observer=StoppingObserver(4))

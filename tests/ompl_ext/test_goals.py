@@ -68,6 +68,11 @@ def test_local_optimisation_can_be_switched_off_and_saves_time(parked: Plan) -> 
     assert DirtSolver(ROVER, ROOM, GOAL, NO_SAFETY, Settings(polish=False))._polish is None
 
 
+def test_a_plan_that_begins_in_the_goal_has_nothing_to_improve() -> None:
+    here = Goal((START[0], START[1]), 0.05, START[2], math.radians(3), AT_REST)
+    assert len(rover_plan(here).durations) == 0
+
+
 def test_a_goal_without_heading_and_limits_needs_neither_guide_nor_optimisation() -> None:
     dirt = DirtSolver(ROVER, ROOM, Goal((2.4, 2.2), 0.3), NO_SAFETY)
     assert dirt.problem.option[at.POSE_HEADINGS] == 0

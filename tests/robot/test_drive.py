@@ -182,6 +182,17 @@ def test_the_transport_within_a_process_serves_no_two_processes(
     assert "transport.kind" in capsys.readouterr().err
 
 
+def test_an_interface_that_the_machine_lacks_is_refused_and_another_one_is_not_taken(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = ROBOT.format(transport="{kind: ros2, interface: nonsense0}", give_up=4.0, more="")
+    (tmp_path / "r.yaml").write_text(text, encoding="utf-8")
+    assert main(["drive", "boxes", "--robot", str(tmp_path / "r.yaml")]) == 2
+    err = capsys.readouterr().err
+    assert "r.yaml:2:" in err
+    assert "transport.interface" in err
+
+
 def test_doctor_says_that_nobody_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "r.yaml").write_text(
         'name: r\ntransport: {kind: rosbridge, url: "ws://localhost:9"}\n'

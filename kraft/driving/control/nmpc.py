@@ -192,7 +192,8 @@ class _Problem:
     ) -> tuple[Matrix, Matrix, float]:
         """States (steps + 1, nx), controls (steps, nu) and cost of the optimum near the given ones.
 
-        The guess follows the model.  If the optimiser fails, its controls are kept.
+        The guess follows the model.  An optimiser that ends early has improved it; its controls are kept only if the
+        result is no number.
         """
         nx, nu, n = self._sizes
         found = self._solver(

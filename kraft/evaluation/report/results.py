@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,7 @@ from kraft.evaluation import journal, manifest
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Key, Replays, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import RowName, Summary, tabulate
+from kraft.evaluation.summary import RowName, Summary, recorded_wall, tabulate
 from kraft.scenario import Scenario, Score, load_scenario
 from kraft.text import grouped, slugs
 
@@ -236,13 +235,11 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
 
 def _wall(folder: Path) -> float:
     """Duration of the evaluation in its summary, s; 0 if it is unfinished."""
-    try:
-        return float(json.loads((folder / SUMMARY).read_bytes())["wall_s"])
-    except FileNotFoundError:
-        return 0.0
-    except (OSError, ValueError, KeyError, TypeError):
+    wall = recorded_wall(folder)
+    if wall is None:
         expected = "expected the summary that kraft eval writes; resuming the evaluation writes it again"
-        raise InputError.of(str(folder / SUMMARY), "is damaged", expected, Code.SYNTAX) from None
+        raise InputError.of(str(folder / SUMMARY), "is damaged", expected, Code.SYNTAX)
+    return wall
 
 
 def _unchanged(found: Manifest) -> dict[str, Scenario]:
