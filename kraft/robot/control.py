@@ -377,7 +377,7 @@ class Control:
     def _report(self, now: float, estimate: Estimate) -> None:
         if now >= self._next_status and not self._mailbox.closed:
             self._next_status = now + STATUS_PERIOD
-            self._mailbox.send(Status(now, estimate.age, self._late, ""))
+            self._mailbox.send(Status(now, estimate.age, self._late, self._missed))
 
     def _is_over(self, now: float, estimate: Estimate, reference: Reference) -> bool:
         if self._ending is None:
@@ -416,7 +416,7 @@ class Control:
     def _event(self, now: float, text: str) -> None:
         """Write what happened, and tell it."""
         self._journal.row("events", f"{now:.3f}", text)
-        self._mailbox.send(Status(now, math.nan, self._late, text))
+        self._mailbox.send(Status(now, math.nan, self._late, self._missed, text))
 
     def _watch_peers(self) -> None:
         """Look for a second publisher of commands now and then."""

@@ -132,11 +132,15 @@ class Stop:
 
 @dataclass(frozen=True)
 class Status:
-    """State of the drive, for the terminal."""
+    """State of the drive at `time`, for the terminal: age of the newest pose (s), what was late, and what happened.
+
+    `missed` is the number of commitments that came too late for their cycle.
+    """
 
     time: float
     pose_age: float
     late_ticks: int
+    missed: int
     note: str = ""
 
 

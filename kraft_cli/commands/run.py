@@ -14,7 +14,10 @@ from kraft_cli.terminal import Terminal
 if TYPE_CHECKING:
     from kraft_cli.work.run import RunRequest
 
-Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method (kraft list methods).")]
+Method = Annotated[
+    str | None,
+    typer.Option(metavar="NAME|FILE", help="Method (kraft list methods); kraft, on the clock adaptive-kraft."),
+]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4, or FILE.webp for a page.")]
@@ -29,7 +32,7 @@ Realtime = Annotated[
 def run(
     context: typer.Context,
     scenario: ScenarioName,
-    method: Method = "kraft",
+    method: Method = None,
     vehicle: PlanningModel = None,
     seed: Seed = 0,
     set_: Set = None,
@@ -49,6 +52,7 @@ def run(
     from kraft_cli.work.trial_outputs import OutputOptions
 
     terminal: Terminal = context.obj
+    method = method or ("adaptive-kraft" if realtime else "kraft")
     request = RunRequest(scenario, method, vehicle, seed, tuple(set_ or ()), out, OutputOptions(video, view, plot, bag))
     if realtime:
         return _run_in_real_time(terminal, request, json)

@@ -102,12 +102,19 @@ def drive_robot(
         out.mkdir(parents=True)
         write_json(out / "manifest.json", _manifest(request, spec))
     on_check = partial(_report_checks, report=report, problem=problem)
-    on_status = partial(_report_status, problem=problem, detail=detail)
+    newest: list[Status] = []
+
+    def on_status(status: Status) -> None:
+        if status.note:
+            problem(f"{status.time:6.2f} s  {status.note}")
+        else:
+            newest[:] = [status]
+
     try:
         with Display(spec, bag) as display:
 
             def on_cycle(cycle: Cycle) -> None:
-                report(cycle_line(cycle) + _learned(cycle, spec))
+                report(cycle_line(cycle) + "".join(map(_status, newest)) + _learned(cycle, spec))
                 display.show(cycle)
 
             result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
@@ -129,13 +136,13 @@ def _report_checks(checked: Checked, report: Callable[[str], None], problem: Cal
         say(f"{check.state:8s} {check.name}: {check.detail}")
 
 
-def _report_status(status: Status, problem: Callable[[str], None], detail: Callable[[str], None]) -> None:
-    """Report what the controller notes; without a note the age of the newest pose and the late ticks."""
-    if status.note:
-        problem(f"{status.time:6.2f} s  {status.note}")
-    else:
-        age = "none yet" if math.isinf(status.pose_age) else f"{1000 * status.pose_age:.0f} ms old"
-        detail(f"{status.time:6.2f} s  newest pose {age}, {counted(status.late_ticks, 'late tick')}")
+def _status(status: Status) -> str:
+    """Age of the newest pose and, if there were any, late ticks and missed deadlines, for the line of a cycle."""
+    if math.isinf(status.pose_age):
+        return ""  # the drive has not begun
+    late = f", {counted(status.late_ticks, 'late tick')}" if status.late_ticks else ""
+    missed = f", {counted(status.missed, 'deadline')} missed" if status.missed else ""
+    return f"  pose {1000 * status.pose_age:.0f} ms old{late}{missed}"
 
 
 def resolve(request: DriveRequest) -> DriveSpec:
