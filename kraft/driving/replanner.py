@@ -251,7 +251,8 @@ class Replanner:
                 root, cycle_start, current, f"the newest observation is {estimate.age:.2f} s old"
             )
         cycle_end = cycle_start + self._settings.cycle
-        reference = plan_reference(self.dirt.vehicle, plan, cycle_start, self._settings.cycle)
+        followed = self._settings.cycle if self._switches else 0.0  # else the law drives on to the end of the plan
+        reference = plan_reference(self.dirt.vehicle, plan, cycle_start, followed)
         predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
         if self._one_shot:
             return Decision(reference, predicted, "", plan)
