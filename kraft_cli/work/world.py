@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides
 from kraft.driving.method import load_method
-from kraft.errors import Code, InputError
+from kraft.errors import Code, InputError, Problems
 from kraft.planning.workspace import vehicle_of_task
 from kraft.robot.connect import open_transport
 from kraft.robot.priority import prefer_this_process
 from kraft.robot.robot_file import Loopback, Robot, Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
-from kraft.scenario import load_scenario
+from kraft.scenario import Scenario, load_scenario
 from kraft.text import counted, finite, metres
 from kraft.trial.result import TrialResult, TrialSpec, check_robot, outcome_text
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.trial_outputs import OutputOptions, TrialOutputs
+from ompl_ext.vehicle import Vehicle
 
 WORLD_SCHEMA: Final = "kraft.world/1"
 SPEEDS: Final = (0.05, 10.0)
@@ -51,13 +53,8 @@ def simulate(
         InputError: with the problems of the request and of the files it names.
         MissingDependency: if a package of the transport is missing, or a video is requested and nothing can be drawn.
     """
-    robot = load_robot(request.robot) if isinstance(request.robot, str) else request.robot
-    check_speed(request, robot)
-    scenario = load_scenario(request.scenario, parse_overrides(request.settings, "set"))
-    vehicle = vehicle_of_task(scenario) if request.vehicle is None else load_vehicle(request.vehicle)
-    check_robot(scenario, vehicle)
     options = OutputOptions(request.video, request.view)
-    options.check()
+    robot, scenario, vehicle = _resolved(request, options)
     spec = TrialSpec(scenario, load_method("kraft"), vehicle, request.seed)
     prefer_this_process()  # a robot does not wait for other programs
     transport = open_transport(robot, "robot")
@@ -75,6 +72,29 @@ def simulate(
     finally:
         transport.close()
     return result
+
+
+def _resolved(request: WorldRequest, options: OutputOptions) -> tuple[Robot, Scenario, Vehicle]:
+    """Robot, scenario and vehicle of a request.
+
+    Raises:
+        InputError: with the problems of all options and files.
+        MissingDependency: if a video is requested and nothing can be drawn.
+    """
+    problems, named, model = Problems(), request.robot, request.vehicle
+    robot = problems.of(lambda: load_robot(named) if isinstance(named, str) else named)
+    if robot is not None:
+        problems.of(partial(check_speed, request, robot))
+    settings = problems.of(partial(parse_overrides, request.settings, "set"))
+    scenario = problems.of(partial(load_scenario, request.scenario, settings or {}))
+    vehicle = None if model is None else problems.of(partial(load_vehicle, model))
+    problems.of(options.check)
+    problems.check()
+    assert robot is not None, "otherwise there are problems"
+    assert scenario is not None, "otherwise there are problems"
+    chosen = vehicle_of_task(scenario) if vehicle is None else vehicle
+    check_robot(scenario, chosen)
+    return robot, scenario, chosen
 
 
 def place_of(robot: Robot) -> str:

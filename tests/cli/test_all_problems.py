@@ -31,6 +31,8 @@ COMMANDS = {
     "import map nomap.yaml --start a --goal 1,2": "--start, nomap.yaml",
     "import bran X": "X, bran",
     "generate clutter --density 0.9 --count 0 --seed -1 --vehicle nope": "--count, --density, --seed, --vehicle",
+    "world nosuch --robot norobot --vehicle nope --set x": "--set, nope, norobot, nosuch",
+    "world nosuch --robot sim --speed 0 --video a.gif": "--speed, a.gif, nosuch",
     "generate rooms --count 10001": "--count",
 }  # fmt: skip
 
