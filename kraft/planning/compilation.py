@@ -53,18 +53,21 @@ def ensure_compiled(
 ) -> None:
     """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages.
 
-    With `steps`, compile the steps of the model too, which identification and the LQR need; with `polish`, the local
-    optimisation of plans; with `heading`, all that goals with a heading need, that among it.  `modules` names kernels
-    that few methods use, see `optional_module`.
+    With `steps`, compile what identification and the LQR need too, the steps of the model and the elimination of the
+    graph: they would compile while the vehicle drives.  With `polish`, compile the local optimisation of plans; with
+    `heading`, all that goals with a heading need, that among it.  `modules` names kernels that few methods use, see
+    `optional_module`.
     """
     planner = not is_cached(vehicle)
     maps = not planner and not _marker(MAPS).exists()  # otherwise compiled with the planner
+    identification = steps and not _is_identification_cached()
     steps = steps and not are_steps_cached(vehicle)
     polish = (polish or heading) and not is_polish_cached(vehicle)
     heading = heading and not _marker(HEADING).exists()
     known = is_layout_cached(vehicle, "checks"), is_layout_cached(vehicle, "gauss_newton")
     missing = [(f"the planner and the model of {vehicle.name}", 4 if known[0] else 16)] if planner else []
     missing += [(f"the steps of the model of {vehicle.name}", 2)] if steps else []
+    missing += [("the identification", 4)] if identification else []
     missing += [(f"the local optimisation for {vehicle.name}", 1 if known[1] else 12)] if polish else []
     others = [name for name in modules if not is_module_cached(vehicle, name)]
     missing += [(f"{OPTIONAL[name]} for {vehicle.name}", 6) for name in others]
@@ -80,6 +83,8 @@ def ensure_compiled(
     with interrupts_between_passes():
         if steps:
             step_kernels(vehicle)
+        if identification:
+            _compile_identification(vehicle)
         if polish:
             polish_kernels(vehicle)
         for name in others:
@@ -89,6 +94,18 @@ def ensure_compiled(
         if maps:
             compile_maps()
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
+
+
+def _is_identification_cached() -> bool:
+    from kraft.sysid.elimination import is_cached  # needed by few commands, and slow to load
+
+    return is_cached()
+
+
+def _compile_identification(vehicle: Vehicle) -> None:
+    from kraft.sysid.fast_graph import compile_identification
+
+    compile_identification(vehicle)
 
 
 def _exercise(vehicle: Vehicle) -> None:

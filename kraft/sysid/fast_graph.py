@@ -108,12 +108,12 @@ def ensure_compiled(vehicle: Vehicle, reference: str, info: Callable[[str], None
         return
     info(f"compiling the model of {reference} for identification on this machine: once, about 8 s ...")
     began = time.perf_counter()
-    _exercise(vehicle)
+    compile_identification(vehicle)
     info(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 
-def _exercise(vehicle: Vehicle) -> None:
-    """Make one step of the graph of a short drive: kernels compile at their first call."""
+def compile_identification(vehicle: Vehicle) -> None:
+    """Make one step of the graph of a short drive: the kernels of identification compile at their first call."""
     settings = Settings()
     times = np.array([0.0, 0.1])
     part = Part(times[:1], np.zeros((1, len(vehicle.controls))), times, np.zeros((2, 3)))
