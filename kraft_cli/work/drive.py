@@ -140,9 +140,9 @@ def _status(status: Status) -> str:
     """Age of the newest pose and, if there were any, late ticks and missed deadlines, for the line of a cycle."""
     if math.isinf(status.pose_age):
         return ""  # the drive has not begun
-    late = f", {counted(status.late_ticks, 'late tick')}" if status.late_ticks else ""
-    missed = f", {counted(status.missed, 'deadline')} missed" if status.missed else ""
-    return f"  pose {1000 * status.pose_age:.0f} ms old{late}{missed}"
+    totals = [(status.late_ticks, "late tick"), (status.missed, "missed deadline")]
+    counts = ", ".join(counted(number, name) for number, name in totals if number)
+    return f"  pose {1000 * status.pose_age:.0f} ms old{f', so far {counts}' if counts else ''}"
 
 
 def resolve(request: DriveRequest) -> DriveSpec:

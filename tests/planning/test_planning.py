@@ -12,6 +12,7 @@ import pytest
 from support.diagnostics import located, raised
 
 from kraft.errors import Code, Defect, InputError
+from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, finds_plan, plan_task
 from kraft.planning.search import Budget, Previous
@@ -310,3 +311,14 @@ def test_a_negative_seed_is_refused(mushr: Vehicle) -> None:
     with pytest.raises(InputError) as caught:
         plan_task(room(), mushr, FEW, seed=-1)
     assert [(d.file, d.argument) for d in caught.value.diagnostics] == [("seed", True)]
+
+
+def test_what_identification_needs_is_compiled_before_a_vehicle_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle, messages, compiled = load_vehicle("mushr"), list[str](), list[Vehicle]()
+    monkeypatch.setattr("kraft.sysid.elimination.is_cached", lambda: False)
+    monkeypatch.setattr("kraft.sysid.fast_graph.compile_identification", compiled.append)
+    ensure_compiled(vehicle, messages.append)
+    assert (messages, compiled) == ([], [])
+    ensure_compiled(vehicle, messages.append, steps=True)
+    assert "the identification" in messages[0]
+    assert compiled == [vehicle]
