@@ -52,7 +52,8 @@ def run(
     from kraft_cli.work.trial_outputs import OutputOptions
 
     terminal: Terminal = context.obj
-    method = method or ("adaptive-kraft" if realtime else "kraft")
+    if method is None:
+        method = "adaptive-kraft" if realtime else "kraft"
     request = RunRequest(scenario, method, vehicle, seed, tuple(set_ or ()), out, OutputOptions(video, view, plot, bag))
     if realtime:
         return _run_in_real_time(terminal, request, json)
