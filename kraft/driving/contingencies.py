@@ -16,7 +16,7 @@ import numpy as np
 from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.stopping import ClosedLoopPredictor, is_resting, least_slack, manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel
-from kraft.planning.workspace import pose_of
+from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.solver import DirtSolver
 
@@ -114,7 +114,7 @@ class ContingencyRanking:
         if predicted.slack >= 0.0:
             return TrackedContingency(reference, origin, predicted)
         coarse = predicted.states[::3]
-        poses = np.array([pose_of(each, self._dirt.vehicle) for each in coarse])
+        poses = poses_of(coarse, self._dirt.vehicle)
         hits = self._dirt.exact.distances(poses) <= 0.0
         speeds = np.abs(coarse[:, self._dirt.vehicle.rest_indices[0]])
         return TrackedContingency(reference, origin, predicted, float(speeds[hits.argmax()]) if hits.any() else 0.0)

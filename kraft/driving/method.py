@@ -10,20 +10,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, PrivateAttr, StringConstraints, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from kraft.config import bundled
-from kraft.config.schema import NonNegative, Positive, Probability, StrictModel, refuse
+from kraft.config.schema import Name, NonNegative, Positive, Probability, StrictModel, refuse
 from kraft.config.source import Source
 from kraft.config.validation import read_model
-from kraft.driving.control_settings import ControllerSettings, Predictive
+from kraft.driving.control_settings import ControllerSettings, Predictive, Seconds
 from kraft.errors import Code, InputError
 
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle
-
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
-Seconds = Annotated[float, Field(gt=0, le=1000)]
 
 
 class Clearance(StrictModel):

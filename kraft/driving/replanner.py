@@ -43,7 +43,7 @@ from kraft.driving.stopping import (  # fmt: skip
     required_clearance,
 )
 from kraft.driving.vehicle_model import VehicleModel
-from kraft.planning.workspace import displacement, pose_of
+from kraft.planning.workspace import displacement, pose_of, poses_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 
@@ -376,7 +376,7 @@ class Replanner:
 
     def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
         vehicle, plan, proposal, stopping = self.dirt.vehicle, decision.plan, self._proposal, decision.stopping
-        poses = np.array([pose_of(state, vehicle) for state in decision.predicted.states])
+        poses = poses_of(decision.predicted.states, vehicle)
         return Cycle(
             number=self._number,
             time=cycle_start,

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from kraft.driving.bound import DeviationBound
 from kraft.driving.method import PlannerSettings
-from kraft.planning.workspace import goal_of, pose_of, settings_of, workspace_of
+from kraft.planning.workspace import goal_of, poses_of, settings_of, workspace_of
 from kraft.scenario import Task
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety
@@ -51,7 +49,7 @@ class Solvers:
         """Compute what queries of this map share, which the first one from a state (nx,) would do otherwise."""
         for dirt in (self.checking, self.planning):
             dirt.start(state, 0)
-            dirt.least_distance(np.array([pose_of(state, dirt.vehicle)]))
+            dirt.least_distance(poses_of(state[None, :], dirt.vehicle))
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the clearance that SAFETY asks for in both."""

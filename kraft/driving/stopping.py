@@ -12,7 +12,7 @@ import numpy as np
 from kraft.driving.control import Controller
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Reference, ReferenceKind, Stop
 from kraft.driving.vehicle_model import stop_control
-from kraft.planning.workspace import pose_of
+from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.solver import DirtSolver
@@ -82,7 +82,7 @@ def required_clearance(dirt: DirtSolver, states: Matrix, since: float = math.inf
 
 def least_slack(dirt: DirtSolver, states: Matrix, since: float = math.inf) -> float:
     """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound."""
-    poses = np.array([pose_of(state, dirt.vehicle) for state in states])
+    poses = poses_of(states, dirt.vehicle)
     return float((dirt.clearances(poses) - required_clearance(dirt, states, since)).min())
 
 
@@ -108,7 +108,7 @@ class _PredictedManoeuvre:
         for _ in range(round(safety.horizon / safety.step)):
             controls.append(stop_control(vehicle, states[-1], number))
             samples, _slack = dirt.edge(states[-1], controls[-1], safety.step)
-            poses = np.array([pose_of(sample, vehicle) for sample in samples])
+            poses = poses_of(samples, vehicle)
             nearest = float(dirt.exact.distances(poses).min())
             if distance > 0.0 >= nearest:
                 impact_speed = abs(float(states[-1][vehicle.rest_indices[0]]))

@@ -83,8 +83,7 @@ class KinodynamicController:
             return throttle
         if time >= reference.end:
             throttle = planned = float(self._held(reference, path, projection)[self._model.throttle])
-        throttle = min(throttle, planned) if path.direction > 0 else max(throttle, planned)
-        return self._limited(throttle, estimate, reference, path)
+        return self._limited(_slower(path, throttle, planned), estimate, reference, path)
 
     def _limited(self, throttle: float, estimate: Estimate, reference: Reference, path: Path) -> float:
         """At most the throttle with which the manoeuvre brakes the car at its present speed, as soon as it has begun.
@@ -95,4 +94,9 @@ class KinodynamicController:
         if stop is None or estimate.time + self._settings.look < stop.begin or speed <= MOVING:
             return throttle
         braking = float(stop_control(self._model.vehicle, estimate.state, stop.manoeuvre)[self._model.throttle])
-        return min(throttle, braking) if path.direction > 0 else max(throttle, braking)
+        return _slower(path, throttle, braking)
+
+
+def _slower(path: Path, one: float, other: float) -> float:
+    """The one of two throttles that drives less along a path."""
+    return min(one, other) if path.direction > 0 else max(one, other)
