@@ -78,7 +78,7 @@ class Checklist:
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
-        return Checked(tuple(checks), _mean_pose(poses), self._inputs.take_map())
+        return Checked(tuple(checks), _mean_pose(poses), _rate(poses), self._inputs.take_map())
 
     def _listen(self, is_cancelled: Callable[[], bool]) -> tuple[list[Received], Peers]:
         """Poses of a while after the first one, and the peers of the commands."""
@@ -141,8 +141,7 @@ class Checklist:
         return [Check("start", "problem", problem + (f"; {hint}" if hint else ""))]
 
     def _check_rate(self, poses: list[Received]) -> Check:
-        duration = 1e-9 * (poses[-1].arrival - poses[0].arrival)
-        rate = (len(poses) - 1) / duration if duration > 0.0 else 0.0
+        rate = _rate(poses)
         expected = self._robot.pose.rate_hz
         state = "ok" if rate >= SLOW * expected else "warning"
         return Check("poses", state, f"{rate:.1f} Hz on {self._robot.pose.topic}, expected {expected:g} Hz")
@@ -202,6 +201,12 @@ def _check_priority() -> Check:
         return Check("priority", "ok", "the controller runs before all ordinary programs")
     detail = "the controller waits for other programs: rtprio in /etc/security/limits.conf permits more"
     return Check("priority", "warning", detail)
+
+
+def _rate(poses: list[Received]) -> float:
+    """Poses per second, Hz; 0 of fewer than two."""
+    duration = 1e-9 * (poses[-1].arrival - poses[0].arrival) if poses else 0.0
+    return (len(poses) - 1) / duration if duration > 0.0 else 0.0
 
 
 def _way(poses: list[Received]) -> float:

@@ -22,12 +22,13 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.estimation.adaptive import Learned
-from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
+from kraft.driving.messages import Commitment, Estimate, Observation, ReferenceKind
 from kraft.errors import KraftError
 from kraft.planning.workspace import pose_of
 from kraft.robot.checklist import Checklist
 from kraft.robot.connect import open_transport
 from kraft.robot.guard import SILENCE
+from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.poses import Clocks
@@ -64,6 +65,8 @@ STATUS_PERIOD: Final = 1.0
 """Time between two reports of the state, s."""
 STOPPED: Final = 1.0
 """Time for which the vehicle is commanded to stand before the drive ends, s."""
+STANDING: Final = 0.3
+"""Time for which a vehicle that has stopped by itself stands before it drives on, s."""
 STOPPING_MAX: Final = 6.0
 """Longest time in which a vehicle that stops at the end of a drive comes to rest, s."""
 PEERS_PERIOD: Final = 1.0
@@ -78,8 +81,6 @@ GOAL_TICKS: Final = 3
 """Number of ticks in a row for which the estimate is in the goal region before the goal counts as reached."""
 GOAL_MARGIN: Final = 0.05
 """Distance by which the estimate is inside the goal region then, m."""
-
-
 GUARD_TIME: Final = 10.0
 """Longest time to wait until the brake guard can send commands, s."""
 REPORT_TIME: Final = 5.0
@@ -117,8 +118,9 @@ def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others:
             warm_up(spec)
             tracker = Tracker(spec, order, transport, inputs)
             _wait_for_guard(spec, transport, guard_mail)
+            health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
             with Journal(spec.folder, headings(spec.vehicle)) as journal:
-                drive = Control(spec, transport, inputs, mailbox, guard_mail, journal, tracker)
+                drive = Control(spec, transport, inputs, mailbox, guard_mail, journal, tracker, health)
                 ended = mailbox.send(drive.run())
             guard_mail.send(Released()).wait(1.0)
             ended.wait(REPORT_TIME)
@@ -151,10 +153,11 @@ class Control:
 
     def __init__(
         self, spec: DriveSpec, transport: Transport, inputs: Inputs, mailbox: Mailbox, guard: Mailbox,
-        journal: Journal, tracker: Tracker,
+        journal: Journal, tracker: Tracker, health: Health,
     ) -> None:  # fmt: skip
         self._spec, self._transport, self._inputs = spec, transport, inputs
         self._mailbox, self._guard, self._journal, self._tracker = mailbox, guard, journal, tracker
+        self._health = health
         self._model, self._on_board, self._settings = tracker.model, tracker.on_board, tracker.settings
         self._lead, self.period = tracker.settings.lead, spec.period
         self._cycle, self._waiting = 0, False
@@ -163,7 +166,7 @@ class Control:
         self._commands: list[tuple[float, Floats, Floats]] = []
         self._in_goal, self._goal = 0, spec.task.goal
         self._ending: tuple[str, str] | None = None
-        self._rested = 0.0
+        self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s
         self._late = self._missed = self._ticks = self._guarded = self._stops = 0
         self._worst_late = 0.0
         self._reply_delays: deque[float] = deque(maxlen=1000)
@@ -221,12 +224,15 @@ class Control:
         self._hold_up(now)
         self._take_messages(now)
         observations = self._take_poses(now)
+        self._health.tick(now, late, self._tracker.arrived)
         self._adopt(now)
         estimate = self._tracker.estimate(now)
         self._check_faults(now, estimate)
         command, reference = self._tracker.command(now, estimate)
         if self._on_board.is_stopping and self._since_stop is None and self._ending is None:
             self._stopped(now, self._why_blind(estimate))
+        stands = reference.kind is ReferenceKind.CONTINGENCY and now >= reference.end
+        self._stood = self._stood + self.period if stands else 0.0
         self._tracker.publish(now, command)
         self._command(now, command, estimate)
         self._tell_guard(now, command, observations)
@@ -239,7 +245,7 @@ class Control:
         self._take_task()
         self._request(now)
         self._report(now, estimate)
-        return self._is_over(now, estimate, reference)
+        return self._is_over(now, estimate)
 
     def _measure(self, late: float) -> None:
         self._ticks += 1
@@ -315,24 +321,28 @@ class Control:
             self._cycle = cycle.number
             if now + horizon > cycle.time + 1.5 * self.period:
                 self._missed += 1
+                self._health.decision(late=True)
                 self._event(now, f"the commitment of cycle {cycle.number} came {now + horizon - cycle.time:.2f} s late")
                 continue
-            if self._ending is None and not self._trouble:
+            self._health.decision(late=False)
+            if self._may_drive(now):
                 self._on_board.receive(cycle.commitment, self._tracker.estimate(now))
                 if not self._on_board.is_stopping:
                     self._since_stop = None
 
-    @property
-    def _trouble(self) -> str:
+    def _trouble(self, now: float) -> str:
         """Why the vehicle must not drive now; empty if it may."""
-        if self._foreign:
-            return self._foreign
-        return self._inputs.trouble or self._transport.problem
+        return self._foreign or self._inputs.trouble or self._transport.problem or self._health.trouble(now)
+
+    def _may_drive(self, now: float) -> bool:
+        """Whether a plan may be adopted: a vehicle that has stopped by itself stands before it drives on."""
+        stands = self._since_stop is None or self._stood >= STANDING
+        return self._ending is None and stands and not self._trouble(now)
 
     def _check_faults(self, now: float, estimate: Estimate) -> None:
         if now < 0.0 or self._ending is not None:
             return
-        if (trouble := self._trouble) and self._since_stop is None:
+        if (trouble := self._trouble(now)) and self._since_stop is None:
             self._on_board.stop(estimate)
             self._stopped(now, trouble)
 
@@ -379,13 +389,11 @@ class Control:
             self._next_status = now + STATUS_PERIOD
             self._mailbox.send(Status(now, estimate.age, self._late, self._missed))
 
-    def _is_over(self, now: float, estimate: Estimate, reference: Reference) -> bool:
+    def _is_over(self, now: float, estimate: Estimate) -> bool:
         if self._ending is None:
             self._look_for_end(now, estimate)
             return False
-        resting = reference.kind is ReferenceKind.CONTINGENCY and now >= reference.end
-        self._rested = self._rested + self.period if resting else 0.0
-        return self._rested >= STOPPED or now - self._ended_at > STOPPING_MAX + STOPPED
+        return min(self._stood, now - self._ended_at) >= STOPPED or now - self._ended_at > STOPPING_MAX + STOPPED
 
     def _look_for_end(self, now: float, estimate: Estimate) -> None:
         reached = now > 0.0 and in_goal(self._goal, self._model.vehicle, estimate.state)

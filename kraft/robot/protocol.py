@@ -60,10 +60,13 @@ class Check:
 
 @dataclass(frozen=True)
 class Checked:
-    """All checks, the pose (x, y, theta) at which the vehicle stands (None without poses), and the robot's map."""
+    """All checks, and what was seen: the pose (x, y, theta) at which the vehicle stands (None without poses), the
+    rate of the poses (Hz), and the robot's map.
+    """
 
     checks: tuple[Check, ...]
     pose: Pose | None
+    pose_rate: float = 0.0
     map: OccupancyMap | None = None
 
     @property

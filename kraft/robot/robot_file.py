@@ -207,8 +207,12 @@ class Watchdog(StrictModel):
     """distance from the scenario's start beyond which the drive does not begin, m"""
     start_deg: Annotated[float, Field(gt=0, le=180)] = 30.0
     """deviation from the start's heading beyond which the drive does not begin, degrees"""
+    lost: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """share of the poses of the last seconds that may be missing before the vehicle stops"""
+    late: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """share of the last seconds' commands, and of the last four decisions, that may be late before the vehicle stops"""
     give_up: Annotated[float, Field(gt=0, le=3600)] = 10.0
-    """time for which the vehicle waits for poses to be believed again before the drive ends, s"""
+    """time for which the vehicle waits until it may drive again before the drive ends, s"""
 
 
 class Robot(StrictModel):
@@ -239,7 +243,7 @@ class Robot(StrictModel):
     limits: Limits = Limits()
     """{speed, steering_deg}"""
     watchdog: Watchdog = Watchdog()
-    """{pose_age, jump, jump_deg, clock, start, start_deg, give_up}"""
+    """{pose_age, jump, jump_deg, clock, start, start_deg, lost, late, give_up}"""
 
     _source: Source = PrivateAttr(default_factory=Source)
 

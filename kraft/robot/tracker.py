@@ -30,7 +30,8 @@ from ompl_ext.query import Safety
 class Tracker:
     """Estimate, commitment on board and command of a drive, by its clocks.
 
-    `on_board` and `poses`, which refuses poses that cannot be true, are for those who drive with it.
+    `on_board` and `poses`, which refuses poses that cannot be true, are for those who drive with it; `arrived` is the
+    number of poses that the last call of `take_poses` found, refused ones included.
     """
 
     def __init__(self, spec: DriveSpec, begin: Begin, transport: Transport, inputs: Inputs) -> None:
@@ -48,6 +49,7 @@ class Tracker:
         self.poses = PoseGuard(robot, self.clocks)
         self._open_loop = np.array(begin.state, dtype=float)
         self._last_command, self.last_sent = self.model.rest.copy(), 0.0
+        self.arrived = 0
 
     def start(self, clocks: Clocks) -> None:
         """Set time 0, and drop the poses that have arrived before."""
@@ -71,8 +73,9 @@ class Tracker:
 
     def take_poses(self, now: float) -> list[Observation]:
         """Observe the poses that have arrived, except refused ones."""
-        found = []
-        for pose in self._inputs.take_poses():
+        found, arrived = [], self._inputs.take_poses()
+        self.arrived = len(arrived)
+        for pose in arrived:
             estimate = self._estimator.estimate(now)
             predicted = pose_of(estimate.state, self.model.vehicle)
             since = min(estimate.age, max(now, 0.0) + 1.0)

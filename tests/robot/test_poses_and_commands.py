@@ -17,6 +17,7 @@ from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited
 from kraft.robot.control import Control
 from kraft.robot.drive import Planner, check_method, on_the_clock
+from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs, occupancy_map
 from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
@@ -222,7 +223,8 @@ def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick
     tracker = Tracker(spec, Begin(state, Commitment(rest)), node, inputs)
     (planner, _planner), (guard, theirs) = Pipe(), Pipe()
     mail = Mailbox(guard, "the brake guard")
-    control = Control(spec, node, inputs, Mailbox(planner, "the planner"), mail, Journal(None, {}), tracker)
+    health = Health(described.watchdog, 30.0, spec.period)
+    control = Control(spec, node, inputs, Mailbox(planner, "the planner"), mail, Journal(None, {}), tracker, health)
     theirs.send(Guarded(1.3, np.array([0.5, 0.1])))
     until = time.monotonic() + 5.0
     while (found := control._take_guarded(1.2)) == 0 and time.monotonic() < until:
