@@ -18,8 +18,7 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.robot.messages import from_cdr, to_cdr
-from kraft.robot.outbox import SEND_BUFFER, Outbox
-from kraft.robot.transport import Peers, Receive
+from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive
 
 LENGTH: Final = struct.Struct("<I")
 ANSWER_TIME: Final = 1.0

@@ -16,9 +16,8 @@ from urllib.parse import urlparse
 
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.robot.messages import from_json, is_known, to_json
-from kraft.robot.outbox import SEND_BUFFER, Outbox
 from kraft.robot.robot_file import Rosbridge
-from kraft.robot.transport import Peers, Receive
+from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive
 
 CONNECT_TIME: Final = 5.0
 """Time to wait for a connection, s."""

@@ -1,10 +1,14 @@
-"""Transports: how messages travel between kraft and a robot.  A new one is a file with the methods of `Transport`."""
+"""Transports: how messages travel between kraft and a robot.  A new one is a file with the methods of `Transport`.
+
+A transport whose peer may be slow sends from a thread of its own what waits in an `Outbox`.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
 Receive: TypeAlias = Callable[[Any, int], None]
 """Called with each message and its time of arrival (ns of the monotonic clock), from a thread of the transport."""
@@ -41,3 +45,48 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Stop; waiting messages are sent before."""
+
+
+SEND_BUFFER: Final = 32 * 1024
+"""Size of a socket's buffer for sending, bytes: after a pause of its receiver few old messages are delivered."""
+Operation = TypeVar("Operation")
+Content = TypeVar("Content")
+
+
+@dataclass
+class Outbox(Generic[Operation, Content]):
+    """Messages that wait to be sent: of each topic the newest; operations in their order."""
+
+    operations: list[Operation] = field(default_factory=list)
+    newest: dict[str, Content] = field(default_factory=dict)
+    changed: threading.Condition = field(default_factory=threading.Condition)
+    closed: bool = False
+
+    def put(self, topic: str, content: Content) -> None:
+        """Add a message, which replaces an older one of the topic that still waits."""
+        with self.changed:
+            self.newest[topic] = content
+            self.changed.notify()
+
+    def operate(self, operation: Operation) -> None:
+        """Add an operation, which is sent before all messages that wait."""
+        with self.changed:
+            self.operations.append(operation)
+            self.changed.notify()
+
+    def close(self) -> None:
+        """Accept nothing more; what waits can still be taken."""
+        with self.changed:
+            self.closed = True
+            self.changed.notify()
+
+    def take(self) -> tuple[list[Operation], list[tuple[str, Content]]] | None:
+        """Wait for something to send: operations, and messages with their topics; None if it is closed and empty."""
+        with self.changed:
+            while not self.operations and not self.newest:
+                if self.closed:
+                    return None
+                self.changed.wait()
+            operations, self.operations = self.operations, []
+            contents, self.newest = list(self.newest.items()), {}
+            return operations, contents
