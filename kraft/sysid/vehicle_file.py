@@ -18,9 +18,9 @@ from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions
 from kraft.sysid.acceptance import PredictionEvaluation, SpeedErrors, errors_by_speed
 from kraft.sysid.base_vehicle import BaseVehicle
-from kraft.sysid.command_units import CommandUnit
 from kraft.sysid.data import LogSplit
 from kraft.sysid.result import Identification, ParameterEstimate, PredictionErrors
+from kraft.sysid.screening import CommandUnit
 from kraft.text import counted
 from kraft.vehicles.config import (
     CommandScale,

@@ -15,11 +15,10 @@ import numpy as np
 
 from kraft.logs.log import Part
 from kraft.sysid.chains import Segment, segment_between
-from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.observation import NoiseModel, threshold
+from kraft.sysid.factor_graph import FastGraph
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters
-from kraft.sysid.problem import Point, Problem, assemble
+from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, threshold
 from kraft.sysid.settings import Noise
 from ompl_ext.arrays import Floats, Matrix
 
