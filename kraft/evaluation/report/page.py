@@ -11,16 +11,22 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.journal import TrialRow, success_times
-from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, outcome_legend, stacked
-from kraft.evaluation.report.floor import floor_plan
-from kraft.evaluation.report.measures import Shown, measures_table
-from kraft.evaluation.report.methods import methods
+from kraft.evaluation.report.entry import (
+    floor_plan,
+    outcomes_chart,
+    time_axis,
+    times_chart,
+    trial_link,
+    trial_text,
+    trials_chart,
+    trials_data,
+    trials_section,
+)
+from kraft.evaluation.report.methods import Shown, measures_table, methods
 from kraft.evaluation.report.overview import causes, chip, overview, settings_of
 from kraft.evaluation.report.results import Results
-from kraft.evaluation.report.sweep_picture import sweep_pictures
-from kraft.evaluation.report.sweeps import sweeps
-from kraft.evaluation.report.trials import trial_link, trials_data, trials_section
+from kraft.evaluation.report.sweeps import sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 
@@ -144,7 +150,7 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
     ]
     longest = 1.02 * max(times, default=1.0)
     heading = [element("th", text) for text in ("method", "how trials ended", "succ / coll / timeout")]
-    heading += [element("th", "time, s", charts.time_axis(longest))]
+    heading += [element("th", "time, s", time_axis(longest))]
     columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")
     heading += [element("th", text, class_="number") for text in columns]
     rows = [_row(results, result, longest) for result in mine]
@@ -183,12 +189,12 @@ def _row(results: Results, result: Result, longest: float) -> Element:
         element("th", result.title, scope="row"),
         element(
             "td",
-            charts.outcomes(result),
-            charts.trials(rows, results.manifest.seeds, commands, trial_link),
+            outcomes_chart(result),
+            trials_chart(rows, results.manifest.seeds, commands, trial_link),
             class_="drawing",
         ),
         element("td", counts, element("small", f"{low:.0%} to {high:.0%}"), _small(beside)),
-        element("td", charts.times(result, rows, longest), class_="drawing"),
+        element("td", times_chart(result, rows, longest), class_="drawing"),
         element("td", decimals(result.t_ex, 2, NO_VALUE), _small(beside_time), class_="number"),
         element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number"),
         element("td", str(result.contingencies), _small(f"of {counted(result.cycles, 'cycle')}"), class_="number"),
@@ -231,7 +237,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
 
 def _listed(results: Results, row: TrialRow) -> Element:
     command = results.command(row, video=f"{results.slugs[row.key[0]]}-{row.method}-{row.seed}.mp4")
-    ended = charts.trial_text(row).split(": ", 1)[1]
+    ended = trial_text(row).split(": ", 1)[1]
     return element(
         "tr",
         element("td", results.methods[row.method]),
