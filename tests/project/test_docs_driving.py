@@ -21,7 +21,7 @@ from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, M
 from kraft.driving.proposer import PATIENCE, STALLED
 from kraft.driving.rest import CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
-from kraft.simulation.noise import BLURRED_SPEED, PRESETS
+from kraft.simulation.camera import BLURRED_SPEED, PRESETS
 
 TEXT = (ROOT / "docs" / "driving.md").read_text(encoding="utf-8")
 
