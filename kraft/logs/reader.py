@@ -13,17 +13,15 @@ import numpy as np
 
 from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.logs.choice import Choice, in_any_unit, on_one_clock
 from kraft.logs.cleaning import clean
-from kraft.logs.column_match import written_at
-from kraft.logs.csv_table import read_csv
 from kraft.logs.discover import FORMATS, Candidate, discover
-from kraft.logs.guess import choose, unknown_controls
+from kraft.logs.guess import choose, unknown_controls, written_at
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
+from kraft.logs.motion import DegreesError, SwappedError, assumed_radians
 from kraft.logs.names import SYNONYMS, control_score
-from kraft.logs.table import Table
-from kraft.logs.unit_checks import DegreesError, SwappedError, assumed_radians
+from kraft.logs.streams import Choice, in_any_unit, on_one_clock
+from kraft.logs.table import Table, read_csv
 from kraft.text import suggestion
 
 CONTROLS: Final = ("throttle", "steering")
