@@ -27,7 +27,7 @@ from kraft.plot.scene import (
 )
 from kraft.plot.style import CYCLE, CYCLE_FAINT, DASHED, GOAL, INK, WARNING, Style
 from kraft.scenario import OccupancyMap, Task
-from kraft.vehicles.units import control_title
+from kraft.vehicles import control_title
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.vehicle import Vehicle

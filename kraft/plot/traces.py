@@ -22,7 +22,7 @@ from kraft.plot.style import CYCLE, DASHED, INK, RULE, WARNING, WARNING_PALE, St
 from kraft.scenario import Task
 from kraft.simulation.appearance import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult
-from kraft.vehicles.units import control_title
+from kraft.vehicles import control_title
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle

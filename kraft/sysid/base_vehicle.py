@@ -18,8 +18,7 @@ from kraft.vehicles.config import (
     Parameter,
     VehicleConfig,
 )
-from kraft.vehicles.fit import units_of
-from kraft.vehicles.load import configured, read_vehicle_file, resolved_reference
+from kraft.vehicles.load import configured, read_vehicle_file, resolved_reference, units_of
 from kraft.vehicles.reference import is_code, resolve_vehicle, split_file
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
