@@ -19,10 +19,9 @@ from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
-from kraft.video.film import FilmWriter, Image
+from kraft.video.drawing import SnapshotRecorder
 from kraft.video.overlay import BAND, Overlay
-from kraft.video.renderer import SceneRenderer
-from kraft.video.snapshot import SnapshotRecorder
+from kraft.video.renderer import FilmWriter, Image, SceneRenderer
 
 SIZE: Final = (1280, 720)
 HOLD: Final = 1.5
@@ -35,7 +34,7 @@ class VideoRecorder:
         with VideoRecorder(Path("drive.mp4"), spec) as film:
             film.finish(run_trial(spec, film.on_cycle, film.on_step, keep_trees=True))
 
-    A second of the film is a second of the trial; `kraft.video.film.FORMATS` has its formats by the suffix of the path.
+    A second of the film is a second of the trial; `FORMATS` has its formats by the suffix of the path.
     Without `finish`, as when the trial is interrupted or fails, no file is left.
     """
 

@@ -18,10 +18,9 @@ from kraft.simulation.floor_frame import Surface
 from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
-from kraft.video.drawing import Pen, draw_cycle, draw_snapshot
+from kraft.video.drawing import Pen, Snapshot, SnapshotRecorder, draw_cycle, draw_snapshot
 from kraft.video.overlay import outcome_caption
 from kraft.video.renderer import AHEAD, DISTANCE, MIN_ELEVATION
-from kraft.video.snapshot import Snapshot, SnapshotRecorder
 
 HOLD: Final = 2.0
 """Duration for which the outcome is shown, s."""

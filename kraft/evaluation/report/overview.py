@@ -14,7 +14,7 @@ from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.report.sweeps import settings_text
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted
-from kraft.trial.cause import CauseKind
+from kraft.trial.result import CauseKind
 
 UNRECORDED = "not recorded"
 """Cause of a failure in older evaluations."""
