@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from pydantic import BeforeValidator, Field, model_validator
 
-from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, read_model, refuse
 from kraft.config.source import Source
-from kraft.config.validation import read_model
 from kraft.errors import Code, InputError
 from kraft.scenario.geometry import OccupancyMap
 from ompl_ext.memory import available_memory, in_words

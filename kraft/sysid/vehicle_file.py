@@ -10,8 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from kraft.config.schema import NAME
-from kraft.config.validation import check
+from kraft.config.schema import NAME, check
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole

@@ -9,7 +9,7 @@ from typing import Final, Literal, TypeAlias
 from pydantic import BaseModel
 
 from kraft.config import bundled
-from kraft.config.validation import Model, check
+from kraft.config.schema import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError
