@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from kraft.scenario.loader import Scenario as Scenario
     from kraft.scenario.loader import load_scenario as load_scenario
     from kraft.sysid.identify import identify as identify
-    from kraft.sysid.result import Identification as Identification
+    from kraft.sysid.interface import Identification as Identification
     from kraft.trial.result import Outcome as Outcome
     from kraft.trial.result import TrialResult as TrialResult
     from kraft.trial.result import TrialSpec as TrialSpec
@@ -49,7 +49,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "planning.plan": ["PlanResult", "plan"],
         "scenario.loader": ["Scenario", "load_scenario"],
         "sysid.identify": ["identify"],
-        "sysid.result": ["Identification"],
+        "sysid.interface": ["Identification"],
         "trial.result": ["Outcome", "TrialResult", "TrialSpec"],
         "trial.trial": ["run_trial"],
         "vehicles.load": ["load_vehicle"],

@@ -14,7 +14,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from kraft.config import bundled
 from kraft.config.schema import Name, NonNegative, Positive, Probability, StrictModel, read_model, refuse
-from kraft.config.source import Source
+from kraft.config.yaml_reader import Source
 from kraft.driving.control_settings import ControllerSettings, Predictive, Seconds
 from kraft.errors import Code, InputError
 

@@ -59,7 +59,7 @@ from kraft.plot.sysid_logs import (
 )
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit
-from kraft.sysid.result import Identification, ModelTrial, ParameterEstimate, PartFit
+from kraft.sysid.interface import Identification, ModelTrial, ParameterEstimate, PartFit
 from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle

@@ -17,10 +17,16 @@ from kraft.errors import InputError, NegativeResult
 from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
 from kraft.sysid.data import LogSplit, usable_logs
 from kraft.sysid.identify import identify, identify_terms
+from kraft.sysid.interface import (
+    CORRELATION_INDISTINGUISHABLE,
+    Identification,
+    ModelTrial,
+    PredictionErrors,
+    Settings,
+    correlations,
+)
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
 from kraft.sysid.prediction import HORIZONS, Window, constant_windows, predict_windows, window_errors
-from kraft.sysid.result import CORRELATION_INDISTINGUISHABLE, Identification, ModelTrial, PredictionErrors, correlations
-from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import thinned
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig

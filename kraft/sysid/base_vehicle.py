@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.result import Identification
+from kraft.sysid.interface import Identification
 from kraft.sysid.smoothing import high_speed
 from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import (

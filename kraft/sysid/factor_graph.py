@@ -22,10 +22,10 @@ from kraft.logs.log import Part
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.elimination import Eliminated, Graph, allocate, back_substitute, eliminate, is_cached
 from kraft.sysid.initial_values import smooth_chains
+from kraft.sysid.interface import Noise, Settings
 from kraft.sysid.optimiser import RHO, RhoFactors
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.problem import Point, Problem, assemble, noise_model, starting_point
-from kraft.sysid.settings import Noise, Settings
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.jit import cache_root
 from ompl_ext.kernels.specialise import are_steps_cached

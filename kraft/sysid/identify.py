@@ -17,6 +17,7 @@ from kraft.sysid.data import screen_logs, usable_logs
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.factor_graph import FastGraph, PaperGraph
 from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chains
+from kraft.sysid.interface import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit, Settings
 from kraft.sysid.optimiser import (
     LinearisedGraph,
     OnIteration,
@@ -30,7 +31,6 @@ from kraft.sysid.optimiser import (
 from kraft.sysid.parameters import DELAY_MIN, Parameters, parameters_of, vehicle_of
 from kraft.sysid.prediction import process_noise
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, residual_ratio, starting_point
-from kraft.sysid.result import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit
 from kraft.sysid.screening import turns_before_steered
 from kraft.sysid.selection import (
     candidates_of,
@@ -40,7 +40,6 @@ from kraft.sysid.selection import (
     selected,
     selection_note,
 )
-from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, as_good, best_of, chosen
 from kraft.vehicles.config import VehicleConfig

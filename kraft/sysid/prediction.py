@@ -21,6 +21,7 @@ from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
 from kraft.sysid.factor_graph import FastGraph
 from kraft.sysid.initial_values import smooth_chains
+from kraft.sysid.interface import PredictionErrors, Settings
 from kraft.sysid.multistep import MultiStep, fit
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import (
@@ -33,9 +34,7 @@ from kraft.sysid.parameters import (
     vehicle_of,
 )
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, simulated, starting_point
-from kraft.sysid.result import PredictionErrors
 from kraft.sysid.selection import check_settings
-from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, constant_motion, measured_noise, thinned
 from kraft.sysid.windows import Variation, windows_of
 from kraft.vehicles.config import VehicleConfig

@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2, norm
 
-from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Chains, Segment, chains_of
-from kraft.sysid.dynamics import Dynamics
+from kraft.sysid.dynamics import ActuatorModel, Dynamics
 from kraft.sysid.initial_values import SmoothedPoses, initial_states
+from kraft.sysid.interface import Noise, Settings
 from kraft.sysid.parameters import Parameters
-from kraft.sysid.settings import Noise, Settings
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.jit import cache_folder, compiled
 from ompl_ext.vehicle import Vehicle

@@ -24,13 +24,12 @@ import numpy as np
 
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
+from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit, in_parallel
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, held_at_bounds
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import NoiseModel, Point, noise_model
-from kraft.sysid.result import AT_BOUND
-from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
 from kraft.sysid.windows import Variation, windows_of
 from kraft.vehicles.config import VehicleConfig

@@ -18,7 +18,7 @@ from kraft.provenance import IDENTIFICATION, versions
 from kraft.sysid.acceptance import PredictionEvaluation, SpeedErrors, errors_by_speed
 from kraft.sysid.base_vehicle import BaseVehicle
 from kraft.sysid.data import LogSplit
-from kraft.sysid.result import Identification, ParameterEstimate, PredictionErrors
+from kraft.sysid.interface import Identification, ParameterEstimate, PredictionErrors
 from kraft.sysid.screening import CommandUnit
 from kraft.text import counted
 from kraft.vehicles.config import (

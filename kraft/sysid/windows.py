@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Chains, Segment, pose_steps
+from kraft.sysid.dynamics import ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.problem import padded
 from kraft.sysid.smoothing import smoothed

@@ -11,8 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from kraft.config import bundled
-from kraft.config.source import Source
-from kraft.config.yaml_reader import read_document
+from kraft.config.yaml_reader import Source, read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car

@@ -18,11 +18,10 @@ import numpy as np
 from pydantic import Field
 
 from kraft.config.schema import Coordinate, Length, StrictModel, check
-from kraft.config.source import Place, Source
-from kraft.config.yaml_reader import Document, read_document
+from kraft.config.yaml_reader import Document, Place, Source, read_document
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.scenario import OccupancyMap
-from kraft.scenario.occupancy import read_map
+from kraft.scenario.geometry import read_map
 from kraft.text import alternatives, counted, suggestion
 from kraft.worlds.barn import LABEL, read_barn, worlds_in
 from kraft.worlds.world import (

@@ -19,10 +19,10 @@ from kraft.driving.method import Adaptive
 from kraft.logs.log import Part
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.factor_graph import FastGraph
+from kraft.sysid.interface import Noise
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, threshold
-from kraft.sysid.settings import Noise
 from ompl_ext.arrays import Floats, Matrix
 
 POSES_MIN: Final = 5
