@@ -170,7 +170,7 @@ class Processes:
         self.count = count
 
     def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
-        """See `kraft.evaluation.executors.Executor`.
+        """See `Executor`.
 
         Raises:
             Defect: if workers do not start.
@@ -349,7 +349,7 @@ class Cluster:
             raise self._no_answer(error) from error
 
     def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
-        """See `kraft.evaluation.executors.Executor`; the scheduler's settings state how often a worker may die."""
+        """See `Executor`; the scheduler's settings state how often a worker may die."""
         client = self._client()
         try:
             yield from self._rows(client, jobs, stop_requested, log)
