@@ -13,10 +13,9 @@ from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.synthetic_logs import CommandSeries, synthetic_logs
 from kraft.logs.log import Log
-from kraft.sysid.growth import process_noise
-from kraft.sysid.model_choice import identify_car
-from kraft.sysid.prediction import predict_windows, window_errors
-from kraft.sysid.settings import Settings
+from kraft.sysid.acceptance import identify_car
+from kraft.sysid.interface import Settings
+from kraft.sysid.prediction import predict_windows, process_noise, window_errors
 from kraft.sysid.structure import StructureSearch
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from kraft.logs.reader import read_logs as read_logs
     from kraft.planning.plan import PlanResult as PlanResult
     from kraft.planning.plan import plan as plan
+    from kraft.scenario.loader import Scenario as Scenario
     from kraft.scenario.loader import load_scenario as load_scenario
-    from kraft.scenario.model import Scenario as Scenario
     from kraft.sysid.identify import identify as identify
-    from kraft.sysid.result import Identification as Identification
+    from kraft.sysid.interface import Identification as Identification
     from kraft.trial.result import Outcome as Outcome
     from kraft.trial.result import TrialResult as TrialResult
     from kraft.trial.result import TrialSpec as TrialSpec
@@ -47,10 +47,9 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "logs.log": ["LogSet"],
         "logs.reader": ["read_logs"],
         "planning.plan": ["PlanResult", "plan"],
-        "scenario.loader": ["load_scenario"],
-        "scenario.model": ["Scenario"],
+        "scenario.loader": ["Scenario", "load_scenario"],
         "sysid.identify": ["identify"],
-        "sysid.result": ["Identification"],
+        "sysid.interface": ["Identification"],
         "trial.result": ["Outcome", "TrialResult", "TrialSpec"],
         "trial.trial": ["run_trial"],
         "vehicles.load": ["load_vehicle"],

@@ -15,7 +15,7 @@ from support.paths import ROOT, TESTS
 COMPILE = """
 import sys
 from kraft.planning.compilation import compile_for_headings, compile_maps, ensure_compiled
-from kraft.sysid.fast_graph import ensure_compiled as ensure_identification
+from kraft.sysid.factor_graph import ensure_compiled as ensure_identification
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
 from ompl_ext.kernels.specialise import (

@@ -13,11 +13,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from kraft.config.source import KeyPath, Position, Source
 from kraft.config.yaml_reader import (
     DEPTH_MAX,
     AmbiguousScalar,
     Document,
+    KeyPath,
+    Position,
+    Source,
     Unusable,
     Value,
     decode,

@@ -1,15 +1,20 @@
-"""Base class of all schemas of files, and the types of their numbers and names."""
+"""Schemas of files, and the validation of a document against its schema: every problem is reported at its place."""
 
 from __future__ import annotations
 
+import types
 from collections.abc import Iterator, Mapping
-from typing import Annotated, ClassVar, Final, TypeAlias
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, TypeVar, Union, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails, PydanticCustomError
 
-from kraft.config.source import KeyPath
-from kraft.errors import Code
+from kraft.config.yaml_reader import Document, KeyPath, Source, Value, read_document
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.text import nearest, suggestion
 
 
 class StrictModel(BaseModel):
@@ -63,3 +68,248 @@ Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Point: TypeAlias = tuple[Coordinate, Coordinate]
 Size: TypeAlias = tuple[Length, Length]
 Span: TypeAlias = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ascending)]
+
+
+Model = TypeVar("Model", bound=BaseModel)
+_NOUNS = {
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "dict_type": "a mapping",
+    "mapping_type": "a mapping",
+}
+_LIMITS = {
+    "greater_than": ("gt", "greater than"),
+    "greater_than_equal": ("ge", "of at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "of at most"),
+}
+
+
+def read_model(path: Path, model: type[Model]) -> tuple[Model, Document]:
+    """Read a file and validate it against its schema.
+
+    Raises:
+        InputError: with every problem of the file.
+    """
+    document = read_document(path)
+    value, problems = check(model, document)
+    if value is None:
+        raise InputError(problems)
+    return value, document
+
+
+def check(model: type[Model], document: Document) -> tuple[Model | None, list[Diagnostic]]:
+    """Validate a document. Returns the model or None, and all problems, those of the syntax included."""
+    problems = list(document.problems)
+    value = None
+    try:
+        value = model.model_validate(document.data)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        misspelt = _misspelt(model, details)
+        for detail in details:
+            if _counts_bad_items_as_absent(detail) or (detail["type"] == "missing" and detail["loc"] in misspelt):
+                continue
+            unknown = detail["type"] == "extra_forbidden"  # reported even if its value is unusable too
+            if unknown or not _already_reported(in_file(model, detail["loc"]), document):
+                problems.append(_diagnostic(model, document, detail))
+        problems = list(dict.fromkeys([*problems, *_across_keys(model, document)]))
+    return (None if problems else value), problems
+
+
+def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
+    """Model from values that were not read from a file; errors name ``origin``.
+
+    Raises:
+        InputError: with every problem.
+    """
+    value, problems = check(model, Document(dict(content), Source(origin)))
+    if value is None:
+        raise InputError(problems)
+    return value
+
+
+def part(model: type[Model], value: Value) -> Model | None:
+    """``value`` as a model, or None if it is invalid; `check` of the whole document reports the errors."""
+    try:
+        return model.model_validate(value)
+    except ValidationError:
+        return None
+
+
+def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
+    """Problems between the keys of the file, which pydantic checks only if every single key is right."""
+    if issubclass(model, StrictModel) and isinstance(document.data, dict):
+        for error in model.across_keys(document.data):
+            context = error.context or {}
+            if not _already_reported(context["at"], document):
+                problem, expected = context["problem"], context["expected"]
+                yield document.source.diagnostic(context["at"], problem, expected, code=context["code"])
+
+
+def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
+    """Missing keys that an unknown key beside them probably stands for: one mistake gives one problem."""
+    unknown = [detail["loc"] for detail in details if detail["type"] == "extra_forbidden"]
+    meant = [(path[:-1], nearest(str(path[-1]), lookup(model, path[:-1]).keys)) for path in unknown]
+    return {(*parent, key) for parent, key in meant if key is not None}
+
+
+def _counts_bad_items_as_absent(detail: ErrorDetails) -> bool:
+    """Whether pydantic reports a list as too short only because it does not count invalid items."""
+    given = detail["input"]
+    return detail["type"] == "too_short" and isinstance(given, tuple) and len(given) >= detail["ctx"]["min_length"]
+
+
+def _already_reported(path: tuple[int | str, ...], document: Document) -> bool:
+    return any(path[:end] in document.unusable for end in range(len(path) + 1))
+
+
+def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails) -> Diagnostic:
+    path: KeyPath = in_file(model, detail["loc"])
+    kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
+    if path and path[-1] == "[key]":  # pydantic's mark of an invalid key
+        return document.source.diagnostic(path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True)
+    source = document.source
+    known = lookup(model, detail["loc"])
+    about = f" ({known.description})" if known.description else ""
+    if kind == "kraft":
+        at, problem, expected = context["at"], context["problem"], context["expected"]
+        return source.diagnostic((*path, *at), problem, expected, code=context["code"])
+    if kind == "extra_forbidden":
+        beside, key = lookup(model, detail["loc"][:-1]), str(path[-1])
+        meant = beside.synonyms.get(key.lower())
+        expected = suggestion(key, beside.keys) if meant is None else f"did you mean {meant!r}?"
+        return source.diagnostic(path, "unknown key", expected, at_key=True, code=Code.UNKNOWN)
+    if kind in ("missing", "union_tag_not_found"):
+        return _missing(source, path, known, "kind" if kind == "union_tag_not_found" else "")
+    if kind == "union_tag_invalid":
+        tags = [tag.strip(" '") for tag in context["expected_tags"].split(",")]
+        return source.diagnostic((*path, "kind"), f"is {describe(given['kind'])}", suggestion(context["tag"], tags))
+    if kind == "too_long":
+        return source.diagnostic(path, "the list is too long", f"expected {context['max_length']} items{about}")
+    if kind == "too_short":
+        return source.diagnostic(path, "the list is too short", f"expected {context['min_length']} items or more")
+    if kind == "literal_error":
+        return source.diagnostic(path, f"is {describe(given)}", suggestion(str(given), known.choices))
+    if kind in _LIMITS:
+        key, words = _LIMITS[kind]
+        return source.diagnostic(path, f"is {describe(given)}", f"expected a number {words} {context[key]:g}{about}")
+    if kind == "string_pattern_mismatch":
+        return source.diagnostic(path, f"is {describe(given)}", f"expected a {known.description}")
+    if kind in _NOUNS:
+        code = Code.VALUE if kind == "finite_number" else Code.TYPE
+        return source.diagnostic(path, f"is {describe(given)}", f"expected {_NOUNS[kind]}{about}", code=code)
+    return source.diagnostic(path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}")
+
+
+def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) -> Diagnostic:
+    if discriminator:
+        path, expected = (*path, discriminator), "expected which one it is"
+    elif isinstance(path[-1], int):  # an item of a list of fixed length
+        about = f" ({known.description})" if known.description else ""
+        return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
+    else:
+        expected = f"expected {known.description or 'it'}"
+    return source.diagnostic(path, "the key is missing", expected, code=Code.MISSING)
+
+
+def describe(value: object) -> str:
+    """Value as a phrase: ``the text 'x'``, ``the number 3``, ``a list``."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
+    if isinstance(value, str):
+        return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
+    return "a mapping" if isinstance(value, Mapping) else "a list"
+
+
+@dataclass(frozen=True)
+class Known:
+    """Description, keys and their synonyms, choices and length that the schema has for one place."""
+
+    description: str | None = None
+    keys: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()
+    length: int = 0
+    synonyms: Mapping[str, str] = field(default_factory=dict)
+
+
+def lookup(model: type[BaseModel], path: KeyPath) -> Known:
+    """Schema at a key path of pydantic's."""
+    annotation, description, length = _follow(model, path)
+    if annotation is None:
+        return Known()
+    annotation = _bare(annotation)
+    keys: tuple[str, ...] = ()
+    synonyms: Mapping[str, str] = {}
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        keys = tuple(_fields(annotation))
+        synonyms = annotation.synonyms if issubclass(annotation, StrictModel) else {}
+    choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
+    return Known(description, keys, choices, length, synonyms)
+
+
+def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:
+    """Key path in the file for one of pydantic's, which contains the kinds of union members as if they were keys."""
+    return tuple(part for i, part in enumerate(path) if part not in _kinds(_bare(_follow(model, path[:i])[0])))
+
+
+def _follow(model: type[BaseModel], path: KeyPath) -> tuple[Any, str | None, int]:
+    """Annotation at a path (None if there is none), its description, and the length of the list it is in."""
+    annotation: Any = model
+    description: str | None = None
+    length = 0
+    for part in path:
+        annotation = _bare(annotation)
+        arguments = get_args(annotation)
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found = _fields(annotation).get(str(part))
+            if found is None:
+                return None, None, 0
+            annotation, description = found.annotation, found.description
+        elif part in _kinds(annotation):
+            annotation = _kinds(annotation)[str(part)]
+        elif get_origin(annotation) is tuple and isinstance(part, int):
+            length = len(arguments)
+            if Ellipsis in arguments:  # the description belongs to the list, not to an item
+                annotation, description = arguments[0], None
+            else:
+                annotation = arguments[min(part, length - 1)]
+        elif len(arguments) == 2:
+            annotation, description = arguments[1], None
+        else:
+            return None, None, 0
+    return annotation, description, length
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Fields of a model by their key in the file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
+
+
+def _bare(annotation: Any) -> Any:
+    """Strip ``Annotated`` and ``| None``."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _bare(get_args(annotation)[0])
+    if origin in (Union, types.UnionType):
+        members = [a for a in get_args(annotation) if a is not type(None)]
+        return _bare(members[0]) if len(members) == 1 else annotation
+    return annotation
+
+
+def _kinds(annotation: Any) -> dict[str, Any]:
+    """Members of a union of models by their ``kind``, empty if the annotation is no such union."""
+    if get_origin(annotation) not in (Union, types.UnionType):
+        return {}
+    members = [m for m in get_args(annotation) if isinstance(m, type) and issubclass(m, BaseModel)]
+    return {get_args(m.model_fields["kind"].annotation)[0]: m for m in members if "kind" in m.model_fields}

@@ -1,6 +1,6 @@
-"""Messages between sensing, estimation, replanning and control, and the record of each replanning cycle.
+"""Messages between sensing, estimation, replanning and control, the record of each cycle, and what controllers are.
 
-An `Observation` becomes an `Estimate`; the replanner commits a `Reference`, which the controller tracks, and records a
+An `Observation` becomes an `Estimate`; the replanner commits a `Reference`, which a `Controller` tracks, and records a
 `Cycle`.  Times are seconds of the trial, 0 when the first plan is committed.  States are those of the vehicle's model;
 poses are (x, y, theta) in the frame of the map (m, rad).
 """
@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Protocol
 
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import TreeView
@@ -264,3 +265,10 @@ def as_driven(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
         else:
             driven.append(cycle)
     return tuple(driven)
+
+
+class Controller(Protocol):
+    """Tracks a reference; each call may pass a new one."""
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) to send at the estimate's time, within the actuators' bounds."""

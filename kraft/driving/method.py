@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from kraft.config import bundled
-from kraft.config.schema import Name, NonNegative, Positive, Probability, StrictModel, refuse
-from kraft.config.source import Source
-from kraft.config.validation import read_model
+from kraft.config.schema import Name, NonNegative, Positive, Probability, StrictModel, read_model, refuse
+from kraft.config.yaml_reader import Source
 from kraft.driving.control_settings import ControllerSettings, Predictive, Seconds
 from kraft.errors import Code, InputError
 

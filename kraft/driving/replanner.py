@@ -14,9 +14,19 @@ from functools import partial
 
 import numpy as np
 
-from kraft.driving.bound import BoundCalibration, DeviationBound
-from kraft.driving.car_model import model_of
-from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
+from kraft.driving.clearance import BoundCalibration, DeviationBound, Solvers
+from kraft.driving.contingencies import (  # fmt: skip
+    ClosedLoopPredictor,
+    ContingencyRanking,
+    TrackedContingency,
+    contingency_reference,
+    emergency_reference,
+    holding_control,
+    is_resting,
+    least_slack,
+    plan_reference,
+    required_clearance,
+)
 from kraft.driving.control import Controller
 from kraft.driving.messages import (  # fmt: skip
     Commitment,
@@ -31,18 +41,7 @@ from kraft.driving.messages import (  # fmt: skip
 )
 from kraft.driving.method import PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
-from kraft.driving.solvers import Solvers
-from kraft.driving.stopping import (  # fmt: skip
-    ClosedLoopPredictor,
-    contingency_reference,
-    emergency_reference,
-    holding_control,
-    is_resting,
-    least_slack,
-    plan_reference,
-    required_clearance,
-)
-from kraft.driving.vehicle_model import VehicleModel
+from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.planning.workspace import displacement, pose_of, poses_of
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan

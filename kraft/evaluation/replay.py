@@ -34,7 +34,7 @@ from kraft.planning.workspace import workspace_of
 from kraft.text import finite
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
-from kraft.vehicles.units import control_unit
+from kraft.vehicles import control_unit
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels.specialise import kernels

@@ -15,11 +15,10 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all
-from kraft.logs.csv_table import read_heading
 from kraft.logs.guess import offers
 from kraft.logs.mapping import Mapping
 from kraft.logs.names import COMMAND, POSE, parse
-from kraft.logs.table import Table
+from kraft.logs.table import Table, read_heading
 from kraft.text import counted, nearest
 
 CSV: Final = (".csv", ".tsv", ".txt")

@@ -11,19 +11,17 @@ from typing import Final
 
 import numpy as np
 
-from kraft.config.source import KeyPath
+from kraft.config.yaml_reader import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.logs.choice import Choice, in_any_unit, on_one_clock
 from kraft.logs.cleaning import clean
-from kraft.logs.column_match import written_at
-from kraft.logs.csv_table import read_csv
 from kraft.logs.discover import FORMATS, Candidate, discover
-from kraft.logs.guess import choose, unknown_controls
+from kraft.logs.guess import choose, unknown_controls, written_at
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
+from kraft.logs.motion import DegreesError, SwappedError, assumed_radians
 from kraft.logs.names import SYNONYMS, control_score
-from kraft.logs.table import Table
-from kraft.logs.unit_checks import DegreesError, SwappedError, assumed_radians
+from kraft.logs.streams import Choice, in_any_unit, on_one_clock
+from kraft.logs.table import Table, read_csv
 from kraft.text import suggestion
 
 CONTROLS: Final = ("throttle", "steering")
@@ -48,7 +46,7 @@ def read_logs(
         paths: files and folders, see ``docs/logs.md`` for what they may hold.
         controls: names of the vehicle's controls.
         mapping: a mapping file (`load_mapping`), where the names of the columns are not sufficient.
-        any_command_unit: whether commands may be in any unit, as `kraft.sysid.command_units` finds it; otherwise a
+        any_command_unit: whether commands may be in any unit, as `kraft.sysid.screening` finds it; otherwise a
             steering command without a stated unit is in radians, and pulse widths are refused.
 
     Raises:

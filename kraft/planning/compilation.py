@@ -103,7 +103,7 @@ def _is_identification_cached() -> bool:
 
 
 def _compile_identification(vehicle: Vehicle) -> None:
-    from kraft.sysid.fast_graph import compile_identification
+    from kraft.sysid.factor_graph import compile_identification
 
     compile_identification(vehicle)
 

@@ -20,8 +20,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from kraft.config.json_reader import read_json
-from kraft.config.schema import NonNegative, Positive, StrictModel, refuse
-from kraft.config.validation import check, describe
+from kraft.config.schema import NonNegative, Positive, StrictModel, check, describe, refuse
 from kraft.config.yaml_reader import Document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole

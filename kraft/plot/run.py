@@ -4,40 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Final
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from kraft.driving.messages import ReferenceKind, as_driven
-from kraft.plot.frame import Frame
-from kraft.plot.labels import Label, draw_labels
-from kraft.plot.page import LegendEntry, draw_legend, lay_out
-from kraft.plot.scene import draw_goal, draw_obstacle, draw_start, draw_workspace
-from kraft.plot.style import CYCLE, GOAL, INK, WARNING, picture_format, plot_style, write_picture
-from kraft.plot.traces import (
-    COLLISION,
-    ESTIMATED,
-    HIDDEN,
-    OBSERVATION,
-    OBSERVATION_SIZE,
-    DrivenTrajectory,
-    draw_footprints,
-    draw_hidden_features,
-    draw_observations,
-    draw_references,
-    draw_run_panel,
-    driven_line,
-    panels_of_run,
-    run_footprint_interval,
+from kraft.driving.messages import Cycle, ReferenceKind, as_driven
+from kraft.planning.workspace import workspace_of
+from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
+from kraft.plot.page import HELD, Curve, LegendEntry, Panel, draw_legend, draw_panel, draw_title, lay_out, quantity
+from kraft.plot.scene import Label, draw_goal, draw_labels, draw_obstacle, draw_start, draw_workspace
+from kraft.plot.style import (
+    CYCLE,
+    DASHED,
+    GOAL,
+    INK,
+    RULE,
+    WARNING,
+    WARNING_PALE,
+    Style,
+    picture_format,
+    plot_style,
+    write_picture,
 )
 from kraft.scenario import Task
 from kraft.simulation.appearance import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult, outcome_text
+from kraft.vehicles import control_title
+from ompl_ext.arrays import Floats
+from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
 
@@ -161,3 +164,162 @@ def _legend_entries(
         LegendEntry("driven, m/s", "scale", scale=line),
     ]
     return entries
+
+
+ESTIMATED: Final = "#a3178f"
+OBSERVATION: Final = "#7d8896"
+OBSERVATION_SIZE: Final = 2.4  # pt
+COLLISION: Final = "#c1121f"
+HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
+"""Face and edge colours of hidden features."""
+
+
+@dataclass(frozen=True)
+class DrivenTrajectory:
+    """True poses and speeds (n,) of a result at the ticks of the controller."""
+
+    result: TrialResult
+    motion: PoseTrajectory
+    speeds: Floats
+
+    @classmethod
+    def of(cls, result: TrialResult) -> DrivenTrajectory:
+        """Take the ticks of a result, which has at least one."""
+        times = np.array([step.time for step in result.steps])
+        poses = np.array([step.pose for step in result.steps])
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return cls(result, PoseTrajectory(times, poses), np.array([step.speed for step in result.steps]))
+
+
+def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Panel]:
+    """Panels of speed (true, estimated, planned), true clearance, and the commands."""
+    steps, times = drive.result.steps, drive.motion.times
+    true: Style = {"color": INK, "linewidth": 1.3, "zorder": 3}
+    speeds = [Curve(times, drive.speeds, true)]
+    if vehicle.rest:
+        index = vehicle.rest_indices[0]
+        planned = np.array([_planned(drive.result, step.time, index) for step in steps])
+        estimated = np.array([step.estimate[index] for step in steps])
+        thin = {**true, "linewidth": 0.9}
+        curves = (
+            Curve(times, planned, {**thin, "color": CYCLE}),
+            Curve(times, estimated, {**thin, "color": ESTIMATED}),
+        )
+        speeds = [*curves, *speeds]
+    everything = np.concatenate([curve.values for curve in speeds])
+    top = max(vehicle.top_speed, float(np.nanmax(everything)))
+    exact = ExactClearance(workspace_of(task, vehicle), vehicle.footprint)
+    clearance = np.maximum(exact.distances(drive.motion.poses), 0.0)
+    panels = [
+        Panel(quantity("speed, m/s"), tuple(speeds), (min(0.0, float(np.nanmin(everything))), top)),
+        Panel(quantity("clearance, m"), (Curve(times, clearance, true),), (0.0, max(0.1, float(clearance.max())))),
+    ]
+    commands = np.array([step.command for step in steps])
+    for name, values, (low, high) in zip(vehicle.controls, commands.T, vehicle.control_bounds, strict=True):
+        title = control_title(vehicle, name)
+        limits = min(0.0, float(low), float(values.min())), max(0.0, float(high), float(values.max()))
+        panels.append(Panel(quantity(title), (Curve(times, values, {**true, **HELD}),), limits))
+    return panels
+
+
+def _planned(result: TrialResult, time: float, index: int) -> float:
+    """State component of the active reference at a time; NaN after its end."""
+    cycle = _active_cycle(result.cycles, time)
+    if cycle is None or time > cycle.reference.end:
+        return float("nan")
+    return float(cycle.reference.state_at(time)[index])
+
+
+def _active_cycle(cycles: tuple[Cycle, ...], time: float) -> Cycle | None:
+    begun = [cycle for cycle in cycles if cycle.time <= time + 1e-9]
+    return begun[-1] if begun else None
+
+
+def draw_run_panel(axes: Axes, panel: Panel, drive: DrivenTrajectory, *, last: bool) -> None:
+    """Draw one panel over the time of the trial; contingencies are shaded, lines mark the start of each cycle."""
+    axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 4, 5, 10]))
+    _draw_cycles(axes, drive.result)
+    draw_panel(axes, panel, (0.0, max(drive.result.time, 1e-3)), last=last)
+    draw_title(axes, panel.title)
+    if last:
+        axes.set_xlabel("time, s", labelpad=2)
+
+
+def _draw_cycles(axes: Axes, result: TrialResult) -> None:
+    ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
+    for cycle, end in zip(result.cycles, ends, strict=True):
+        if cycle.kind == ReferenceKind.CONTINGENCY:
+            axes.axvspan(cycle.time, end, color=WARNING_PALE, linewidth=0, zorder=0)
+        axes.axvline(cycle.time, color=RULE, linewidth=0.5, zorder=0.5)
+
+
+def draw_hidden_features(axes: Axes, frame: Frame, things: Sequence[HiddenFeature]) -> None:
+    """Draw patches and bumps on the floor, and boxes above them."""
+    for thing in things:
+        face, edge = HIDDEN[thing.kind]
+        order = {"patch": 1.2, "bump": 1.4, "box": 3.2}[thing.kind]
+        style: Style = {"facecolors": face, "edgecolors": edge, "linewidths": 0.8, "zorder": order}
+        axes.add_collection(PolyCollection([frame.points(thing.corners)], **style))
+
+
+def draw_observations(axes: Axes, frame: Frame, result: TrialResult) -> None:
+    """Draw the positions measured by the camera."""
+    if result.observations:
+        places = frame.points(np.array([(seen.x, seen.y) for seen in result.observations]))
+        axes.plot(*places.T, ".", color=OBSERVATION, markersize=OBSERVATION_SIZE, markeredgewidth=0, zorder=3.4)
+
+
+def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialResult) -> None:
+    """Draw the part of each committed reference within its cycle, with a ring at each contingency."""
+    ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
+    for cycle, end in zip(result.cycles, ends, strict=True):
+        reference = cycle.reference
+        motion = PoseTrajectory.of(reference.times, reference.states, vehicle)
+        begin = max(cycle.time, reference.start)
+        planned = cycle.kind == ReferenceKind.PLAN
+        colour = CYCLE if planned else WARNING
+        if min(end, reference.end) > begin:
+            path = frame.points(motion.between(begin, min(end, reference.end))[:, :2])
+            axes.plot(*path.T, color=colour, linewidth=0.9, linestyle="solid" if planned else DASHED, zorder=5.4)
+            axes.plot(*path[0], marker="|", color=colour, markersize=3, zorder=5.4)
+        if not planned:
+            ring: Style = {"markerfacecolor": "white", "markeredgecolor": WARNING, "markeredgewidth": 1.2}
+            axes.plot(
+                *frame.points(motion.at(np.array([begin]))[0, :2]), marker="o", markersize=4.5, zorder=6.6, **ring
+            )
+
+
+def driven_line(frame: Frame, drive: DrivenTrajectory, top_speed: float) -> LineCollection:
+    """True path, coloured by speed."""
+    places = frame.points(drive.motion.poses[:, :2])
+    pieces = np.stack([places[:-1], places[1:]], axis=1)
+    lines = LineCollection(
+        list(pieces), cmap=_speed_colours(), norm=Normalize(0.0, top_speed), linewidths=2.6, zorder=6
+    )
+    lines.set_array(np.abs(drive.speeds[:-1] + drive.speeds[1:]) / 2)
+    lines.set_capstyle("round")
+    return lines
+
+
+def draw_footprints(axes: Axes, frame: Frame, vehicle: Vehicle, drive: DrivenTrajectory, interval: float) -> None:
+    """Draw the car at regular times (s) and at the end of the trial, red after a collision."""
+    times = np.arange(interval, drive.motion.end - interval / 3, interval)
+    crashed = drive.result.outcome is Outcome.COLLISION
+    ends = np.array([drive.motion.end])
+    for when, colour, width in ((times, INK, 0.6), (ends, COLLISION if crashed else INK, 1.4)):
+        poses = drive.motion.at(when)
+        shapes = list(frame.points(outlines(vehicle.footprint, poses)))
+        style: Style = {"edgecolors": colour, "linewidths": width, "zorder": 5.0}
+        axes.add_collection(PolyCollection(shapes, facecolors=(1.0, 1.0, 1.0, 0.25), **style))
+        heads = list(frame.points(arrowheads(vehicle.footprint, poses)))
+        axes.add_collection(LineCollection(heads, colors=colour, linewidths=width, zorder=5.0))
+
+
+def run_footprint_interval(drive: DrivenTrajectory) -> float:
+    """Seconds between footprints: one, or more in a long trial."""
+    return float(max(1, math.ceil(drive.motion.end / 30)))
+
+
+def _speed_colours() -> ListedColormap:
+    """Viridis without its brightest part, which is hard to see on white."""
+    return ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, 256)), name="speed")

@@ -1,22 +1,55 @@
-"""Page about logs without an identification: paths on the floor, commands and speed over time."""
+"""Page about logs without an identification: paths on the floor, commands and speed over time.
+
+The page about an identification has its colours, captions, axes, stacked panels and floor plans in common with it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from kraft.plot.page import DOTS, HEADING, HELD, LEFT, NOTES, RIGHT, Curve, Page, Panel, Rectangle, note_rows_of
-from kraft.plot.style import INK, picture_format, plot_style, write_picture
-from kraft.plot.sysid_style import DATA, FITTED, caption, draw_paths, draw_stack, set_floor_limits
-from ompl_ext.arrays import Floats
+from kraft.plot.page import (
+    DOTS,
+    HEADING,
+    HELD,
+    LEFT,
+    NOTES,
+    RIGHT,
+    ColouredText,
+    Curve,
+    Page,
+    Panel,
+    Rectangle,
+    draw_panel,
+    note_rows_of,
+)
+from kraft.plot.style import (
+    CYCLE,
+    GOAL,
+    GREY,
+    INK,
+    LABEL,
+    RULE,
+    SMALL,
+    WARNING,
+    picture_format,
+    plain_number,
+    plot_style,
+    text_width,
+    write_picture,
+)
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log, Part
+
 
 WIDTH, HEIGHT, MAP = 11.5, 4.6, 4.0
 SPEED_INTERVAL = 0.25
@@ -98,3 +131,74 @@ def speeds(part: Part) -> tuple[Floats, Floats]:
     yaw = 0.5 * (poses[apart:, 2] + poses[:-apart, 2])
     along = step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)
     return 0.5 * (times[apart:] + times[:-apart]), along / (times[apart:] - times[:-apart])
+
+
+DATA: Final = "#7d8896"
+FITTED: Final = INK
+HELD_OUT: Final = GOAL
+IDENTIFIED: Final = CYCLE  # with the identified parameters
+INITIAL: Final = WARNING  # with the initial ones
+
+
+def caption(figure: Figure, page: Page, part: Rectangle, words: Sequence[ColouredText]) -> None:
+    """Write a caption above a part of the page, in the colours of its curves; the first text is bold."""
+    left = part.left
+    for k, (text, colour) in enumerate(words):
+        weight = "bold" if k == 0 else "normal"
+        page.text(figure, left, part.top - 0.09, text, LABEL, colour, weight=weight)
+        left += (text_width(text, LABEL, bold=k == 0) + 5.5) / 72
+
+
+def plain_axes(axes: Axes, *, across: int = 5, along: int = 4) -> None:
+    """Few ticks, plain numbers, no frame at the top and the right."""
+    axes.spines[["top", "right"]].set_visible(False)
+    for axis, count in ((axes.xaxis, across), (axes.yaxis, along)):
+        axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
+
+
+def draw_stack(figure: Figure, page: Page, part: Rectangle, panels: Sequence[Panel]) -> None:
+    """Draw panels above each other on one time axis."""
+    gap = 0.2
+    height = (part.height + gap) / len(panels) - gap
+    begin = min(float(curve.times[0]) for panel in panels for curve in panel.curves if len(curve.times))
+    end = max(float(curve.times[-1]) for panel in panels for curve in panel.curves if len(curve.times))
+    for k, panel in enumerate(panels):
+        place = Rectangle(part.left, part.top + k * (height + gap), part.width, height)
+        axes = page.axes(figure, place)
+        plain_axes(axes, across=10, along=3)
+        draw_panel(axes, panel, (begin, end), last=panel is panels[-1])
+        left = place.left
+        for text, colour in panel.title:
+            page.text(figure, left, place.top - 0.03, text, SMALL, colour)
+            left += (text_width(text, SMALL) + 6.0) / 72
+    axes.set_xlabel("time, s", labelpad=1)
+
+
+def draw_paths(axes: Axes, paths: Sequence[Matrix], colour: str, *, width: float = 0.9, zorder: float = 3.0) -> None:
+    """Ways (n, 2) on the floor, a dot where each begins."""
+    for path in paths:
+        axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=width, solid_capstyle="round", zorder=zorder)
+        axes.plot(*path[0, :2], ".", color=colour, markersize=4.0, markeredgewidth=0, zorder=zorder)
+
+
+def set_floor_limits(axes: Axes, paths: Sequence[Matrix], part: Rectangle) -> None:
+    """Limits that hold all ways with the same scale along both axes, m, and fill the part of the page."""
+    points = np.concatenate([path[:, :2] for path in paths])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, 0.1) * 1.1
+    scale = max(size[0] / part.width, size[1] / part.height)
+    middle = (low + high) / 2
+    half = 0.5 * scale * np.array([part.width, part.height])
+    axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
+    plain_axes(axes)
+    axes.set_xlabel("x, m", labelpad=1)
+    axes.set_ylabel("y, m", labelpad=1)
+    axes.grid(color=RULE, linewidth=0.4)
+    axes.set_axisbelow(True)
+
+
+def draw_message(axes: Axes, text: str) -> None:
+    """Write a text in the middle of an empty part."""
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=LABEL, color=GREY)

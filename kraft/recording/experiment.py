@@ -16,8 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.car_model import model_of
-from kraft.driving.vehicle_model import VehicleModel
+from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, InputError, NegativeResult
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, manoeuvre
 from kraft.sysid.information import STEP, Knowledge

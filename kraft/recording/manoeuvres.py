@@ -16,7 +16,7 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import write_csv
-from kraft.logs.csv_table import read_csv
+from kraft.logs.table import read_csv
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats, Matrix
 

@@ -19,8 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from kraft.driving.car_model import model_of
-from kraft.driving.vehicle_model import VehicleModel
+from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, new_folder, write_csv, write_json
 from kraft.planning.workspace import workspace_of

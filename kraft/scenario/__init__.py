@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from kraft.scenario.geometry import Obstacle as Obstacle
     from kraft.scenario.geometry import OccupancyMap as OccupancyMap
     from kraft.scenario.geometry import Polygon as Polygon
+    from kraft.scenario.loader import Goal as Goal
+    from kraft.scenario.loader import Scenario as Scenario
+    from kraft.scenario.loader import Start as Start
+    from kraft.scenario.loader import Task as Task
     from kraft.scenario.loader import load_scenario as load_scenario
     from kraft.scenario.loader import parse_scenario as parse_scenario
-    from kraft.scenario.model import Goal as Goal
-    from kraft.scenario.model import Scenario as Scenario
-    from kraft.scenario.model import Start as Start
-    from kraft.scenario.model import Task as Task
     from kraft.scenario.planning import Planning as Planning
     from kraft.scenario.planning import Safety as Safety
     from kraft.scenario.schema import Bounds as Bounds
@@ -33,8 +33,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "geometry": ["Box", "Circle", "Obstacle", "OccupancyMap", "Polygon"],
-        "loader": ["load_scenario", "parse_scenario"],
-        "model": ["Goal", "Scenario", "Start", "Task"],
+        "loader": ["Goal", "Scenario", "Start", "Task", "load_scenario", "parse_scenario"],
         "planning": ["Planning", "Safety"],
         "schema": ["Bounds", "Score", "Sensing", "Trial"],
         "truth": ["Truth"],

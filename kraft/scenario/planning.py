@@ -8,8 +8,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from kraft.config.schema import NonNegative, Probability, StrictModel, refuse
-from kraft.config.validation import build
+from kraft.config.schema import NonNegative, Probability, StrictModel, build, refuse
 from kraft.errors import Code, InputError
 
 PLANNERS: Final[dict[str, str]] = {

@@ -1,4 +1,4 @@
-"""Schema of a scenario file with its sections `sensing` and `trial`; `kraft.scenario.model` has the result."""
+"""Schema of a scenario file with its sections `sensing` and `trial`; `kraft.scenario.loader` has the result."""
 
 from __future__ import annotations
 

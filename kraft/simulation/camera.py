@@ -1,16 +1,21 @@
-"""Camera that measures the pose of the marker on the car's roof, assuming a flat and level floor."""
+"""Camera that measures the pose of the marker on the car's roof, assuming a flat and level floor, and its errors.
+
+The errors of a measured pose have magnitudes, directions and correlation in time.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal, Protocol
 
 import numpy as np
 
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
 from kraft.scenario import Sensing
-from kraft.simulation.noise import PRESETS, PoseNoise
 from ompl_ext.arrays import Floats, Matrix
 
 HALF_MARKER = 0.075
@@ -98,3 +103,233 @@ class MarkerCamera:
         x, y, z = self._camera_position
         away = math.hypot(px - x, py - y)
         return math.hypot(away, z - pz), math.atan2(away, z - pz), math.atan2(py - y, px - x)
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """Size of an error as a power law of the distance d to the camera: `at_5m` (d / 5 m)^`power` exp(`slant` phi).
+
+    phi (rad) is the angle between the line of sight and the vertical.
+    """
+
+    at_5m: float
+    power: float = 0.0
+    slant: float = 0.0
+
+    @classmethod
+    def through(cls, at_3m: float, at_5m: float) -> PowerLaw:
+        """Power law through the values at 3 m and at 5 m, whatever phi."""
+        return cls(at_5m, math.log(at_5m / at_3m) / math.log(5.0 / 3.0))
+
+    def at(self, distance: float, phi: float = 0.0) -> float:
+        """Size at a distance (m) and an angle (rad), in the unit it was given in."""
+        return self.at_5m * math.pow(distance / 5.0, self.power) * math.exp(self.slant * phi)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Share of an error's variance that decays over `length` m of travel or over `time` s; without both, white.
+
+    A part with a length depends on the place: while the marker stands it repeats, however long one looks.
+    """
+
+    share: float
+    length: float | None = None
+    time: float | None = None
+
+    def kept(self, travelled: float, elapsed: float) -> float:
+        """Correlation after `travelled` m and `elapsed` s."""
+        if self.length is not None:
+            return math.exp(-travelled / self.length)
+        return math.exp(-elapsed / self.time) if self.time else 0.0
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Error along one direction: a mean and a random deviation from it, in m or rad.
+
+    The deviation is Tukey's g-and-h distribution, standardised: its variance does not depend on `skew` and `tail`.
+
+    Attributes:
+        size: standard deviation of a frame's deviation, its tails included.
+        parts: of the deviation; their shares add up to 1.
+        skew: Tukey's g; positive for more large errors away from the camera, or to the left.
+        tail: Tukey's h, at least 0 and below 1/2; with 0 and without skew the distribution is normal.
+        mean: systematic error.
+        standing: factor on mean and deviation while the marker stands, without motion blur.
+    """
+
+    size: PowerLaw
+    parts: tuple[Part, ...]
+    skew: float = 0.0
+    tail: float = 0.0
+    mean: PowerLaw = PowerLaw(0.0)
+    standing: float = 1.0
+
+    def error(self, normal: float, distance: float, phi: float, blur: float) -> float:
+        """Error at a value of the standard normal distribution; see `PowerLaw` for distance and phi.
+
+        `blur` is 0 for a marker that stands and 1 for one that moves.
+        """
+        error = self.mean.at(distance, phi) + self.size.at(distance, phi) * self.deviation(normal)
+        return (self.standing + (1.0 - self.standing) * blur) * error
+
+    def deviation(self, normal: float) -> float:
+        """Deviation, in units of `size`, at a value of the standard normal distribution."""
+        z, (mean, deviation) = min(max(normal, -NORMAL_MAX), NORMAL_MAX), self._moments
+        return (self._skewed(z) * math.exp(0.5 * self.tail * z * z) - mean) / deviation
+
+    def _skewed(self, z: float) -> float:
+        return math.expm1(self.skew * z) / self.skew if self.skew else z
+
+    @functools.cached_property
+    def _moments(self) -> tuple[float, float]:
+        """Mean and standard deviation of g-and-h before standardisation."""
+        g, h = self.skew, self.tail
+        if not g:
+            return 0.0, (1.0 - 2.0 * h) ** -0.75
+        mean = math.expm1(g * g / (2.0 - 2.0 * h)) / (g * math.sqrt(1.0 - h))
+        twice = 1.0 - 2.0 * h
+        square = (math.exp(2.0 * g * g / twice) - 2.0 * math.exp(0.5 * g * g / twice) + 1.0) / (
+            g * g * math.sqrt(twice)
+        )
+        return mean, math.sqrt(square - mean * mean)
+
+
+@dataclass(frozen=True)
+class CameraNoise:
+    """Errors of one measuring method.
+
+    `along` is the direction of the camera's line of sight on the floor, `across` is perpendicular to it.  `bias`
+    (standard deviations of position and heading) is drawn once per trial, like an error of the camera's calibration.
+    `dropout` is the share of missed frames.
+    """
+
+    along: ErrorModel
+    across: ErrorModel
+    heading: ErrorModel
+    bias: tuple[float, float]
+    dropout: float
+
+
+DEGREE: Final = math.pi / 180.0
+NORMAL_MAX: Final = 4.0
+"""Largest value of the normal distribution that `ErrorModel` accepts, which bounds its tails."""
+BLURRED_SPEED: Final = 0.1
+"""Speed of the marker from which on its errors are those of a moving one, m/s."""
+TURNING_RADIUS: Final = 0.1
+"""Travel of the marker's corners for each radian of turn, m."""
+PLANAR_POSITION: Final = PowerLaw.through(0.0011, 0.0013)
+PLANAR_PARTS: Final = (Part(0.55, time=5.0), Part(0.45))
+PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
+    # Fitted to rendered frames (python -m benchmarks sensing): 3 to 7.6 m and up to 35 degrees from the vertical,
+    # most of them at 4.7 to 6.2 m.
+    "single-tag": CameraNoise(
+        along=ErrorModel(
+            PowerLaw(0.0290, 2.0, 1.1),
+            (Part(0.12, length=0.4), Part(0.45, length=0.005), Part(0.43)),
+            skew=0.6,
+            mean=PowerLaw(0.0116, 2.8, 1.65),
+            standing=0.84,
+        ),
+        across=ErrorModel(PowerLaw(0.030, 1.3, -4.7), (Part(0.25, length=1.0), Part(0.2, length=0.005), Part(0.55))),
+        heading=ErrorModel(
+            PowerLaw(0.0178, 2.1, 1.9),
+            (Part(0.41, length=0.5), Part(0.13, length=0.005), Part(0.46)),
+            tail=0.2,
+            standing=0.76,
+        ),
+        bias=(0.012, 0.1 * DEGREE),
+        dropout=0.02,
+    ),
+    # In a plane of known height: 0.5-0.9 mm and 1 degree from 3 m to 5 m, measured with OpenCV on rendered 15 cm tags.
+    # Assumed, not measured: the bias, and a drift of 1 mm and 0.1 degrees in 5 s, like that of light and lens.
+    "planar": CameraNoise(
+        along=ErrorModel(PLANAR_POSITION, PLANAR_PARTS),
+        across=ErrorModel(PLANAR_POSITION, PLANAR_PARTS),
+        heading=ErrorModel(PowerLaw(1.005 * DEGREE), (Part(0.01, time=5.0), Part(0.99))),
+        bias=(0.003, 0.2 * DEGREE),
+        dropout=0.0,
+    ),
+}
+
+
+class PoseNoise:
+    """Draws the errors of the poses of one trial, reproducibly for a seed.
+
+    Every frame uses the same number of random numbers, so a missed frame does not change the errors of the next ones.
+    """
+
+    def __init__(
+        self, noise: CameraNoise, dropout: float, scale: float, generator: np.random.Generator,
+        correlation_time: float | None = None,
+    ) -> None:  # fmt: skip
+        """Draw the constant bias.
+
+        Args:
+            noise: errors of the camera.
+            dropout: share of missed frames.
+            scale: factor on every error.
+            generator: source of all draws.
+            correlation_time: time constant of the whole deviation instead of the parts of `noise`, s; 0 makes the
+                deviations of frames independent.  The spread of a frame, its mean and the bias remain.
+        """
+        self.noise, self.dropout, self.scale = noise, dropout, scale
+        self._generator = generator
+        models = (noise.along, noise.across, noise.heading)
+        only = None if correlation_time is None else (Part(1.0, time=correlation_time),)
+        self._models = [(model, model.parts if only is None else only) for model in models]
+        bias = noise.bias[0], noise.bias[0], noise.bias[1]
+        self._bias = [size * draw for size, draw in zip(bias, self._normal(3), strict=True)]
+        self._parts = [[0.0] * len(parts) for _, parts in self._models]
+        self._draws = sum(len(parts) for parts in self._parts)
+        self._blur = 0.0
+        self._last: tuple[float, float, float, float] | None = None
+
+    def draw(
+        self, time: float, sight: tuple[float, float, float], pose: tuple[float, float, float]
+    ) -> tuple[float, float, float] | None:
+        """Error (x, y, theta) of a frame at `time` (s, ascending) or None if there is no detection.
+
+        Args:
+            time: of the frame, s.
+            sight: length of the line of sight (m), its angle from the vertical and its direction on the floor (rad).
+            pose: true x, y (m) and heading (rad) of the marker.
+        """
+        missed = float(self._generator.random())
+        self._advance(time, pose)
+        if missed < self.dropout:
+            return None
+        distance, phi, direction = sight
+        along, across, heading = (
+            model.error(
+                sum(math.sqrt(part.share) * value for part, value in zip(parts, values, strict=True)),
+                distance,
+                phi,
+                self._blur,
+            )
+            for (model, parts), values in zip(self._models, self._parts, strict=True)
+        )
+        c, s = math.cos(direction), math.sin(direction)
+        x, y, theta = self._bias
+        error = x + c * along - s * across, y + s * along + c * across, theta + heading
+        return self.scale * error[0], self.scale * error[1], self.scale * error[2]
+
+    def _normal(self, count: int) -> list[float]:
+        drawn: list[float] = self._generator.standard_normal(count).tolist()
+        return drawn
+
+    def _advance(self, time: float, pose: tuple[float, float, float]) -> None:
+        """Advance every part to `time` and `pose`: autoregressive, of variance 1."""
+        last, self._last = self._last, (time, *pose)
+        travelled = elapsed = math.inf
+        if last is not None:
+            turned = math.remainder(pose[2] - last[3], math.tau)
+            travelled = math.hypot(pose[0] - last[1], pose[1] - last[2]) + TURNING_RADIUS * abs(turned)
+            elapsed = max(time - last[0], 0.0)
+            self._blur = min(travelled / (BLURRED_SPEED * elapsed), 1.0) if elapsed > 0.0 else self._blur
+        draws = iter(self._normal(self._draws))
+        for (_, parts), values in zip(self._models, self._parts, strict=True):
+            for k, part in enumerate(parts):
+                kept = part.kept(travelled, elapsed)
+                values[k] = kept * values[k] + math.sqrt(1.0 - kept * kept) * next(draws)

@@ -14,8 +14,7 @@ from kraft.scenario import Bounds, Scenario
 from kraft.simulation.camera import HALF_MARKER
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.floor_frame import yaw_rotation
-from kraft.simulation.imager import CORNERS, Imager, Imaging
-from kraft.simulation.optics import HEIGHT, WIDTH, Calibration, Lens, View, dictionary, opencv
+from kraft.simulation.imager import CORNERS, HEIGHT, WIDTH, Calibration, Imager, Imaging, Lens, View, dictionary, opencv
 from ompl_ext.arrays import Floats, Matrix
 
 SMALLEST: Final = 12.0

@@ -5,9 +5,8 @@ prediction_errors(vehicle, logs, values, settings) how far open-loop prediction 
 """
 
 from kraft.sysid.identify import identify
+from kraft.sysid.interface import Identification, LogFit, Noise, ParameterEstimate, PartFit, PredictionErrors, Settings
 from kraft.sysid.prediction import Window, predict_windows, prediction_errors
-from kraft.sysid.result import Identification, LogFit, ParameterEstimate, PartFit, PredictionErrors
-from kraft.sysid.settings import Noise, Settings
 
 __all__ = [
     "Identification",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.result import Identification
+from kraft.sysid.interface import Identification
 from kraft.sysid.smoothing import high_speed
 from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import (
@@ -18,8 +18,7 @@ from kraft.vehicles.config import (
     Parameter,
     VehicleConfig,
 )
-from kraft.vehicles.fit import units_of
-from kraft.vehicles.load import configured, read_vehicle_file, resolved_reference
+from kraft.vehicles.load import configured, read_vehicle_file, resolved_reference, units_of
 from kraft.vehicles.reference import is_code, resolve_vehicle, split_file
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle

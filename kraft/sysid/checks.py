@@ -9,11 +9,10 @@ from typing import Final
 import numpy as np
 
 from kraft.sysid.initial_values import SmoothedPoses
-from kraft.sysid.optimiser import Optimum
+from kraft.sysid.interface import AT_BOUND, CORRELATION_HIGH, correlations
+from kraft.sysid.optimiser import Optimum, Uncertainty
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import Problem, residual_ratio
-from kraft.sysid.result import AT_BOUND, CORRELATION_HIGH, correlations
-from kraft.sysid.uncertainty import Uncertainty
 from kraft.text import counted
 from ompl_ext.arrays import Floats
 

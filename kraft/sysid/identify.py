@@ -15,14 +15,22 @@ from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import Solution, at_bound, unidentified, warnings_of
 from kraft.sysid.data import screen_logs, usable_logs
 from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.growth import process_noise
+from kraft.sysid.factor_graph import FastGraph, PaperGraph
 from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chains
-from kraft.sysid.observation import NoiseModel, noise_model
-from kraft.sysid.optimiser import LinearisedGraph, OnIteration, Optimum, held_at_bounds, ignore_iteration, optimise
+from kraft.sysid.interface import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit, Settings
+from kraft.sysid.optimiser import (
+    LinearisedGraph,
+    OnIteration,
+    Optimum,
+    Uncertainty,
+    estimate_uncertainty,
+    held_at_bounds,
+    ignore_iteration,
+    optimise,
+)
 from kraft.sysid.parameters import DELAY_MIN, Parameters, parameters_of, vehicle_of
-from kraft.sysid.problem import Point, Problem, assemble, residual_ratio, starting_point
-from kraft.sysid.result import Identification, LogFit, ModelTrial, ParameterEstimate, PartFit
+from kraft.sysid.prediction import process_noise
+from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, residual_ratio, starting_point
 from kraft.sysid.screening import turns_before_steered
 from kraft.sysid.selection import (
     candidates_of,
@@ -32,10 +40,8 @@ from kraft.sysid.selection import (
     selected,
     selection_note,
 )
-from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, as_good, best_of, chosen
-from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -311,8 +317,6 @@ class _Estimator:
     def _graph(self, problem: Problem) -> LinearisedGraph:
         if self.settings.graph == "fast":
             return FastGraph(problem)
-        from kraft.sysid.paper_graph import PaperGraph
-
         return PaperGraph(problem)
 
 

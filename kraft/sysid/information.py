@@ -21,14 +21,12 @@ from scipy.signal import lfilter
 
 from kraft.logs.log import Part
 from kraft.sysid.chains import Chains, Segment
-from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.observation import NoiseModel, noise_model
+from kraft.sysid.factor_graph import FastGraph
+from kraft.sysid.interface import Identification, Noise, Settings
+from kraft.sysid.optimiser import inverse
 from kraft.sysid.parameters import Parameters, parameters_of, speed_index
 from kraft.sysid.prediction import HORIZONS
-from kraft.sysid.problem import Point, Problem, assemble, simulated
-from kraft.sysid.result import Identification
-from kraft.sysid.settings import Noise, Settings
-from kraft.sysid.uncertainty import inverse
+from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, simulated
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle

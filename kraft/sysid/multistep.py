@@ -4,30 +4,31 @@ The unknowns are the parameters rho, the initial state of every window, and in e
 parameters that vary from drive to drive and during one (random effects); the controls are the commands.  The residual
 of a pose has the noise of the poses and the error that the model makes by then, which grows with the time since the
 beginning of the window.  For a model that is exact this error is small and every pose counts the same; a model that
-lacks an effect is fitted to predict over the whole window instead of being bent by small motions.
+lacks an effect is fitted to predict over the whole window instead of being bent by small motions.  Fits run in threads
+on all cores (`in_parallel`): compiled kernels and large arrays release Python's global lock.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
+from typing import TypeVar
 
 import numpy as np
 
-from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Segment, chains_of
-from kraft.sysid.dynamics import DIFFERENCE_STEP
+from kraft.sysid.dynamics import DIFFERENCE_STEP, ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
-from kraft.sysid.observation import NoiseModel
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
-from kraft.sysid.problem import Point, Problem, assemble, stacked
+from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, stacked
 from kraft.sysid.smoothing import NEIGHBOURS
-from kraft.sysid.threads import in_parallel
-from kraft.sysid.variation import Variation
-from kraft.sysid.windows import Acting, Windows, controls_in_parts, places
+from kraft.sysid.windows import Acting, Variation, Windows, controls_in_parts, places
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 
 START_NOISE = 3.0
@@ -415,3 +416,32 @@ def fit(
         else:
             damping, converged = 5.0 * damping, damping > DAMPING_MAX
     return Optimum(point, cost, converged, iterations, graph.reduce(0.0))
+
+
+Item = TypeVar("Item")
+Found = TypeVar("Found")
+
+
+def in_parallel(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found]:
+    """Results of a function of each item, on all cores; in turn if this is one of the threads that do so already."""
+    if getattr(_thread, "working", False):
+        return [function(item) for item in items]
+
+    def work(item: Item) -> Found:
+        _thread.working = True
+        return function(item)
+
+    return list(_pool().map(work, items))
+
+
+_thread = threading.local()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return ThreadPoolExecutor(cores, "sysid")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked process has no threads

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from kraft.errors import Diagnostic, InputError
-from kraft.sysid.settings import Settings
+from kraft.sysid.interface import Settings
 from kraft.vehicles.config import Parameter, VehicleConfig
 from kraft.vehicles.load import configured
 from ompl_ext.arrays import Bools, Floats

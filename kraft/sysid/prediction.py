@@ -1,9 +1,10 @@
-"""Open-loop prediction of the model over windows of 3 s, and its errors after 1, 2 and 3 s.
+"""Open-loop prediction of the model over windows of 3 s, its errors after 1, 2 and 3 s, and how they grow.
 
 The prediction of a window uses the commands and the poses up to its beginning; of later poses it uses only the measured
 noise.  The first window of a part that begins at rest begins at its first pose, at rest.  Every other window begins at
 the state that the graph, with fixed parameters, estimates from the 3 s before; if parameters of the model vary, at the
-state, and with their deviations, that fit the poses of these 3 s best without process noise.
+state, and with their deviations, that fit the poses of these 3 s best without process noise.  Process noise explains
+the growth of the error with the time since the beginning (`process_noise`, `error_growth`).
 """
 
 from __future__ import annotations
@@ -18,20 +19,24 @@ import numpy as np
 from kraft.errors import Code, InputError
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.data import usable_logs
-from kraft.sysid.fast_graph import FastGraph
-from kraft.sysid.growth import error_growth
+from kraft.sysid.factor_graph import FastGraph
 from kraft.sysid.initial_values import smooth_chains
+from kraft.sysid.interface import PredictionErrors, Settings
 from kraft.sysid.multistep import MultiStep, fit
-from kraft.sysid.observation import NoiseModel, noise_model
 from kraft.sysid.optimiser import optimise
-from kraft.sysid.parameters import Parameters, auxiliary_parameters, parameters_of, variation_of, vehicle_of
-from kraft.sysid.problem import Point, Problem, assemble, simulated, starting_point
-from kraft.sysid.result import PredictionErrors
+from kraft.sysid.parameters import (
+    YAW_RATES,
+    Parameters,
+    auxiliary_parameters,
+    parameters_of,
+    speed_index,
+    variation_of,
+    vehicle_of,
+)
+from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, simulated, starting_point
 from kraft.sysid.selection import check_settings
-from kraft.sysid.settings import Settings
 from kraft.sysid.smoothing import begins_at_rest, constant_motion, measured_noise, thinned
-from kraft.sysid.variation import Variation
-from kraft.sysid.windows import windows_of
+from kraft.sysid.windows import Variation, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -349,3 +354,27 @@ def _at_rest(parameters: Parameters, rho: Floats, pose: Floats) -> Floats:
         if name in model.state:
             state[model.index(name)] = number
     return state
+
+
+def process_noise(vehicle: Vehicle, growth: Floats, horizon: float) -> dict[str, float]:
+    """Random walks of speed and turning, by component, that make errors as large as the model's at the horizon."""
+    found = {}
+    per_rate = math.sqrt(3.0 / horizon)  # a random walk of a rate, integrated: q sqrt(t^3 / 3)
+    if (k := speed_index(vehicle)) >= 0:
+        found[vehicle.state[k]] = float(growth[0]) * per_rate
+    for name in vehicle.state:
+        if name in YAW_RATES:
+            found[name] = float(growth[2]) * per_rate
+    if "theta" in vehicle.state and not set(YAW_RATES) & set(vehicle.state):
+        found["theta"] = float(growth[2]) * math.sqrt(horizon)
+    return found
+
+
+def error_growth(vehicle: Vehicle, process: Floats, horizon: float) -> Floats:
+    """(3,) growth of the error in x, y and yaw that process noise (nx,) leads to: the inverse of `process_noise`."""
+    named = dict(zip(vehicle.state, map(float, process), strict=True))
+    per_rate, per_position = math.sqrt(3.0 / horizon), math.sqrt(horizon)
+    speed = speed_index(vehicle)
+    moving = [float(process[speed]) / per_rate] if speed >= 0 else [named[k] / per_position for k in ("x", "y")]
+    turning = [named[k] / per_rate for k in YAW_RATES if k in named] or [named.get("theta", 0.0) / per_position]
+    return np.array([max(moving), max(moving), max(turning)])

@@ -1,20 +1,190 @@
-"""The least-squares problem of Sec. IV-A: unknowns, residuals and cost."""
+"""The least-squares problem of Sec. IV-A: observation of poses, noise, unknowns, residuals and cost.
+
+The pose observed between two states is that of the state interpolated between them.  Interpolation is linear, also of
+the continuous yaw, so that the factor is linear in the states if the tracked point is the reference point of the model.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
-from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Chains, Segment, chains_of
-from kraft.sysid.dynamics import Dynamics
+from kraft.sysid.dynamics import ActuatorModel, Dynamics
 from kraft.sysid.initial_values import SmoothedPoses, initial_states
-from kraft.sysid.observation import NoiseModel, Observation
+from kraft.sysid.interface import Noise, Settings
 from kraft.sysid.parameters import Parameters
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.jit import cache_folder, compiled
+from ompl_ext.vehicle import Vehicle
+
+PROCESS_POSITION = 0.001
+"""Process noise of the position, m per square root of a second."""
+PROCESS_YAW = 0.002
+"""Process noise of the yaw, rad per square root of a second."""
+PROCESS_OTHER = 0.005
+"""Process noise of a speed or another hidden component, in its unit per square root of a second."""
+CONTROL_SHARE = 0.01
+"""Standard deviation of the applied control from the command, as a share of the control's range."""
+
+
+class Observation:
+    """Poses observed of a vehicle's states, with a lever arm and a yaw offset if rho has them."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        """Look up the indices of the pose in the state and of the auxiliary parameters in rho."""
+        self._np = len(parameters.names)
+        self._x, self._y, self._theta = (parameters.vehicle.index(name) for name in ("x", "y", "theta"))
+        self._lever, self._side, self._offset = (
+            parameters.auxiliary_index(name) for name in ("lever", "side", "yaw_offset")
+        )
+
+    def predict(self, states: Matrix, rho: Floats, out: Matrix | None = None) -> Matrix:
+        """Poses (n, 3) observed of states (n, nx); yaw is 0 for a vehicle without yaw."""
+        poses = np.zeros((len(states), 3)) if out is None else out
+        poses[:, 0], poses[:, 1] = states[:, self._x], states[:, self._y]
+        if self._theta < 0:
+            return poses
+        yaw = states[:, self._theta]
+        lever, side, offset = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
+        poses[:, 2] = yaw + offset
+        if lever != 0.0 or side != 0.0:
+            c, s = np.cos(yaw), np.sin(yaw)
+            poses[:, 0] += lever * c - side * s
+            poses[:, 1] += lever * s + side * c
+        return poses
+
+    def of_windows(self, states: Floats, step: Ints, share: Matrix, rho: Floats, out: Floats) -> None:
+        """Write the poses `out` (W, n, 3) of the states (steps + 1, W, nx), at steps (W, n) and shares of them."""
+        shown = np.array([self._x, self._y, self._theta], dtype=np.int64)
+        parts = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
+        poses_of_windows(states, step, share, shown, np.array([*parts], dtype=np.float64), out)
+
+    def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
+        """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
+        by_state, by_rho = np.zeros((len(states), 3, states.shape[1])), np.zeros((len(states), 3, self._np))
+        by_state[:, 0, self._x] = by_state[:, 1, self._y] = 1.0
+        if self._theta < 0:
+            return by_state, by_rho
+        by_state[:, 2, self._theta] = 1.0
+        if self._offset >= 0:
+            by_rho[:, 2, self._offset] = 1.0
+        if self._lever >= 0 or self._side >= 0:
+            c, s = np.cos(states[:, self._theta]), np.sin(states[:, self._theta])
+            lever, side = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side))
+            by_state[:, 0, self._theta] = -lever * s - side * c
+            by_state[:, 1, self._theta] = lever * c - side * s
+            if self._lever >= 0:
+                by_rho[:, 0, self._lever], by_rho[:, 1, self._lever] = c, s
+            if self._side >= 0:
+                by_rho[:, 0, self._side], by_rho[:, 1, self._side] = -s, c
+        return by_state, by_rho
+
+    @property
+    def turns(self) -> bool:
+        """Whether yaw is observed."""
+        return self._theta >= 0
+
+    def residual(self, states: Matrix, rho: Floats, poses: Matrix) -> Matrix:
+        """Predicted less observed (n, 3)."""
+        difference = self.predict(states, rho) - poses
+        if not self.turns:
+            difference[:, 2] = 0.0
+        return difference
+
+
+def _poses_of_windows(states: Floats, step: Ints, share: Matrix, shown: Ints, offset: Floats, out: Floats) -> None:
+    for w in range(step.shape[0]):
+        for j in range(step.shape[1]):
+            k, e = step[w, j], share[w, j]
+            x = (1.0 - e) * states[k, w, shown[0]] + e * states[k + 1, w, shown[0]]
+            y = (1.0 - e) * states[k, w, shown[1]] + e * states[k + 1, w, shown[1]]
+            yaw = 0.0
+            if shown[2] >= 0:
+                yaw = (1.0 - e) * states[k, w, shown[2]] + e * states[k + 1, w, shown[2]]
+                if offset[0] != 0.0 or offset[1] != 0.0:
+                    c, s = math.cos(yaw), math.sin(yaw)
+                    x += offset[0] * c - offset[1] * s
+                    y += offset[0] * s + offset[1] * c
+                yaw += offset[2]
+            out[w, j, 0], out[w, j, 1], out[w, j, 2] = x, y, yaw
+
+
+poses_of_windows = compiled(
+    _poses_of_windows, folder=cache_folder(f"poses-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")
+)
+"""poses_of_windows(states, step, share, shown, offset, out): see `Observation.of_windows`; `shown` (3,) are the indices
+of x, y and yaw in the state, `offset` (3,) lever, side and yaw offset."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Standard deviations of poses, process and controls, and the threshold of the robust loss of a pose."""
+
+    noise: Noise
+    process: Floats
+    """(nx,) standard deviations per square root of a second"""
+    control: Floats
+    """(nu,) standard deviations"""
+    threshold: float
+    """Mahalanobis distance of a pose above which its weight decreases; inf for no robust loss"""
+
+    @property
+    def pose_sigmas(self) -> Floats:
+        """(3,) x, y, yaw."""
+        return np.array([self.noise.position, self.noise.position, self.noise.yaw])
+
+    def distance(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
+        """Mahalanobis distances (...) of pose residuals (..., 3); `sigmas` (..., 3) in place of those of the poses."""
+        distance: Floats = np.sqrt(np.sum((residuals / (self.pose_sigmas if sigmas is None else sigmas)) ** 2, axis=-1))
+        return distance
+
+    def weights(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
+        """(...) weight of each pose by the Huber loss: 1 up to the threshold, then decreasing with the distance."""
+        if not self.robust:
+            return np.ones(residuals.shape[:-1])
+        weights: Floats = self.threshold / np.maximum(self.distance(residuals, sigmas), self.threshold)
+        return weights
+
+    def loss(self, residuals: Floats, sigmas: Floats | None = None) -> float:
+        """Sum of the Huber losses."""
+        return float(np.sum(self.losses(residuals, sigmas)))
+
+    def losses(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
+        """(...) Huber loss of each pose: half the squared distance up to the threshold, then linear."""
+        distance = self.distance(residuals, sigmas)
+        inside = np.minimum(distance, self.threshold)
+        losses: Floats = inside * (distance - 0.5 * inside)
+        return losses
+
+    @property
+    def robust(self) -> bool:
+        """Whether the loss of poses is robust."""
+        return math.isfinite(self.threshold)
+
+
+def noise_model(vehicle: Vehicle, settings: Settings, noise: Noise) -> NoiseModel:
+    """The noise that the settings state, with defaults for what they leave open."""
+    default = {"x": PROCESS_POSITION, "y": PROCESS_POSITION, "theta": PROCESS_YAW}
+    process = [settings.process.get(name, default.get(name, PROCESS_OTHER)) for name in vehicle.state]
+    control = [
+        settings.control_noise.get(name, CONTROL_SHARE * (high - low)) for name, (low, high) in vehicle.controls.items()
+    ]
+    shown = 3 if vehicle.index("theta") >= 0 else 2
+    return NoiseModel(noise, np.array(process), np.array(control), threshold(settings.robust, shown))
+
+
+def threshold(robust: float | None, shown: int) -> float:
+    """Threshold of the distance of `shown` residuals that inliers exceed as often as one residual exceeds `robust`."""
+    if robust is None:
+        return math.inf
+    return math.sqrt(float(chi2.isf(2.0 * float(norm.sf(robust)), shown)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.sysid.interface import CORRELATION_REMOVED, Settings
+from kraft.sysid.optimiser import Uncertainty, inverse
 from kraft.sysid.parameters import (
     Parameters,
     affects_motion,
@@ -23,9 +25,6 @@ from kraft.sysid.parameters import (
     parameter_specs,
     vehicle_of,
 )
-from kraft.sysid.result import CORRELATION_REMOVED
-from kraft.sysid.settings import Settings
-from kraft.sysid.uncertainty import Uncertainty, inverse
 from kraft.text import suggestion
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix

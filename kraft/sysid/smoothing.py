@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.settings import Noise
+from kraft.sysid.interface import Noise
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 if TYPE_CHECKING:

@@ -24,24 +24,14 @@ import numpy as np
 
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
-from kraft.sysid.multistep import CONVERGED, MultiStep, fit
-from kraft.sysid.observation import NoiseModel, noise_model
-from kraft.sysid.optimiser import (
-    OnIteration,
-    Optimum,
-    RhoFactors,
-    bounded_step,
-    held_at_bounds,
-)
+from kraft.sysid.interface import AT_BOUND, Settings
+from kraft.sysid.multistep import CONVERGED, MultiStep, fit, in_parallel
+from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, held_at_bounds
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
-from kraft.sysid.problem import Point
-from kraft.sysid.result import AT_BOUND
-from kraft.sysid.settings import Settings
+from kraft.sysid.problem import NoiseModel, Point, noise_model
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
-from kraft.sysid.threads import in_parallel
-from kraft.sysid.variation import Variation
-from kraft.sysid.windows import windows_of
+from kraft.sysid.windows import Variation, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle

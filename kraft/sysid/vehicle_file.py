@@ -10,17 +10,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from kraft.config.schema import NAME
-from kraft.config.validation import check
+from kraft.config.schema import NAME, check
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions
 from kraft.sysid.acceptance import PredictionEvaluation, SpeedErrors, errors_by_speed
 from kraft.sysid.base_vehicle import BaseVehicle
-from kraft.sysid.command_units import CommandUnit
 from kraft.sysid.data import LogSplit
-from kraft.sysid.result import Identification, ParameterEstimate, PredictionErrors
+from kraft.sysid.interface import Identification, ParameterEstimate, PredictionErrors
+from kraft.sysid.screening import CommandUnit
 from kraft.text import counted
 from kraft.vehicles.config import (
     CommandScale,

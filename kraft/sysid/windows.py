@@ -1,15 +1,19 @@
-"""Windows of logs in common arrays, and the controls that act in them, each step in two parts."""
+"""Windows of logs as the multi-step form takes them: their poses, the controls that act in them, and their parameters.
+
+Poses of all windows are in common arrays; controls act in each step in two parts.  Parameters may vary from drive to
+drive and, less, from window to window of a drive.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Chains, Segment, pose_steps
+from kraft.sysid.dynamics import ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.problem import padded
 from kraft.sysid.smoothing import smoothed
@@ -107,3 +111,37 @@ def places(acting: Acting, windows: Windows) -> tuple[Ints, Matrix]:
     late = since > first
     part = np.where(late, second, first)
     return 2 * windows.step + late, (since - np.where(late, first, 0.0)) / np.where(part > 0.0, part, 1.0)
+
+
+WITHIN_SHARE: Final = 0.05
+"""Variation within a drive over the one between drives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """How far nv parameters vary: standard deviations in their units."""
+
+    names: tuple[str, ...]
+    between: Floats
+    """(nv,) of a drive's mean from rho"""
+    within: Floats
+    """(nv,) of a window from the mean of its drive"""
+
+    @classmethod
+    def of(cls, names: Sequence[str], between: Floats) -> Variation:
+        """Variation of which a fixed share is within a drive.
+
+        That share is chosen, not estimated: the windows of a drive whose commands change slowly are explained as well
+        by a parameter that varies with them as by the effect of the commands.
+        """
+        return cls(tuple(names), between, WITHIN_SHARE * between)
+
+    @classmethod
+    def independent(cls, stated: Mapping[str, float]) -> Variation:
+        """Variation of windows of which no two are of the same drive."""
+        return cls(tuple(stated), np.zeros(len(stated)), np.array(list(stated.values())))
+
+    @property
+    def total(self) -> dict[str, float]:
+        """Standard deviation of a window from rho, by parameter."""
+        return dict(zip(self.names, map(float, np.hypot(self.within, self.between)), strict=True))

@@ -13,22 +13,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kraft.driving.car_model import model_of
+from kraft.driving.clearance import Solvers
+from kraft.driving.contingencies import OnBoard
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.messages import Commitment, Cycle, Observation
 from kraft.driving.method import Oracle
-from kraft.driving.on_board import OnBoard
 from kraft.driving.replanner import Replanner
-from kraft.driving.solvers import Solvers
+from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
-from kraft.trial.approach import ClosestApproach
-from kraft.trial.cause import Cause, collision_cause, timeout_cause
-from kraft.trial.measures import Measures, Step, measure
-from kraft.trial.oracle import OracleEstimator, true_model
-from kraft.trial.plant import Plant, Radio, level_camera
-from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from kraft.trial.measures import ClosestApproach, Measures, Step, measure
+from kraft.trial.plant import OracleEstimator, Plant, Radio, level_camera, true_model
+from kraft.trial.result import Cause, Outcome, TrialResult, TrialSpec, collision_cause, timeout_cause
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]

@@ -1,4 +1,7 @@
-"""Vehicle models, each a derivative over tuples, and their loading; parameters are in `configs/vehicles/`."""
+"""Vehicle models, each a derivative over tuples, and their loading; parameters are in `configs/vehicles/`.
+
+Here is what all of them have in common: whether a vehicle is a car, and the units of controls where it states them.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,31 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle
 
+
 CAR_CONTROLS: Final = ("throttle", "steering")
 
 
 def is_car(vehicle: Vehicle) -> bool:
     """Whether the controls of a vehicle are throttle and steering."""
     return sorted(vehicle.controls) == sorted(CAR_CONTROLS)
+
+
+SHARE: Final = "share of the largest"
+"""Unit of a control whose largest value is 1."""
+_UNITS: Final = {"steering": "rad", "v": "m/s", "omega": "rad/s", "left": "m/s", "right": "m/s"}
+_SHARES: Final = ("throttle", "steering", "acceleration", "angular_acceleration")
+
+
+def control_unit(vehicle: Vehicle, name: str) -> str | None:
+    """Unit of a control; None where it is not known, as of a model that takes commands in any unit."""
+    largest = vehicle.controls[name][1]
+    full = vehicle.parameters.get(f"full_{name}")
+    if name in _SHARES and largest == 1.0 and full in (None, 1.0):
+        return SHARE
+    return None if full is not None else _UNITS.get(name)
+
+
+def control_title(vehicle: Vehicle, name: str) -> str:
+    """Name of a control in words, with its unit where that is known."""
+    words, unit = name.replace("_", " "), control_unit(vehicle, name)
+    return f"{words}, {unit}" if unit else words

@@ -21,9 +21,8 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
-from kraft.config.schema import Length, Name, NonNegative, Positive, StrictModel, refuse
-from kraft.config.source import KeyPath, Source
-from kraft.config.validation import build, describe, read_model
+from kraft.config.schema import Length, Name, NonNegative, Positive, StrictModel, build, describe, read_model, refuse
+from kraft.config.yaml_reader import KeyPath, Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle

@@ -1,1 +1,1 @@
-"""Videos of a trial: an MP4 (`kraft.video.recorder`), or a window in real time (`kraft.video.viewer`)."""
+"""Videos of a trial: an MP4, or a window in real time (`kraft.video.recorder`)."""

@@ -1,22 +1,124 @@
-"""Drawings on the floor of MuJoCo's scene: tree, plan, predicted motion, contingency, trail, estimate, collision."""
+"""Drawings of a snapshot on the floor of MuJoCo's scene: tree, plan, predicted motion, contingency, trail, estimate.
+
+A snapshot has truth, estimate and cycle of a trial at one time.  Colours are the same as in the plots for the same
+meaning.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
 
+import matplotlib
 import mujoco
 import numpy as np
+from matplotlib.colors import to_rgb
 
-from kraft.driving.messages import Cycle, Reference, ReferenceKind
-from kraft.planning.workspace import poses_of
+from kraft.driving.messages import Cycle, Reference, ReferenceKind, as_driven
+from kraft.planning.workspace import poses_of, workspace_of
 from kraft.plot.frame import outlines
+from kraft.plot.style import CYCLE, GOAL, WARNING
 from kraft.simulation.floor_frame import Surface
-from kraft.video import palette
-from kraft.video.palette import Colour, colour
-from kraft.video.snapshot import Snapshot
+from kraft.simulation.true_world import TrueWorld
+from kraft.trial.measures import Step
+from kraft.trial.result import TrialSpec
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.exact import ExactClearance
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
+
+TRAIL_SPACING = 0.04
+"""Distance between the points of the trail, m."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """State of a trial at one time: truth, estimate and current cycle.
+
+    Poses are x, y (m) and heading (rad).  `trail` (n, 3) are x, y and speed (m/s) of where the car has been;
+    `clearance` is the true distance of its footprint to the nearest obstacle, m.
+    """
+
+    time: float
+    pose: Floats
+    speed: float
+    estimate: Floats
+    clearance: float
+    cycle: Cycle | None
+    trail: Matrix
+
+
+class SnapshotRecorder:
+    """Makes snapshots from the callbacks of `run_trial`."""
+
+    def __init__(self, spec: TrialSpec) -> None:
+        self._vehicle = spec.vehicle
+        self._exact = ExactClearance(workspace_of(spec.scenario.task(), spec.vehicle), spec.vehicle.footprint)
+        self._cycles: list[Cycle] = []
+        self._committed: list[Cycle] = []
+        self._cycle: Cycle | None = None
+        self._trail: list[tuple[float, float, float]] = []
+        self._estimate: Floats = np.zeros(3)
+
+    def on_cycle(self, cycle: Cycle) -> None:
+        """Record a cycle; snapshots contain it from its start on."""
+        self._cycles.append(cycle)
+        self._committed.append(as_driven(self._cycles)[-1])
+
+    def on_step(self, world: TrueWorld, step: Step) -> Snapshot:
+        """Record a tick of the controller and return the snapshot at it."""
+        self._estimate = poses_of(step.estimate[None, :], self._vehicle)[0]
+        return self.now(world)
+
+    def now(self, world: TrueWorld) -> Snapshot:
+        """Snapshot of the world as it is; the estimate is that of the last tick."""
+        while self._committed and self._committed[0].time <= world.time + 1e-9:
+            self._cycle = self._committed.pop(0)
+        x, y, theta = map(float, world.pose)
+        here = (x, y, world.speed)
+        if not self._trail or np.hypot(x - self._trail[-1][0], y - self._trail[-1][1]) >= TRAIL_SPACING:
+            self._trail.append(here)
+        return Snapshot(
+            time=world.time,
+            pose=np.array([x, y, theta]),
+            speed=world.speed,
+            estimate=self._estimate,
+            clearance=self._exact.distance(x, y, theta),
+            cycle=self._cycle,
+            trail=np.array([*self._trail, here]),
+        )
+
+
+Colour: TypeAlias = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
+
+
+def colour(name: str, opacity: float = 1.0) -> Colour:
+    """A colour by its code, #rrggbb."""
+    red, green, blue = to_rgb(name)
+    return red, green, blue, opacity
+
+
+PLAN: Final = CYCLE
+PREDICTED: Final = "#a9d3ee"
+CONTINGENCY: Final = WARNING
+CONTINGENCY_PALE: Final = "#f6cba8"
+TREE: Final = "#44546c"
+ESTIMATE: Final = "#a3178f"
+SUCCESS: Final = GOAL
+FAILURE: Final = "#c1121f"
+
+BACKGROUND: Final = "#14171c"
+TEXT: Final = "#ffffff"
+SECONDARY_TEXT: Final = "#b9c2cf"
+
+
+def speed_colours(speeds: Floats, top: float) -> Matrix:
+    """Colours (n, 4) of speeds (n,): from standstill to `top` m/s, backwards like forwards."""
+    scale = matplotlib.colormaps["viridis"]
+    coloured: Matrix = scale(0.85 * np.clip(np.abs(speeds) / top, 0.0, 1.0))
+    return coloured
+
 
 EDGES_MAX: Final = 1500
 """Number of edges above which only a part of the tree is drawn."""
@@ -136,10 +238,10 @@ def draw_cycle(pen: Pen, cycle: Cycle, vehicle: Vehicle) -> None:
         _draw_tree(pen, cycle.tree, vehicle)
     planned = cycle.kind == ReferenceKind.PLAN
     predicted = poses_of(cycle.predicted.states, vehicle)[:, :2]
-    pale = palette.PREDICTED if planned else palette.CONTINGENCY_PALE
+    pale = PREDICTED if planned else CONTINGENCY_PALE
     pen.stroke(predicted, vehicle.footprint.width, PREDICTED_HEIGHT, colour(pale))
     if planned:
-        pen.stroke(_path(cycle.reference, vehicle), 0.03, PLAN_HEIGHT, colour(palette.PLAN))
+        pen.stroke(_path(cycle.reference, vehicle), 0.03, PLAN_HEIGHT, colour(PLAN))
     if cycle.contingency is not None:
         _draw_contingency(pen, cycle.contingency, vehicle)
 
@@ -150,14 +252,14 @@ def _draw_tree(pen: Pen, tree: TreeView, vehicle: Vehicle) -> None:
         nodes = nodes[np.linspace(0, len(nodes) - 1, EDGES_MAX).astype(np.int64)]
     places = poses_of(tree.states, vehicle)[:, :2]
     edges = np.stack([places[tree.parents[nodes]], places[nodes]], axis=1)
-    pen.lines(edges, TREE_HEIGHT, colour(palette.TREE, 0.35), 1.0)
+    pen.lines(edges, TREE_HEIGHT, colour(TREE, 0.35), 1.0)
 
 
 def _draw_contingency(pen: Pen, safe: Reference, vehicle: Vehicle) -> None:
     """Draw the path and the final footprint of a contingency."""
-    pen.dashes(_path(safe, vehicle), 0.03, CONTINGENCY_HEIGHT, colour(palette.CONTINGENCY))
+    pen.dashes(_path(safe, vehicle), 0.03, CONTINGENCY_HEIGHT, colour(CONTINGENCY))
     corners = outlines(vehicle.footprint, poses_of(safe.states[-1:], vehicle))[0]
-    pen.outline(corners, 0.014, CONTINGENCY_HEIGHT, colour(palette.CONTINGENCY))
+    pen.outline(corners, 0.014, CONTINGENCY_HEIGHT, colour(CONTINGENCY))
 
 
 def _path(reference: Reference, vehicle: Vehicle) -> Matrix:
@@ -166,12 +268,12 @@ def _path(reference: Reference, vehicle: Vehicle) -> Matrix:
 
 def draw_collision(pen: Pen, point: tuple[float, float, float]) -> None:
     """Draw the first point of contact with an obstacle, in the floor's frame, m."""
-    pen.sphere(np.array(point), 0.035, colour(palette.FAILURE))
+    pen.sphere(np.array(point), 0.035, colour(FAILURE))
 
 
 def draw_snapshot(pen: Pen, snapshot: Snapshot, vehicle: Vehicle) -> None:
     """Draw the trail, coloured by speed, and the footprint at the estimated pose."""
     speeds = (snapshot.trail[1:, 2] + snapshot.trail[:-1, 2]) / 2
-    pen.shaded(snapshot.trail[:, :2], 0.022, TRAIL_HEIGHT, palette.speed_colours(speeds, vehicle.top_speed))
+    pen.shaded(snapshot.trail[:, :2], 0.022, TRAIL_HEIGHT, speed_colours(speeds, vehicle.top_speed))
     estimated = outlines(vehicle.footprint, snapshot.estimate[None, :])[0]
-    pen.outline(estimated, 0.01, ESTIMATE_HEIGHT, colour(palette.ESTIMATE))
+    pen.outline(estimated, 0.01, ESTIMATE_HEIGHT, colour(ESTIMATE))

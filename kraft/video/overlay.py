@@ -15,9 +15,21 @@ from PIL import ImageDraw, ImageFont
 
 from kraft.driving.messages import ReferenceKind
 from kraft.trial.result import Outcome, TrialResult, TrialSpec, outcome_text
-from kraft.video import palette
-from kraft.video.film import Image
-from kraft.video.snapshot import Snapshot
+from kraft.video.drawing import (
+    BACKGROUND,
+    CONTINGENCY,
+    ESTIMATE,
+    FAILURE,
+    PLAN,
+    PREDICTED,
+    SECONDARY_TEXT,
+    SUCCESS,
+    TEXT,
+    Snapshot,
+    colour,
+    speed_colours,
+)
+from kraft.video.renderer import Image
 
 BAND: Final = 84
 """Height of the band at the foot, px."""
@@ -39,8 +51,8 @@ class Overlay:
         self._width, self._height = size[0] - map_width, size[1]
         self._static = Pillow.new("RGBA", size, (0, 0, 0, 0))
         draw = ImageDraw.Draw(self._static)
-        draw.rectangle((0, self._height - BAND, self._width - 1, self._height), fill=palette.BACKGROUND)
-        draw.rectangle((self._width - 1, 0, self._width, self._height), fill=palette.BACKGROUND)
+        draw.rectangle((0, self._height - BAND, self._width - 1, self._height), fill=BACKGROUND)
+        draw.rectangle((self._width - 1, 0, self._width, self._height), fill=BACKGROUND)
         self._title(draw, spec)
         draw_legend(draw, self._width - MARGIN, MARGIN, spec.vehicle.top_speed, _background())
 
@@ -59,8 +71,8 @@ class Overlay:
         name, method = spec.scenario.name, spec.method.title
         width = int(max(font(24, bold=True).getlength(name), font(15).getlength(method))) + 28
         draw.rounded_rectangle((MARGIN, MARGIN, MARGIN + width, MARGIN + 66), 8, fill=_background())
-        draw.text((MARGIN + 14, MARGIN + 30), name, palette.TEXT, font(24, bold=True), "ls")
-        draw.text((MARGIN + 14, MARGIN + 53), method, palette.SECONDARY_TEXT, font(15), "ls")
+        draw.text((MARGIN + 14, MARGIN + 30), name, TEXT, font(24, bold=True), "ls")
+        draw.text((MARGIN + 14, MARGIN + 53), method, SECONDARY_TEXT, font(15), "ls")
 
     def _numbers(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
         ahead = snapshot.cycle.cost_to_goal if snapshot.cycle else math.inf
@@ -74,10 +86,10 @@ class Overlay:
         foot = self._height - BAND
         for column, (name, value, unit) in enumerate(numbers):
             x = MARGIN + 4 + COLUMN * column
-            draw.text((x, foot + 27), name, palette.SECONDARY_TEXT, font(14), "ls")
-            draw.text((x, foot + 62), value, palette.TEXT, font(28, bold=True), "ls")
+            draw.text((x, foot + 27), name, SECONDARY_TEXT, font(14), "ls")
+            draw.text((x, foot + 62), value, TEXT, font(28, bold=True), "ls")
             right = x + font(28, bold=True).getlength(value) + 6
-            draw.text((right, foot + 62), unit, palette.SECONDARY_TEXT, font(15), "ls")
+            draw.text((right, foot + 62), unit, SECONDARY_TEXT, font(15), "ls")
 
     def _state(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
         """Draw plan or contingency, and the reason for it."""
@@ -86,30 +98,30 @@ class Overlay:
         planned = snapshot.cycle.kind == ReferenceKind.PLAN
         x, foot = MARGIN + 4 * COLUMN + 12, self._height - BAND
         text = "PLAN" if planned else "CONTINGENCY"
-        fill = palette.PLAN if planned else palette.CONTINGENCY
+        fill = PLAN if planned else CONTINGENCY
         width = font(16, bold=True).getlength(text) + 28
         top = foot + 27 if planned else foot + 10
         draw.rounded_rectangle((x, top, x + width, top + 30), 15, fill=fill)
-        draw.text((x + width / 2, top + 15), text, palette.TEXT, font(16, bold=True), "mm")
+        draw.text((x + width / 2, top + 15), text, TEXT, font(16, bold=True), "mm")
         for row, line in enumerate(wrapped(snapshot.cycle.reason, 13, self._width - x - MARGIN, 2)):
-            draw.text((x + 2, foot + 58 + 16 * row), line, palette.TEXT, font(13), "ls")
+            draw.text((x + 2, foot + 58 + 16 * row), line, TEXT, font(13), "ls")
 
     def _outcome(self, draw: ImageDraw.ImageDraw, result: TrialResult) -> None:
         text, fill = outcome_caption(result)
         middle, top = self._width / 2, 0.24 * self._height
         half = font(34, bold=True).getlength(text) / 2 + 30
         draw.rounded_rectangle((middle - half, top, middle + half, top + 70), 12, fill=fill)
-        draw.text((middle, top + 35), text, palette.TEXT, font(34, bold=True), "mm")
+        draw.text((middle, top + 35), text, TEXT, font(34, bold=True), "mm")
 
 
 def outcome_caption(result: TrialResult) -> tuple[str, str]:
     """Text and colour for the outcome of a trial."""
     text = outcome_text(result.outcome, result.obstacle, result.time, digits=1)
-    return text, palette.SUCCESS if result.outcome is Outcome.SUCCESS else palette.FAILURE
+    return text, SUCCESS if result.outcome is Outcome.SUCCESS else FAILURE
 
 
 def _background() -> tuple[int, int, int, int]:
-    red, green, blue, opacity = (round(255 * part) for part in palette.colour(palette.BACKGROUND, OPACITY))
+    red, green, blue, opacity = (round(255 * part) for part in colour(BACKGROUND, OPACITY))
     return red, green, blue, opacity
 
 
@@ -118,13 +130,13 @@ def draw_legend(
 ) -> None:
     """A plate with one row for each kind of line; its right and upper edge are given, px, and the top speed, m/s."""
     rows: list[tuple[str, Sample]] = [
-        ("plan", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.PLAN, 4)),
-        ("predicted", lambda d, x, y: d.rectangle((x, y - 5, x + SAMPLE, y + 5), palette.PREDICTED)),
+        ("plan", lambda d, x, y: d.line((x, y, x + SAMPLE, y), PLAN, 4)),
+        ("predicted", lambda d, x, y: d.rectangle((x, y - 5, x + SAMPLE, y + 5), PREDICTED)),
         ("contingency", _dashes),
-        ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), palette.SECONDARY_TEXT, 1)),
+        ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), SECONDARY_TEXT, 1)),
         (
             "believed pose",
-            lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=palette.ESTIMATE, width=2),
+            lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=ESTIMATE, width=2),
         ),
         (f"driven, 0 to {top_speed:.2g} m/s", _speeds),
     ]
@@ -134,16 +146,16 @@ def draw_legend(
     for row, (name, sample) in enumerate(rows):
         middle = top + 18 + ROW * row
         sample(draw, left + 12, middle)
-        draw.text((left + 22 + SAMPLE, middle), name, palette.TEXT, font(TYPE), "lm")
+        draw.text((left + 22 + SAMPLE, middle), name, TEXT, font(TYPE), "lm")
 
 
 def _dashes(draw: ImageDraw.ImageDraw, x: int, y: int) -> None:
     for k in range(3):
-        draw.line((x + 13 * k, y, x + 13 * k + 7, y), palette.CONTINGENCY, 4)
+        draw.line((x + 13 * k, y, x + 13 * k + 7, y), CONTINGENCY, 4)
 
 
 def _speeds(draw: ImageDraw.ImageDraw, x: int, y: int) -> None:
-    for k, shade in enumerate(palette.speed_colours(np.linspace(0.0, 1.0, SAMPLE + 1), 1.0)):
+    for k, shade in enumerate(speed_colours(np.linspace(0.0, 1.0, SAMPLE + 1), 1.0)):
         red, green, blue = (round(255 * float(part)) for part in shade[:3])
         draw.line((x + k, y - 2, x + k, y + 2), (red, green, blue))
 

@@ -1,28 +1,36 @@
-"""Film of one trial, and single pictures of it."""
+"""Recorders of a trial as it is driven: a film, single pictures, or a window in real time.
+
+The window is MuJoCo's passive viewer with the drawings of a video.
+"""
 
 from __future__ import annotations
 
+import importlib
 import io
+import math
+import threading
+import time as clock
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
+import mujoco
 import numpy as np
 from PIL import Image as Pillow
 
 from kraft.driving.messages import Cycle
 from kraft.files import write_whole
-from kraft.gl import check_video, offscreen_context
+from kraft.gl import check_video, check_view, offscreen_context
 from kraft.scenario import Bounds
+from kraft.simulation.floor_frame import Surface
 from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
-from kraft.video.film import FilmWriter, Image
-from kraft.video.overlay import BAND, Overlay
-from kraft.video.renderer import SceneRenderer
-from kraft.video.snapshot import SnapshotRecorder
+from kraft.video.drawing import Pen, Snapshot, SnapshotRecorder, draw_cycle, draw_snapshot
+from kraft.video.overlay import BAND, Overlay, outcome_caption
+from kraft.video.renderer import AHEAD, DISTANCE, MIN_ELEVATION, FilmWriter, Image, SceneRenderer
 
 SIZE: Final = (1280, 720)
 HOLD: Final = 1.5
@@ -35,7 +43,7 @@ class VideoRecorder:
         with VideoRecorder(Path("drive.mp4"), spec) as film:
             film.finish(run_trial(spec, film.on_cycle, film.on_step, keep_trees=True))
 
-    A second of the film is a second of the trial; `kraft.video.film.FORMATS` has its formats by the suffix of the path.
+    A second of the film is a second of the trial; `FORMATS` has its formats by the suffix of the path.
     Without `finish`, as when the trial is interrupted or fails, no file is left.
     """
 
@@ -140,3 +148,114 @@ def _png(picture: Image) -> bytes:
     content = io.BytesIO()
     Pillow.fromarray(rounded).save(content, "PNG", optimize=True)
     return content.getvalue()
+
+
+WINDOW_HOLD: Final = 2.0
+"""Duration for which the outcome is shown, s."""
+MAX_DELAY: Final = 0.05
+"""Delay above which a picture is skipped, s, but not ten pictures in a row."""
+
+
+class LiveView:
+    """Shows a trial: pass `on_cycle` and `on_step` to `run_trial`, and its result to `finish`.
+
+    The trial waits for the clock, so that a second of it takes a second.  Input in the window
+    does not affect the trial; if the window is closed, the trial continues at full speed.
+    """
+
+    def __init__(self, spec: TrialSpec) -> None:
+        """Check that there is a screen.
+
+        Raises:
+            MissingDependency: if a window cannot be opened.
+        """
+        check_view()
+        self._spec, self._snapshots = spec, SnapshotRecorder(spec)
+        self._window: Any = None
+        self._data: Any = None
+        self._pen: Pen | None = None
+        self._threads: list[threading.Thread] = []
+        self._static_geoms, self._cycle = 0, -1
+        self._began = self._shown = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._window is not None:
+            self._window.close()
+            for thread in self._threads:
+                thread.join()  # otherwise it would still draw while the process terminates GLFW
+
+    def on_cycle(self, cycle: Cycle) -> None:
+        """For `run_trial`."""
+        self._snapshots.on_cycle(cycle)
+
+    def on_step(self, world: TrueWorld, step: Step) -> None:
+        """For `run_trial`; waits until the world's time and shows it."""
+        snapshot = self._snapshots.on_step(world, step)
+        if self._window is None:
+            self._open(world)
+        if self._window.is_running():
+            early = self._began + world.time - clock.monotonic()
+            clock.sleep(max(0.0, early))
+            overdue = clock.monotonic() > self._shown + 10 * MAX_DELAY
+            if early > -MAX_DELAY or overdue:  # a slow screen must not slow the trial
+                self._show(world, snapshot)
+                self._shown = clock.monotonic()
+
+    def finish(self, result: TrialResult) -> None:
+        """Show the outcome for `WINDOW_HOLD` s."""
+        if self._window is not None and self._window.is_running():
+            self._window.set_texts(_text(outcome_caption(result)[0], ""))
+            self._window.sync()
+            clock.sleep(WINDOW_HOLD)
+
+    def _open(self, world: TrueWorld) -> None:
+        """Open the window on a copy of the world's state: the viewer writes into what it shows."""
+        self._data = mujoco.MjData(world.model)
+        mujoco.mj_copyData(self._data, world.model, world.data)
+        viewer: Any = importlib.import_module("mujoco.viewer")
+        before = set(threading.enumerate())
+        self._window = viewer.launch_passive(world.model, self._data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        self._pen = Pen(self._window.user_scn, Surface.of(self._spec.scenario, world.frame))
+        with self._window.lock():
+            self._window.opt.geomgroup[3] = 0  # what only touches
+            camera = self._window.cam
+            camera.distance, camera.elevation = DISTANCE, -math.degrees(MIN_ELEVATION)
+            camera.azimuth = math.degrees(float(world.pose[2]))
+        self._began = clock.monotonic() - world.time
+
+    def _show(self, world: TrueWorld, snapshot: Snapshot) -> None:
+        """Draw; the camera moves with the car, and the user chooses its direction."""
+        assert self._pen is not None, "it is made with the window"
+        x, y, theta = snapshot.pose
+        ahead = np.array([x + AHEAD * math.cos(theta), y + AHEAD * math.sin(theta), 0.08])
+        with self._window.lock():
+            mujoco.mj_copyData(self._data, world.model, world.data)
+            scene = self._window.user_scn
+            scene.ngeom = self._static_geoms
+            if snapshot.cycle is not None and snapshot.cycle.number != self._cycle:
+                scene.ngeom, self._cycle = 0, snapshot.cycle.number
+                draw_cycle(self._pen, snapshot.cycle, self._spec.vehicle)
+                self._static_geoms = scene.ngeom
+            draw_snapshot(self._pen, snapshot, self._spec.vehicle)
+            self._window.cam.lookat[:] = world.frame.to_world(ahead)
+        self._window.set_texts(_state(snapshot))
+        self._window.sync()
+
+
+def _state(snapshot: Snapshot) -> Any:
+    rows = [
+        ("time", f"{snapshot.time:.1f} s"),
+        ("speed", f"{snapshot.speed:.2f} m/s"),
+        ("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f} cm"),
+    ]
+    if snapshot.cycle is not None:
+        rows.append((str(snapshot.cycle.kind), snapshot.cycle.reason or " "))
+    return _text("\n".join(name for name, _ in rows), "\n".join(value for _, value in rows))
+
+
+def _text(left: str, right: str) -> Any:
+    return mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_TOPLEFT, left, right

@@ -22,8 +22,7 @@ from kraft.text import counted, suggestion
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from kraft.worlds import layouts
-from kraft.worlds.layouts import WALL, Obstacle
-from kraft.worlds.track import track
+from kraft.worlds.layouts import WALL, Obstacle, track
 from kraft.worlds.world import SENSING, World, Written, above, check_new, write_worlds
 from ompl_ext.motion import motion_of
 from ompl_ext.vehicle import Footprint, Vehicle

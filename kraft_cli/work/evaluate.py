@@ -10,9 +10,8 @@ from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides, parse_sweeps
 from kraft.errors import Code, Diagnostic, InputError, Problems
-from kraft.evaluation import manifest
 from kraft.evaluation.evaluator import Evaluation, Observer, evaluate
-from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, experiment_of
+from kraft.evaluation.experiment import MANIFEST, METHODS, SUITE, TRIALS, experiment_of, read_manifest
 from kraft.evaluation.folder import check_exists, default_path
 from kraft_cli.work.run import run_command
 
@@ -65,7 +64,7 @@ def complete_request(request: EvalRequest) -> EvalRequest:
                 "--resume", "is given without --out", "expected the folder of the evaluation to resume", Code.MISSING
             )
         check_exists(request.out)
-        return _with_recorded_arguments(request, request.out / manifest.NAME)
+        return _with_recorded_arguments(request, request.out / MANIFEST)
     return replace(request, out=request.out or default_path(request.seed or 0))
 
 
@@ -163,7 +162,7 @@ def _with_recorded_arguments(request: EvalRequest, path: Path) -> EvalRequest:
     """Request with options that were left out taken from the manifest; the others are compared later."""
     if not path.exists():
         return request
-    arguments = manifest.read_manifest(path).get("arguments")
+    arguments = read_manifest(path).get("arguments")
     recorded = arguments if isinstance(arguments, dict) else {}
     found: dict[str, Any] = {}
     missing = []

@@ -17,8 +17,7 @@ from kraft.logs.log import Log, Part
 from kraft.planning.compilation import ensure_compiled
 from kraft.sysid.base_vehicle import COMMANDS_OF, BaseVehicle, for_commands, load_base_vehicle
 from kraft.sysid.identify import has_terms
-from kraft.sysid.result import Identification
-from kraft.sysid.settings import Noise, Settings
+from kraft.sysid.interface import Identification, Noise, Settings
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured

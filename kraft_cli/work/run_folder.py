@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.errors import Code, InputError
-from kraft.evaluation import manifest
-from kraft.evaluation.experiment import Experiment
+from kraft.evaluation.experiment import MANIFEST, Experiment, manifest_of
 from kraft.files import check_writable, write_csv, write_json, write_whole
 from kraft.trial.result import TrialResult, cycle_content
 from ompl_ext.vehicle import Vehicle
@@ -42,12 +41,12 @@ def write_run(
     Raises:
         InputError: if a file cannot be written.
     """
-    recorded = {**manifest.manifest_of(experiment, arguments), "schema": MANIFEST_SCHEMA}
+    recorded = {**manifest_of(experiment, arguments), "schema": MANIFEST_SCHEMA}
     write_csv(folder / "steps.csv", step_heading(vehicle), _steps(result))
     write_csv(folder / "observations.csv", ("time", "arrival", "x", "y", "theta"), _observations(result))
     write_whole(folder / "cycles.jsonl", "".join(json.dumps(cycle_content(c)) + "\n" for c in result.cycles).encode())
     write_json(folder / "result.json", {"schema": SCHEMA, **content})
-    write_json(folder / manifest.NAME, recorded)
+    write_json(folder / MANIFEST, recorded)
 
 
 def step_heading(vehicle: Vehicle) -> tuple[str, ...]:

@@ -18,20 +18,19 @@ from kraft.plot.style import check_picture
 from kraft.sysid.acceptance import (
     PredictionEvaluation,
     evaluate_predictions,
+    identify_car,
+    models_of_cars,
     objections,
     replacement_objections,
 )
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded_commands
-from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, check_holdout, split_logs
-from kraft.sysid.fast_graph import ensure_compiled
+from kraft.sysid.factor_graph import ensure_compiled
 from kraft.sysid.identify import has_terms, identify
-from kraft.sysid.model_choice import identify_car, models_of_cars
+from kraft.sysid.interface import AuxiliarySelection, Identification, Noise, Settings
 from kraft.sysid.parameters import affects_motion
-from kraft.sysid.result import Identification
-from kraft.sysid.screening import check_consistency
+from kraft.sysid.screening import CommandUnit, check_consistency, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
-from kraft.sysid.settings import AuxiliarySelection, Noise, Settings
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
+from kraft.sysid.interface import ModelTrial, ParameterEstimate, PredictionErrors
 from kraft.sysid.prediction import HORIZONS
-from kraft.sysid.result import ModelTrial, ParameterEstimate, PredictionErrors
 from kraft.text import counted
 from kraft_cli.work.next_drives import next_json
 from kraft_cli.work.sysid import SysidResult

@@ -17,8 +17,7 @@ from kraft.trial.result import TrialResult, TrialSpec
 
 if TYPE_CHECKING:
     from kraft.simulation.true_world import TrueWorld
-    from kraft.video.recorder import VideoRecorder
-    from kraft.video.viewer import LiveView
+    from kraft.video.recorder import LiveView, VideoRecorder
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class TrialOutputs:
 
                 self._recorders.append(stack.enter_context(VideoRecorder(self._options.video, self._spec)))
             if self._options.view:
-                from kraft.video.viewer import LiveView
+                from kraft.video.recorder import LiveView
 
                 self._recorders.append(stack.enter_context(LiveView(self._spec)))
             self._stack = stack.pop_all()

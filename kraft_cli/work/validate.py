@@ -9,7 +9,7 @@ from typing import Final, Literal, TypeAlias
 from pydantic import BaseModel
 
 from kraft.config import bundled
-from kraft.config.validation import Model, check
+from kraft.config.schema import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError
@@ -20,8 +20,8 @@ from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
 from kraft.planning.plan_file import read_plan
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.robot.robot_file import Robot
+from kraft.scenario.geometry import MapServerFile, read_map
 from kraft.scenario.loader import scenario_from
-from kraft.scenario.occupancy import MapServerFile, read_map
 from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
 from kraft.trial.result import check_own_robot, check_robot

@@ -15,7 +15,7 @@ from support.paths import ROOT
 from support.recorded import FOUR, IDENTIFY
 
 from kraft.recording import experiment
-from kraft.sysid import fast_graph as compilation
+from kraft.sysid import factor_graph as compilation
 from kraft.sysid.parameters import affects_motion
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.diagnostics import located, raised
 
-from kraft.config.source import Position, format_path, parse_path
-from kraft.config.yaml_reader import Unusable, parse_document, read_document
+from kraft.config.yaml_reader import Position, Unusable, format_path, parse_document, parse_path, read_document
 from kraft.errors import Code, Diagnostic, InputError
 
 

@@ -11,12 +11,12 @@ import pytest
 from support.adaptive import BEGIN, OTHER, correlated, driven, exciting, pose_at, standing, vehicle
 from support.driving import RATE
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_parameters
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive
+from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.arrays import Floats, Matrix

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from support.replanner import mushr, proposals, replanner, start
 
-from kraft.driving.bound import BoundCalibration, DeviationBound
-from kraft.driving.levels import HYSTERESIS, STEADY
+from kraft.driving.clearance import HYSTERESIS, STEADY, BoundCalibration, DeviationBound
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal

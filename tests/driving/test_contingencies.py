@@ -9,10 +9,15 @@ import pytest
 from support.replanner import FARSIGHTED, replanner, start
 
 from kraft.driving import contingencies
-from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
+from kraft.driving.contingencies import (
+    ContingencyRanking,
+    TrackedContingency,
+    contingency_reference,
+    plan_reference,
+    required_clearance,
+)
 from kraft.driving.messages import ContingencyOrigin, Estimate, Reference, ReferenceKind
 from kraft.driving.replanner import Replanner
-from kraft.driving.stopping import contingency_reference, plan_reference, required_clearance
 from ompl_ext.arrays import Floats
 
 STATES = [

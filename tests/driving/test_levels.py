@@ -9,14 +9,22 @@ import numpy as np
 import pytest
 from support.replanner import mushr, proposals, replanner, start, turns
 
-from kraft.driving.bound import BoundCalibration, DeviationBound
-from kraft.driving.levels import NARROW, SOON, STEADY, Level, Levels, levels_of
+from kraft.driving.clearance import (
+    NARROW,
+    SOON,
+    STEADY,
+    BoundCalibration,
+    DeviationBound,
+    Level,
+    Levels,
+    Solvers,
+    levels_of,
+)
 from kraft.driving.messages import Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.proposer import STALLED, Proposal, _Query
 from kraft.driving.replanner import Replanner
 from kraft.driving.rest import RETAINED_TOLERANCE, total_cost
-from kraft.driving.solvers import Solvers
 
 FORESIGHT, MARGIN = 60.0, 0.03
 BOUND = CalibratedBound(foresight=FORESIGHT, shares=(1.0, 0.5, 0.25))

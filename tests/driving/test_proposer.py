@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
+from kraft.driving.clearance import MIN_GOAL_RADIUS, Solvers
 from kraft.driving.messages import ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN
-from kraft.driving.solvers import MIN_GOAL_RADIUS, Solvers
 from kraft.errors import Defect
 from ompl_ext.plan import Plan
 from ompl_ext.query_tree import Progress

@@ -12,7 +12,8 @@ import pytest
 from support.diagnostics import raised
 from support.replanner import drive, mushr, start, turns
 
-from kraft.driving.car_model import CarModel
+from kraft.driving.clearance import Solvers
+from kraft.driving.contingencies import contingency_reference, plan_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, updated
 from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi
@@ -20,8 +21,7 @@ from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings, load_method
 from kraft.driving.replanner import Replanner
-from kraft.driving.solvers import Solvers
-from kraft.driving.stopping import contingency_reference, plan_reference
+from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats

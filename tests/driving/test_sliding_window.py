@@ -7,7 +7,7 @@ import pytest
 from support.adaptive import HEADING, OTHER, POSITION, exciting, recorded, standing, straight, vehicle, window
 
 from kraft.driving.estimation.sliding_window import Identified
-from kraft.sysid.settings import Noise
+from kraft.sysid.interface import Noise
 
 NOISE = Noise(POSITION, HEADING)
 INTERVAL = 2.5  # standard deviations, 99 %

@@ -10,10 +10,10 @@ import pytest
 from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehicle
 from support.driving import RATE
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.estimation import LevelCamera
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.method import Adaptive
+from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing
 from kraft.scenario.truth import Tilt
 from kraft.simulation.camera import MarkerCamera

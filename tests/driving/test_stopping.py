@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, mushr, replanner, start
 
-from kraft.driving.car_model import CarModel
+from kraft.driving.contingencies import emergency_reference, holding_control, plan_reference, stop_control
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.replanner import Replanner
-from kraft.driving.stopping import emergency_reference, holding_control, plan_reference, stop_control
+from kraft.driving.vehicle_model import CarModel
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan

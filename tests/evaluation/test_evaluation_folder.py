@@ -16,8 +16,8 @@ from support.evaluation import StoppingObserver, kept, places, refused, room_for
 from support.paths import ROOT
 
 from kraft.errors import Code, InputError
-from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder, manifest
-from kraft.evaluation.experiment import experiment_of
+from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder
+from kraft.evaluation.experiment import check_same_manifest, experiment_of, manifest_of
 from kraft.evaluation.journal import Journal, read_journal
 from kraft.vehicles.load import load_vehicle
 
@@ -300,5 +300,5 @@ def test_a_manifest_does_not_depend_on_where_files_are(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / "car.yaml").write_text(source)
         experiment = experiment_of(["turns"], ["kraft"], vehicle=str(tmp_path / name / "car.yaml"))
-        contents.append(manifest.manifest_of(experiment, {}))
-    manifest.check_same(tmp_path, *contents)
+        contents.append(manifest_of(experiment, {}))
+    check_same_manifest(tmp_path, *contents)

@@ -22,7 +22,7 @@ from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, evaluate
 from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element, script_data
-from kraft.evaluation.report.floor import floor_plan
+from kraft.evaluation.report.entry import floor_plan
 from kraft.scenario import OccupancyMap, load_scenario
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft_cli.main import main

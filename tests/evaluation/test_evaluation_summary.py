@@ -13,14 +13,13 @@ from support.evaluation import KEYS
 
 from kraft.config import bundled
 from kraft.evaluation import labels, markdown, overview, summary, tables
-from kraft.evaluation.experiment import METHODS, Experiment, experiment_of
+from kraft.evaluation.experiment import METHODS, Experiment, experiment_of, manifest_of
+from kraft.evaluation.folder import write_benchmark
 from kraft.evaluation.journal import Key, Measured, TrialRow
-from kraft.evaluation.manifest import manifest_of
-from kraft.evaluation.ompl_log import write_benchmark
-from kraft.evaluation.paper import paper_row
 from kraft.evaluation.report.results import Manifest
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.suite import load_suite
+from kraft.evaluation.summary import paper_row
 from kraft.evaluation.table import totals
 from kraft.scenario import Score
 from kraft.trial.measures import Kept, Measures

@@ -20,13 +20,11 @@ from support.paths import ROOT
 
 from kraft.driving.messages import ContingencyOrigin
 from kraft.evaluation import Evaluation, evaluate
-from kraft.evaluation.experiment import experiment_of
+from kraft.evaluation.experiment import experiment_of, manifest_of
 from kraft.evaluation.journal import trial_row
-from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.report import Results, page, read_results
 from kraft.evaluation.report import results as of_report
-from kraft.evaluation.report.sweep_picture import nice_ticks, sweep_pictures
-from kraft.evaluation.report.sweeps import Estimate, label_of, sweeps
+from kraft.evaluation.report.sweeps import Estimate, label_of, nice_ticks, sweep_pictures, sweeps
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import measures_json, summarise
 from kraft.text import percent

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from support.logs import Drive, drive, located, wide_columns, wrapped, write_pair, write_table, write_wide
 
 from kraft.errors import Code, InputError
-from kraft.logs.column_match import missing_columns
-from kraft.logs.csv_table import read_csv
 from kraft.logs.discover import Candidate, without_repeated
+from kraft.logs.guess import missing_columns
 from kraft.logs.log import Log
 from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
 from kraft.logs.reader import read_logs
-from kraft.logs.table import Table
+from kraft.logs.table import Table, read_csv
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.run_folder import step_heading
 

@@ -316,7 +316,7 @@ def test_a_negative_seed_is_refused(mushr: Vehicle) -> None:
 def test_what_identification_needs_is_compiled_before_a_vehicle_drives(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, messages, compiled = load_vehicle("mushr"), list[str](), list[Vehicle]()
     monkeypatch.setattr("kraft.sysid.elimination.is_cached", lambda: False)
-    monkeypatch.setattr("kraft.sysid.fast_graph.compile_identification", compiled.append)
+    monkeypatch.setattr("kraft.sysid.factor_graph.compile_identification", compiled.append)
     ensure_compiled(vehicle, messages.append)
     assert (messages, compiled) == ([], [])
     ensure_compiled(vehicle, messages.append, steps=True)

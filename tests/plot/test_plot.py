@@ -15,13 +15,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from kraft.errors import Code, InputError
-from kraft.plot import picture, plot_plan
+from kraft.plot import PlanPicture, compose, plot_plan
 from kraft.plot import style as output
 from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
-from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import flow_rows
-from kraft.plot.picture import PlanPicture, compose
-from kraft.plot.scene import EDGES_MAX, tree_lines, widest_place
+from kraft.plot.scene import EDGES_MAX, Label, draw_labels, tree_lines, widest_place
 from kraft.plot.style import LABEL, plot_style, shortened, text_width
 from kraft.scenario import Bounds, Box, Circle, Goal, OccupancyMap, Polygon, Start, Task, load_scenario
 from kraft.vehicles.benchmark import BENCHMARK
@@ -127,7 +125,7 @@ def test_an_error_while_drawing_leaves_the_old_picture(tmp_path: Path, monkeypat
     def broken(*_: object) -> None:
         raise RuntimeError("out of ink")
 
-    monkeypatch.setattr(picture, "draw_legend", broken)
+    monkeypatch.setattr("kraft.plot.draw_legend", broken)
     with pytest.raises(RuntimeError, match="ink"):
         plot_plan(target, TURNS, CAR, None, fan(1))
     assert target.read_text() == "old"

@@ -13,9 +13,18 @@ from PIL import Image
 from kraft.driving.method import load_method
 from kraft.errors import InputError
 from kraft.plot.frame import Frame
-from kraft.plot.run import _compose, _legend_entries, key_numbers, plot_run
+from kraft.plot.run import (
+    OBSERVATION,
+    DrivenTrajectory,
+    _compose,
+    _legend_entries,
+    driven_line,
+    key_numbers,
+    panels_of_run,
+    plot_run,
+    run_footprint_interval,
+)
 from kraft.plot.style import plot_style
-from kraft.plot.traces import OBSERVATION, DrivenTrajectory, driven_line, panels_of_run, run_footprint_interval
 from kraft.scenario import load_scenario
 from kraft.simulation.appearance import hidden_features
 from kraft.trial.result import Outcome, TrialResult, TrialSpec

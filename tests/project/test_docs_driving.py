@@ -12,16 +12,16 @@ from pydantic.fields import FieldInfo
 from support.paths import ROOT
 
 from kraft.config import bundled
+from kraft.driving.clearance import HYSTERESIS, NARROW, SOON, STEADY
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
 from kraft.driving.estimation.adaptive import DRIVE_MAX
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.noise_estimate import PRIOR_CORRELATION, PRIOR_POSES
-from kraft.driving.levels import HYSTERESIS, NARROW, SOON, STEADY
+from kraft.driving.estimation.sliding_window import PRIOR_CORRELATION, PRIOR_POSES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
 from kraft.driving.proposer import PATIENCE, STALLED
 from kraft.driving.rest import CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
-from kraft.simulation.noise import BLURRED_SPEED, PRESETS
+from kraft.simulation.camera import BLURRED_SPEED, PRESETS
 
 TEXT = (ROOT / "docs" / "driving.md").read_text(encoding="utf-8")
 

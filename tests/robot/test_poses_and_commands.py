@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Commitment, Reference, ReferenceKind
 from kraft.driving.method import load_method
+from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited
 from kraft.robot.control import Control

@@ -16,7 +16,7 @@ from support.diagnostics import located, raised
 
 from kraft.errors import InputError
 from kraft.scenario import OccupancyMap, load_scenario
-from kraft.scenario.occupancy import read_map
+from kraft.scenario.geometry import read_map
 
 YAML = "image: m.pgm\nresolution: 0.5\norigin: [1.0, 2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
 P2 = b"P2\n# comment\n3 2\n255\n0 254 254\n254 205 254\n"
@@ -165,7 +165,7 @@ def test_no_image_raises_anything_but_an_input_error(
 
 
 def test_an_image_larger_than_memory_is_refused_at_its_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kraft.scenario.occupancy.available_memory", lambda: 100)
+    monkeypatch.setattr("kraft.scenario.geometry.available_memory", lambda: 100)
     with pytest.raises(InputError) as error:
         written(tmp_path, P2)
     (problem,) = error.value.diagnostics

@@ -12,9 +12,8 @@ import pytest
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
 from kraft.scenario import Sensing, load_scenario
-from kraft.simulation.camera import MarkerCamera
+from kraft.simulation.camera import PRESETS, ErrorModel, MarkerCamera, Part, PowerLaw
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.noise import PRESETS, ErrorModel, Part, PowerLaw
 from kraft.simulation.world import World
 from ompl_ext.arrays import Floats, Matrix
 

@@ -15,10 +15,8 @@ from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.gl import offscreen_context
 from kraft.scenario import Scenario, load_scenario, parse_scenario
-from kraft.simulation import optics
 from kraft.simulation.car import MARKER_HEIGHT
-from kraft.simulation.imager import Imager, Imaging
-from kraft.simulation.optics import Calibration, Lens, View, rotation_about
+from kraft.simulation.imager import Calibration, Imager, Imaging, Lens, View, opencv, rotation_about
 from kraft.simulation.rendered_camera import RenderedCamera, TagVision, calibrated_side, view_of
 from kraft.simulation.world import World
 from kraft.trial.plant import Plant
@@ -195,7 +193,7 @@ sensing:
 def test_without_opencv_the_message_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(MissingDependency, match=r"kraft\[vision\]"):
-        optics.opencv()
+        opencv()
     with pytest.raises(MissingDependency):
         RenderedCamera(rendered(), 0)
 

@@ -11,12 +11,11 @@ import pytest
 from support.diagnostics import located, raised
 from support.paths import ROOT
 
-from kraft.driving.car_model import model_of
+from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import workspace_of
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.car import F1TENTH, MUSHR, design_of
-from kraft.simulation.model_world import ModelWorld
-from kraft.simulation.true_world import TrueWorld, check_world, world_of
+from kraft.simulation.true_world import ModelWorld, TrueWorld, check_world, world_of
 from kraft.simulation.world import World
 from kraft.vehicles.config import CarDimensions, Drive, Servo, Wheels
 from kraft.vehicles.load import load_vehicle

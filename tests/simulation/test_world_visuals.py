@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kraft.scenario import load_scenario
-from kraft.simulation import World, car_visuals
-from kraft.simulation.car_visuals import Part, block, loft, mirrored
+from kraft.simulation import World, appearance
+from kraft.simulation.appearance import Part, block, loft, mirrored
 
 
 def volume(part: Part) -> float:
@@ -25,11 +25,11 @@ def test_lofts_are_closed_and_face_outwards() -> None:
 
 def test_every_part_of_the_car_faces_outwards() -> None:
     parts = [
-        car_visuals._deck(),
-        car_visuals._flank(),
-        car_visuals._cabin(),
-        *car_visuals._roof(),
-        *car_visuals._wing(),
+        appearance._deck(),
+        appearance._flank(),
+        appearance._cabin(),
+        *appearance._roof(),
+        *appearance._wing(),
     ]
     assert all(volume(part) > 0 for part in parts)
 

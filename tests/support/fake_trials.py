@@ -17,8 +17,8 @@ import pytest
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.errors import InputError, MissingDependency
-from kraft.evaluation import job, processes
-from kraft.evaluation.job import Job, Log, StopRequested, perform
+from kraft.evaluation import executors
+from kraft.evaluation.executors import Job, Log, StopRequested, perform
 from kraft.evaluation.journal import TrialRow
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
@@ -31,27 +31,25 @@ Trial: TypeAlias = Callable[[TrialSpec], TrialResult]
 
 def use(patch: pytest.MonkeyPatch, trial: Trial, *, inline: bool = False) -> None:
     """Run `trial` instead of the simulator: in worker processes, on a Dask cluster, or all `inline` in this process."""
-    from kraft.evaluation import cluster, evaluator  # which workers do not need
+    from kraft.evaluation import evaluator  # which workers do not need
 
-    patch.setattr(job, "run_trial", trial)
-    patch.setattr(processes, "serve", partial(serve, trial))
-    patch.setattr(cluster, "perform_checked", partial(perform_checked, trial))
+    patch.setattr(executors, "run_trial", trial)
+    patch.setattr(executors, "serve", partial(serve, trial))
+    patch.setattr(executors, "perform_checked", partial(perform_checked, trial))
     if inline:
         patch.setattr(evaluator, "Processes", Inline)
 
 
 def serve(trial: Trial, pipe: Connection) -> None:
     """Entry of a worker process; what is patched in the process that starts it is not patched here."""
-    job.run_trial = trial
-    processes.serve(pipe)
+    executors.run_trial = trial
+    executors.serve(pipe)
 
 
 def perform_checked(trial: Trial, task: Job, versions_there: Mapping[str, str]) -> TrialRow:
     """Run one trial on a Dask worker."""
-    from kraft.evaluation import cluster
-
-    job.run_trial = trial
-    return cluster.perform_checked(task, versions_there)
+    executors.run_trial = trial
+    return executors.perform_checked(task, versions_there)
 
 
 def quick(spec: TrialSpec) -> TrialResult:

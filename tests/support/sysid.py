@@ -7,9 +7,8 @@ import numpy as np
 from kraft.logs.log import Log, Part, Source
 from kraft.sysid.acceptance import PredictionEvaluation, PredictionPair
 from kraft.sysid.data import LogSplit
+from kraft.sysid.interface import Identification, LogFit, Noise, ParameterEstimate, PartFit
 from kraft.sysid.prediction import Window
-from kraft.sysid.result import Identification, LogFit, ParameterEstimate, PartFit
-from kraft.sysid.settings import Noise
 
 NAMES = ("L", "phi_diff", "v_delta")
 

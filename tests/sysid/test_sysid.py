@@ -18,7 +18,7 @@ from benchmarks.sysid import NOISE, PLAIN, STATED, TRUTH, real_logs, ten_times_s
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, predict_windows, prediction_errors
-from kraft.sysid.uncertainty import Uncertainty, estimate_uncertainty
+from kraft.sysid.optimiser import Uncertainty, estimate_uncertainty
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 

@@ -12,10 +12,9 @@ from benchmarks.synthetic_logs import CommandSeries, random_commands, synthetic_
 from benchmarks.sysid import TRUTH
 from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
-from kraft.sysid.actuators import hat_means
-from kraft.sysid.dynamics import DiscreteModel, Dynamics
-from kraft.sysid.observation import Observation
+from kraft.sysid.dynamics import DiscreteModel, Dynamics, hat_means
 from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
+from kraft.sysid.problem import Observation
 from kraft.sysid.selection import check_free_parameters, selection_note
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin

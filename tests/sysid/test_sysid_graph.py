@@ -12,19 +12,15 @@ from benchmarks.synthetic_logs import synthetic_logs
 from benchmarks.sysid import NOISE, TRUTH
 from kraft.errors import Defect
 from kraft.logs.log import Log, Part
-from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import segment_between, whole_segment
-from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.fast_graph import FastGraph
+from kraft.sysid.dynamics import ActuatorModel, DiscreteModel
+from kraft.sysid.factor_graph import FastGraph, PaperGraph
 from kraft.sysid.initial_values import InitialSearch, smooth_chains
-from kraft.sysid.observation import noise_model, threshold
-from kraft.sysid.optimiser import RhoFactors, bounded_step, held_at_bounds
-from kraft.sysid.paper_graph import PaperGraph
+from kraft.sysid.interface import Settings
+from kraft.sysid.optimiser import RhoFactors, bounded_step, estimate_uncertainty, held_at_bounds
 from kraft.sysid.parameters import parameters_of, vehicle_of
-from kraft.sysid.problem import Point, Problem, assemble, starting_point
-from kraft.sysid.settings import Settings
+from kraft.sysid.problem import Point, Problem, assemble, noise_model, starting_point, threshold
 from kraft.sysid.smoothing import begins_at_rest, measured_noise, smoothed
-from kraft.sysid.uncertainty import estimate_uncertainty
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR_DRIVE

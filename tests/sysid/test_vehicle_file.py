@@ -17,10 +17,9 @@ from kraft.errors import Code, InputError
 from kraft.sysid.acceptance import PredictionPair, errors_by_speed, fitted_warnings, objections, prediction_warnings
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
 from kraft.sysid.data import LogSplit, split_logs
+from kraft.sysid.interface import ParameterEstimate, Settings
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import Window
-from kraft.sysid.result import ParameterEstimate
-from kraft.sysid.settings import Settings
 from kraft.sysid.vehicle_file import (
     check_vehicle_target,
     identification_record,

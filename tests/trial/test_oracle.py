@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from support.diagnostics import raised
 
-from kraft.driving.car_model import CarModel
 from kraft.driving.method import load_method
+from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code
 from kraft.scenario import load_scenario
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation.world import World
-from kraft.trial.oracle import true_vehicle
-from kraft.trial.plant import Radio
+from kraft.trial.plant import Radio, true_vehicle
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from kraft.vehicles import SHARE, control_title, control_unit
 from kraft.vehicles.load import load_vehicle
-from kraft.vehicles.units import SHARE, control_title, control_unit
 
 
 @pytest.mark.parametrize(

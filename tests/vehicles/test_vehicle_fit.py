@@ -8,8 +8,7 @@ import pytest
 from support.diagnostics import raised
 
 from kraft.errors import Code
-from kraft.vehicles.fit import units_of
-from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.load import load_vehicle, units_of
 from kraft.vehicles.mushr import MUSHR
 
 CAR = """name: car

@@ -26,11 +26,10 @@ from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
-from kraft.video import palette
-from kraft.video.film import FORMATS, FilmWriter, Image
+from kraft.video.drawing import FAILURE
 from kraft.video.overlay import font, wrapped
 from kraft.video.recorder import HOLD, SIZE, VideoRecorder, map_width, write_still
-from kraft.video.renderer import smoothed
+from kraft.video.renderer import FORMATS, FilmWriter, Image, smoothed
 
 FPS = FORMATS[".mp4"].fps
 SECONDS = 0.4
@@ -99,8 +98,8 @@ def test_the_video_of_the_documentation_can_be_made(
 def test_the_last_picture_says_how_it_ended(video: tuple[Path, TrialResult]) -> None:
     first, *_, last = pictures(video[0])
     assert video[1].outcome is Outcome.TIMEOUT
-    assert share_of(palette.FAILURE, first) < 0.001
-    assert share_of(palette.FAILURE, last) > 0.02
+    assert share_of(FAILURE, first) < 0.001
+    assert share_of(FAILURE, last) > 0.02
 
 
 def test_both_views_show_scene_car_and_plan(video: tuple[Path, TrialResult]) -> None:

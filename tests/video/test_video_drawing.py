@@ -19,9 +19,8 @@ from kraft.simulation.world import World
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
 from kraft.vehicles.load import load_vehicle
-from kraft.video.drawing import EDGES_MAX, LINE, Pen, draw_cycle, resampled
+from kraft.video.drawing import EDGES_MAX, LINE, Pen, SnapshotRecorder, draw_cycle, resampled
 from kraft.video.renderer import ROOF, SOLID, ChaseCamera, map_aim
-from kraft.video.snapshot import SnapshotRecorder
 from ompl_ext.plan import TreeView
 
 BLUE = (0.0, 0.0, 1.0, 1.0)

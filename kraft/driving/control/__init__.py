@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from kraft.driving.car_model import CarModel
-from kraft.driving.control.controller import Controller
-from kraft.driving.control.geometric import GeometricController
-from kraft.driving.control.kinodynamic import KinodynamicController
 from kraft.driving.control.lqr import LqrController, check_controllable
-from kraft.driving.control.nmpc import NmpcController
+from kraft.driving.control.nmpc import NmpcController, casadi_of
+from kraft.driving.control.path_tracking import GeometricController, KinodynamicController
 from kraft.driving.control.sampling import DwaController, MppiController
-from kraft.driving.control.symbolic import casadi_of
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, OpenLoop, Predictive
-from kraft.driving.messages import Estimate, Reference
+from kraft.driving.messages import Controller, Estimate, Reference
 from kraft.driving.method import Adaptive, Method
-from kraft.driving.vehicle_model import VehicleModel
+from kraft.driving.vehicle_model import CarModel, VehicleModel
 from kraft.errors import Code, InputError
 from kraft.vehicles import is_car
 from ompl_ext.arrays import Floats

@@ -16,9 +16,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from kraft.driving.control.controller import Controller
 from kraft.driving.control_settings import Dwa, Mppi, RolloutCost
-from kraft.driving.messages import Estimate, Reference, ReferenceKind
+from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from ompl_ext.arrays import Floats, Floats32Cube, Matrix
 from ompl_ext.kernels import kernel_types as at

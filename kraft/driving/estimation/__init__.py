@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from kraft.driving.estimation.dead_reckoning import LatestPose
-from kraft.driving.estimation.pose_filter import PoseFilter
-from kraft.driving.estimation.sloping_floor import LevelCamera
+from kraft.driving.estimation.pose_filter import LevelCamera, PoseFilter
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import Adaptive, Filter, Latest
 from kraft.driving.vehicle_model import VehicleModel

@@ -17,10 +17,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.noise_estimate import NoiseEstimate
-from kraft.driving.estimation.pose_filter import ExcessSpeedModel, PoseFilter, Posterior
-from kraft.driving.estimation.sliding_window import Drive, Identified, SlidingWindow
-from kraft.driving.estimation.sloping_floor import FLOOR_SIZE, LevelCamera
+from kraft.driving.estimation.pose_filter import FLOOR_SIZE, ExcessSpeedModel, LevelCamera, PoseFilter, Posterior
+from kraft.driving.estimation.sliding_window import Drive, Identified, NoiseEstimate, SlidingWindow
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel

@@ -1,28 +1,38 @@
-"""HTML of the page: sweeps, an overview, then each entry with its methods, measures, trials and failures."""
+"""HTML of the page: sweeps, an overview, then each entry with its methods, measures, trials and failures.
+
+The overview shows how every method did in every entry and in all of them, and why trials failed.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
-from typing import Final
-from urllib.parse import quote
+from typing import Any, Final
+from urllib.parse import quote, urlencode
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.journal import TrialRow, success_times
-from kraft.evaluation.report import charts
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, outcome_legend, stacked
-from kraft.evaluation.report.floor import floor_plan
-from kraft.evaluation.report.measures import Shown, measures_table
-from kraft.evaluation.report.methods import methods
-from kraft.evaluation.report.overview import causes, chip, overview, settings_of
-from kraft.evaluation.report.results import Results
-from kraft.evaluation.report.sweep_picture import sweep_pictures
-from kraft.evaluation.report.sweeps import sweeps
-from kraft.evaluation.report.trials import trial_link, trials_data, trials_section
+from kraft.evaluation.report.entry import (
+    floor_plan,
+    outcomes_chart,
+    time_axis,
+    times_chart,
+    trial_link,
+    trial_text,
+    trials_chart,
+    trials_data,
+    trials_section,
+)
+from kraft.evaluation.report.methods import Shown, measures_table, methods
+from kraft.evaluation.report.results import Cell, Results
+from kraft.evaluation.report.sweeps import settings_text, sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
+from kraft.trial.result import CauseKind
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 SAFE: Final = " !$'()*+,/:;=?@~"  # characters that need no escape in an address of data
@@ -144,7 +154,7 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
     ]
     longest = 1.02 * max(times, default=1.0)
     heading = [element("th", text) for text in ("method", "how trials ended", "succ / coll / timeout")]
-    heading += [element("th", "time, s", charts.time_axis(longest))]
+    heading += [element("th", "time, s", time_axis(longest))]
     columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")
     heading += [element("th", text, class_="number") for text in columns]
     rows = [_row(results, result, longest) for result in mine]
@@ -183,12 +193,12 @@ def _row(results: Results, result: Result, longest: float) -> Element:
         element("th", result.title, scope="row"),
         element(
             "td",
-            charts.outcomes(result),
-            charts.trials(rows, results.manifest.seeds, commands, trial_link),
+            outcomes_chart(result),
+            trials_chart(rows, results.manifest.seeds, commands, trial_link),
             class_="drawing",
         ),
         element("td", counts, element("small", f"{low:.0%} to {high:.0%}"), _small(beside)),
-        element("td", charts.times(result, rows, longest), class_="drawing"),
+        element("td", times_chart(result, rows, longest), class_="drawing"),
         element("td", decimals(result.t_ex, 2, NO_VALUE), _small(beside_time), class_="number"),
         element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number"),
         element("td", str(result.contingencies), _small(f"of {counted(result.cycles, 'cycle')}"), class_="number"),
@@ -231,7 +241,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
 
 def _listed(results: Results, row: TrialRow) -> Element:
     command = results.command(row, video=f"{results.slugs[row.key[0]]}-{row.method}-{row.seed}.mp4")
-    ended = charts.trial_text(row).split(": ", 1)[1]
+    ended = trial_text(row).split(": ", 1)[1]
     return element(
         "tr",
         element("td", results.methods[row.method]),
@@ -246,4 +256,216 @@ def _foot() -> Element:
         "footer",
         "The trials are in trials.jsonl of the results folder, these numbers in summary.json, and what was run, as it "
         "was understood, with hashes and versions, in manifest.json.",
+    )
+
+
+UNRECORDED = "not recorded"
+"""Cause of a failure in older evaluations."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """Numbers of trials by their outcomes."""
+
+    trials: int
+    success: int
+    collision: int
+    timeout: int
+    failed: int
+
+    @classmethod
+    def over(cls, results: Iterable[Result]) -> Count:
+        """Numbers of trials in several rows together."""
+        rows = list(results)
+        return cls(*(sum(getattr(row, name) for row in rows) for name in cls.__dataclass_fields__))
+
+    @property
+    def bar(self) -> str:
+        """Widths of the bar of outcomes behind a cell, for its style."""
+        ends = (self.success, self.success + self.timeout, self.success + self.timeout + self.collision)
+        return "; ".join(f"--{name}: {100 * end / self.trials:.3g}%" for name, end in zip("stc", ends, strict=True))
+
+    @property
+    def others(self) -> str:
+        """Outcomes that are not a success, in words."""
+        counts = ((self.collision, "collision"), (self.timeout, "timeout"), (self.failed, "defect"))
+        return ", ".join(counted(count, noun) for count, noun in counts if count)
+
+    @property
+    def share(self) -> float:
+        """Share of successes; 0 without trials."""
+        return self.success / self.trials if self.trials else 0.0
+
+
+def overview(results: Results) -> Element:
+    """Table with a row for each entry and a column for each method; of many entries, those that fail most come first.
+
+    The first row has the totals; several methods have a last column of all together.
+    """
+    summary = results.summary
+    entries, methods = list(results.entries.values()), results.methods
+    by_cell, counts = summary.by_cell, {cell.name: Count.over(summary.of_entry(cell.name)) for cell in entries}
+    many, several = len(entries) > MANY, len(methods) > 1
+    if many:
+        # stable: the order of the suite where it is equal, and without trials at the end
+        entries.sort(key=lambda cell: counts[cell.name].share if counts[cell.name].trials else 2.0)
+    rows = [
+        _line(
+            _name(results, cell),
+            [
+                *(_cell(by_cell.get((cell.name, method))) for method in methods),
+                *([_all(counts[cell.name], cell.name)] if several else []),
+            ],
+        )
+        for cell in entries
+    ]
+    totals = {method: Count.over(summary.of_method(method)) for method in methods}
+    everything = [_all(Count.over(summary.results))] if several else []
+    titles = [*methods.values(), *(["all"] if several else [])]
+    heading = element("tr", element("th", "entry"), *(element("th", title) for title in titles))
+    first = _line(["all entries"], [*(_total(n, m) for m, n in totals.items()), *everything], class_="totals")
+    table = element(
+        "table",
+        element("thead", heading),
+        element("tbody", first, class_="totals") if len(entries) > 1 else None,
+        element("tbody", *rows, class_="rows"),
+        class_="overview sortable many" if many else "overview sortable",
+    )
+    order = " Those that fail most come first." if many else ""
+    words = f"Successes of each method in each entry; the colours of a cell are a bar of its outcomes.{order}"
+    return element(
+        "section",
+        element("h2", "Overview"),
+        element(
+            "p", *outcome_legend(), words, " A heading sorts by its column, a number lists its trials.", class_="key"
+        ),
+        element("div", table, class_="wide"),
+        id="overview",
+    )
+
+
+def causes(results: Results) -> Element | None:
+    """Table of the causes of collisions and timeouts for each method; None if nothing failed."""
+    by_method: dict[str, Counter[str]] = {method: Counter() for method in results.methods}
+    for result in results.summary.results:
+        found = by_method[result.method]
+        found.update(result.causes)
+        if without := result.collision + result.timeout - sum(result.causes.values()):
+            found[UNRECORDED] += without
+    all_of = sum(by_method.values(), Counter[str]())
+    if not all_of:
+        return None
+    names = sorted(all_of, key=lambda name: (-all_of[name], name))
+    most = max(count for found in by_method.values() for count in found.values())
+    rows = [
+        element(
+            "tr",
+            element("th", title, scope="row"),
+            *(_cause_cell(by_method[method][name], method, name, most) for name in names),
+            element("td", str(sum(by_method[method].values())), class_="number"),
+        )
+        for method, title in results.methods.items()
+    ]
+    heading = element("tr", element("th", "method"), *(element("th", name) for name in names), element("th", "all"))
+    total = element(
+        "tr",
+        element("th", "all methods", scope="row"),
+        *(element("td", str(all_of[name]), class_="number") for name in (*names, None) if name),
+        element("td", str(all_of.total()), class_="number"),
+    )
+    several = len(results.methods) > 1  # the totals of one method are its own
+    foot = element("tbody", total, class_="totals") if several else None
+    table = element("table", element("thead", heading), element("tbody", *rows), foot, class_="causes")
+    meanings = [(name, MEANINGS.get(name)) for name in names]
+    return element(
+        "section",
+        element("h2", "Why trials failed"),
+        element("p", "Collisions and timeouts by their cause. A number lists its trials.", class_="key"),
+        element("div", stacked(table), class_="wide"),
+        element("dl", *(element("div", element("dt", name), element("dd", text)) for name, text in meanings if text),
+                class_="meanings"),
+        id="causes",
+    )  # fmt: skip
+
+
+MEANINGS = {
+    CauseKind.MESSAGE_LOST: "the car did not get the message of the cycle, or its watchdog had stopped it",
+    CauseKind.DEADLINE_MISSED: "planning took longer than the cycle, in a trial by the clock",
+    CauseKind.CONTINGENCY_TOO_LATE: "nothing verified the committed contingency, or it was predicted to come too close",
+    CauseKind.UNSAFE_PLAN: "the car was where it was predicted to be, and the plan itself came too close",
+    CauseKind.ESTIMATE_WRONG: "the car deviated from its prediction, at least half of it because of a wrong estimate",
+    CauseKind.DEVIATION: "the car deviated by more than the clearance δ(v), or than the distance to the obstacle, or "
+    "from its plan until the plan's end, though it knew where it was",
+    CauseKind.NO_PLAN: "in most cycles before the timeout the planner had no plan",
+    CauseKind.PLANS_REFUSED: "in most cycles before the timeout the plan was not safe from the latest estimate",
+    CauseKind.STUCK: "the car stood before the timeout, though it had plans",
+    CauseKind.TOO_SLOW: "the car drove on until the timeout",
+    UNRECORDED: "the trial is of an older kraft",
+}
+"""What each cause means."""
+
+
+def settings_of(cell: Cell) -> str:
+    """What an entry sets, and its scenario where the name does not state it."""
+    label = cell.base or cell.name
+    parts = [] if label == cell.scenario else [cell.scenario]
+    return ", ".join([*parts, *([settings_text(cell.set)] if cell.set else [])])
+
+
+def chip(result: Result) -> Element:
+    """Successes of a method in the summary line of an entry."""
+    count = Count.over([result])
+    if not count.trials:
+        return element("span", f"{result.title} {NO_VALUE}", class_="chip")
+    aligned = str(count.success).rjust(len(str(count.trials)), "\u2007")  # a space as wide as a digit
+    text = f"{result.title} ", element("b", aligned), f" of {count.trials}"
+    return element("span", *text, class_="chip ends", style=count.bar, title=count.others or None)
+
+
+def _name(results: Results, cell: Cell) -> list[Content]:
+    settings = settings_of(cell)
+    link = element("a", cell.base or cell.name, href=f"#{results.slugs[cell.name]}")
+    return [link, element("small", settings, title=settings) if settings else None]
+
+
+def _line(name: Sequence[Content], cells: Sequence[Element], **attributes: Any) -> Element:
+    return element("tr", element("th", *name, scope="row"), *cells, **attributes)
+
+
+def _cause_cell(count: int, method: str, cause: str, most: int) -> Element:
+    if not count:
+        return element("td", NO_VALUE, class_="number none", data_value=0.0)
+    link = element("a", str(count), href=_list_link(method=method, cause=cause)) if cause != UNRECORDED else str(count)
+    return element("td", link, class_="number heat", style=f"--heat: {count / most:.2f}", data_value=float(count))
+
+
+def _list_link(**chosen: str) -> str:
+    """Address that filters the list of trials."""
+    return f"#show&{urlencode(chosen)}"
+
+
+def _cell(result: Result | None) -> Element:
+    if result is None or not result.trials:
+        return element("td", NO_VALUE, data_value="")
+    paper = f"paper {result.paper.success} of {result.paper.trials}" if result.paper else None
+    return _counts(Count.over([result]), paper, _list_link(entry=result.entry, method=result.method))
+
+
+def _all(count: Count, entry: str | None = None) -> Element:
+    if not count.trials:
+        return element("td", NO_VALUE, data_value="")
+    return _counts(count, None, _list_link(**({"entry": entry} if entry else {})), small=entry is not None)
+
+
+def _total(count: Count, method: str) -> Element:
+    """Cell of a total; its other numbers are in the section about the methods."""
+    return _counts(count, None, _list_link(method=method), small=False) if count.trials else element("td", NO_VALUE)
+
+
+def _counts(count: Count, note: str | None, link: str, *, small: bool = True) -> Element:
+    beside = [element("small", text) for text in (count.others, note) if text and small]
+    number = element("a", element("b", str(count.success)), element("span", f" of {count.trials}"), href=link)
+    title = ", ".join(text for text in (count.others, note) if text)
+    return element(
+        "td", number, *beside, class_="ends", style=count.bar, title=title or None, data_value=round(count.share, 6)
     )

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.evaluation import journal, manifest
-from kraft.evaluation.experiment import Experiment
+from kraft.evaluation import journal
+from kraft.evaluation.experiment import MANIFEST, MANIFEST_SCHEMA, Experiment, read_manifest, scenario_content
 from kraft.evaluation.journal import Key, Replays, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import RowName, Summary, recorded_wall, tabulate
@@ -213,13 +213,13 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
     if not folder.is_dir():
         problem = "is not a folder" if folder.exists() else "there is no such folder"
         raise InputError.of(str(folder), problem, EXPECTED, Code.NOT_FOUND)
-    file = folder / manifest.NAME
+    file = folder / MANIFEST
     if not file.exists():
-        raise InputError.of(str(folder), f"has no {manifest.NAME}", EXPECTED, Code.NOT_FOUND)
-    content = manifest.read_manifest(file)
-    if content["schema"] != manifest.SCHEMA:
+        raise InputError.of(str(folder), f"has no {MANIFEST}", EXPECTED, Code.NOT_FOUND)
+    content = read_manifest(file)
+    if content["schema"] != MANIFEST_SCHEMA:
         problem = f"has the schema {content['schema']!r}"
-        raise InputError.of(str(file), problem, f"expected {manifest.SCHEMA!r}", Code.MISMATCH)
+        raise InputError.of(str(file), problem, f"expected {MANIFEST_SCHEMA!r}", Code.MISMATCH)
     try:
         found = Manifest.model_validate(content)
     except ValidationError as error:
@@ -251,7 +251,7 @@ def _unchanged(found: Manifest) -> dict[str, Scenario]:
             scenario = load_scenario(reference, settings[name])
         except InputError:
             continue  # the page states that it has no floor plan, and why
-        if manifest.scenario_content(scenario)["sha256"] == found.scenarios[name].sha256:
+        if scenario_content(scenario)["sha256"] == found.scenarios[name].sha256:
             known[name] = scenario
     return known
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from kraft.errors import InputError
+from kraft.evaluation.report.entry import replay_part
 from kraft.evaluation.report.page import page
 from kraft.evaluation.report.results import CommandLine, Results, read_results
-from kraft.evaluation.report.trials import replay_part
 
 ADDRESS: Final = "127.0.0.1"
 PARTS: Final = ("drive", "trees")

@@ -1,17 +1,23 @@
-"""Sweeps of an evaluation: shares and times of every method over the values of a varied key."""
+"""Sweeps of an evaluation: shares and times of every method over the values of a varied key, and their picture.
+
+The picture has small multiples with a column for each scenario; it needs no style sheet.
+"""
 
 from __future__ import annotations
 
 import itertools
+import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
+from xml.etree.ElementTree import Element
 
 from kraft.config.overrides import value_text
-from kraft.config.source import parse_path
-from kraft.config.validation import lookup
+from kraft.config.schema import lookup
+from kraft.config.yaml_reader import parse_path
 from kraft.evaluation.journal import success_times
+from kraft.evaluation.report.elements import Content, element, number, svg
 from kraft.evaluation.report.results import Cell, Results
 from kraft.evaluation.statistics import mean_interval, wilson
 from kraft.evaluation.summary import Result
@@ -176,3 +182,256 @@ def _share(count: int, result: Result) -> Estimate | None:
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
+
+
+INK, GREY, RULE = "#16181d", "#667080", "#e3e6eb"
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#16181d")
+"""Palette of Okabe and Ito without its yellow."""
+FONT: Final = "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif"
+WIDTH: Final = 1232.0
+LEFT, GAP, RIGHT = 78.0, 26.0, 10.0  # px beside and between panels
+HEIGHT, BETWEEN = 126.0, 20.0  # px of a panel and between two rows of panels
+TITLE, FOOT, APART = 30.0, 46.0, 14.0  # px above and below a column of panels, and between two lines of columns
+PANEL_MAX: Final = 380.0
+COLUMNS_MAX: Final = 6
+DODGE: Final = 5.0  # px between the points of two methods at one value, at most
+NARROW: Final = 250.0  # px; narrower panels have smaller marks
+INSET: Final = 6.0  # px between the ends of an axis and the edge of a panel
+CHARACTER: Final = 6.4  # px, mean width
+
+Pick = Callable[[Point], Estimate | None]
+
+
+@dataclass(frozen=True)
+class _Measure:
+    """Row of panels: what it shows, and its axis."""
+
+    label: str
+    pick: Pick
+    low: float
+    high: float
+    ticks: Sequence[float]
+    text: Callable[[float], str]
+    of: Callable[[Point], str]
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Panel at (x, y), `width` wide."""
+
+    x: float
+    y: float
+    width: float
+
+    def across(self, share: float) -> float:
+        """Horizontal position, px."""
+        margin = max(14.0, 0.09 * self.width)
+        return self.x + margin + share * (self.width - 2 * margin)
+
+    def up(self, measure: _Measure, value: float) -> float:
+        """Vertical position of a value, px; values outside of the axis lie on its ends."""
+        share = (min(max(value, measure.low), measure.high) - measure.low) / (measure.high - measure.low)
+        return self.y + HEIGHT - INSET - share * (HEIGHT - 2 * INSET)
+
+
+def sweep_pictures(sweeps: Sequence[Sweep], titles: Mapping[str, str]) -> list[Element]:
+    """Draw sweeps with the same axes; `titles` are those of the methods, by name."""
+    measures = _measures(sweeps)
+    return [_picture(sweep, measures, titles) for sweep in sweeps]
+
+
+def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, str]) -> Element:
+    lines = -(-len(sweep.panels) // COLUMNS_MAX)
+    columns = -(-len(sweep.panels) // lines)
+    step = min(PANEL_MAX, (WIDTH - LEFT - RIGHT + GAP) / columns - GAP)
+    width = LEFT + columns * (step + GAP) - GAP + RIGHT
+    fixed = ", ".join(label_of(key, value) for key, value in sweep.fixed.items())
+    legend, top = _legend(titles, width, 40.0 if fixed else 16.0)
+    tall = TITLE + len(measures) * (HEIGHT + BETWEEN) - BETWEEN + FOOT
+    parts: list[Content] = [
+        element("rect", x=0.0, y=0.0, width=width, height=top + lines * (tall + APART), fill="#fff")
+    ]
+    parts += [_text(fixed, LEFT, 17.0, size=14, anchor="start", weight="600") if fixed else None, *legend]
+    for k, (base, points) in enumerate(sweep.panels.items()):
+        line, column = divmod(k, columns)
+        x, y = LEFT + column * (step + GAP), top + line * (tall + APART)
+        parts.append(_text(base, x + step / 2, y + 16.0, size=14, weight="600"))
+        for row, measure in enumerate(measures):
+            frame = _Frame(x, y + TITLE + row * (HEIGHT + BETWEEN), step)
+            last = row == len(measures) - 1
+            parts += _panel(frame, measure, sweep.axis, first=column == 0, last=last)
+            parts += _lines(frame, measure, sweep.axis, points, titles)
+        parts.append(_text(sweep.axis.label, x + step / 2, y + tall - 10.0))
+    drawing = svg(width, top + lines * (tall + APART), *parts, class_="sweep", font_family=FONT, font_size=12.0)
+    drawing.set("xmlns", "http://www.w3.org/2000/svg")
+    drawing.insert(0, element("title", f"Sweep of {sweep.axis.key} {settings_text(sweep.fixed)}".strip()))
+    return drawing
+
+
+def _measures(sweeps: Sequence[Sweep]) -> list[_Measure]:
+    shares = (0.0, 0.25, 0.5, 0.75, 1.0)
+    found = [
+        _Measure("success", lambda p: p.success, 0.0, 1.0, shares, "{:.0%}".format, _successes),
+        _Measure("collision", lambda p: p.collision, 0.0, 1.0, shares, "{:.0%}".format, _collisions),
+    ]
+    points = [point for sweep in sweeps for panel in sweep.panels.values() for line in panel.values() for point in line]
+    means = [point.time.value for point in points if point.time]
+    if means:
+        ticks = nice_ticks(min(means), max(means))
+        found.append(
+            _Measure("time of successes, s", lambda p: p.time, ticks[0], ticks[-1], ticks, "{:g}".format, _times)
+        )
+    return found
+
+
+def nice_ticks(low: float, high: float, count: int = 4) -> list[float]:
+    """About `count` round numbers, the first below `low` and the last above `high`."""
+    spread = max(high - low, 0.1 * abs(high), 1e-9)
+    low, high = low - 0.15 * spread, high + 0.15 * spread  # room for intervals
+    raw = (high - low) / count
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(power * k for k in (1, 2, 5, 10) if power * k >= raw * 0.999)
+    first, last = math.floor(max(low, 0.0) / step), math.ceil(high / step)
+    return [step * k for k in range(first, last + 1)]
+
+
+def _panel(frame: _Frame, measure: _Measure, axis: Axis, *, first: bool, last: bool) -> Iterator[Element]:
+    """Grid, ticks and labels of a panel; only the first column and the last row have labels."""
+    right, bottom = frame.x + frame.width, frame.y + HEIGHT
+    for tick in measure.ticks:
+        y = frame.up(measure, tick)
+        yield element("line", x1=frame.x, x2=right, y1=y, y2=y, stroke=RULE, stroke_width=1.0)
+        labelled = len(measure.ticks) <= 7 or tick in measure.ticks[::2]
+        if first and labelled and (measure.high != 1.0 or tick in (0.0, 0.5, 1.0)):
+            yield _text(measure.text(tick), frame.x - 8.0, y + 4.0, anchor="end", fill=GREY)
+    yield element("line", x1=frame.x, x2=right, y1=bottom, y2=bottom, stroke=GREY, stroke_width=1.0)
+    until = -math.inf
+    for place, text in zip(axis.places, axis.texts, strict=True):
+        x = frame.across(_share_of_axis(axis, place))
+        yield element("line", x1=x, x2=x, y1=bottom, y2=bottom + 4.0, stroke=GREY, stroke_width=1.0)
+        half = CHARACTER * len(text) / 2
+        if last and x - half > until:
+            yield _text(text, x, bottom + 17.0, fill=GREY)
+            until = x + half + 4.0
+    if first:
+        label = _text(measure.label, 0.0, 0.0)
+        label.set("transform", f"translate({number(frame.x - 56.0)} {number(frame.y + HEIGHT / 2)}) rotate(-90)")
+        yield label
+
+
+def _lines(
+    frame: _Frame, measure: _Measure, axis: Axis, panel: Mapping[str, Sequence[Point]], titles: Mapping[str, str]
+) -> Iterator[Element]:
+    """Intervals of all methods, then their lines, then their points."""
+    below: list[Element] = []
+    above: list[Element] = []
+    apart = _apart(frame, axis, len(titles))
+    size = 0.8 if frame.width < NARROW else 1.0
+    for k, method in enumerate(titles):
+        shift = apart * (k - (len(titles) - 1) / 2)
+        path: list[str] = []
+        joined = False
+        for point in panel.get(method, ()):
+            found = measure.pick(point)
+            if found is None:
+                joined = False
+                continue
+            x, y = frame.across(_share_of_axis(axis, point.place)) + shift, frame.up(measure, found.value)
+            path.append(f"{'L' if joined else 'M'}{number(x)} {number(y)}")
+            joined = True
+            below += _interval(frame, measure, found, x, colour(k))
+            above.append(_marker(k, x, y, size, element("title", _title(measure, point, found, titles[method]))))
+        line = element(
+            "path", d="".join(path), fill="none", stroke=colour(k), stroke_width=1.8, stroke_linejoin="round"
+        )
+        if path:
+            yield line
+    yield from below
+    yield from above
+
+
+def _interval(frame: _Frame, measure: _Measure, found: Estimate, x: float, stroke: str) -> Iterator[Element]:
+    """Bar of an interval; an end outside of the axis has no cap."""
+    if found.interval is None:
+        return
+    ends = [(end, frame.up(measure, end)) for end in found.interval]
+    look: dict[str, Any] = {"stroke": stroke, "stroke_width": 1.1, "stroke_opacity": 0.6}
+    yield element("line", x1=x, x2=x, y1=ends[0][1], y2=ends[1][1], **look)
+    for end, y in ends:
+        if measure.low <= end <= measure.high:
+            yield element("line", x1=x - 2.2, x2=x + 2.2, y1=y, y2=y, **look)
+
+
+def _apart(frame: _Frame, axis: Axis, methods: int) -> float:
+    """Distance between the points of two methods at one value, px: less where the values are close."""
+    across = sorted(frame.across(_share_of_axis(axis, place)) for place in axis.places)
+    gap = min(after - before for before, after in itertools.pairwise(across))
+    return min(DODGE, 0.6 * gap / methods)
+
+
+def _share_of_axis(axis: Axis, place: float) -> float:
+    low, high = min(axis.places), max(axis.places)
+    return (place - low) / (high - low)
+
+
+def _title(measure: _Measure, point: Point, found: Estimate, method: str) -> str:
+    text = f"{point.result.entry}, {method}: {measure.of(point)}"
+    if found.interval is None:
+        return text
+    low, high = (measure.text(round(end, 2)) for end in found.interval)
+    return f"{text}, 95 % interval {low} to {high}"
+
+
+def _successes(point: Point) -> str:
+    return f"{point.result.success} of {point.result.trials} succeeded"
+
+
+def _collisions(point: Point) -> str:
+    return f"{point.result.collision} of {point.result.trials} collided"
+
+
+def _times(point: Point) -> str:
+    return f"mean time of successes {point.result.t_ex:.2f} s"
+
+
+def _legend(titles: Mapping[str, str], width: float, y: float) -> tuple[list[Element], float]:
+    """Legend whose first line is at `y`, and where it ends."""
+    parts: list[Element] = []
+    x = LEFT
+    for k, title in enumerate(titles.values()):
+        long = 40.0 + 7.0 * len(title)
+        if x > LEFT and x + long > width:
+            x, y = LEFT, y + 22.0
+        parts.append(element("line", x1=x, x2=x + 26.0, y1=y, y2=y, stroke=colour(k), stroke_width=1.8))
+        parts.append(_marker(k, x + 13.0, y))
+        parts.append(_text(title, x + 33.0, y + 4.5, anchor="start", size=13))
+        x += long + 14.0
+    return parts, y + 20.0
+
+
+def colour(k: int) -> str:
+    """Colour of the k-th method."""
+    return COLOURS[k % len(COLOURS)]
+
+
+def _marker(k: int, x: float, y: float, size: float = 1.0, title: Element | None = None) -> Element:
+    """Point of the k-th method, with a shape of its own, so that it can be told apart without colours."""
+    look: dict[str, Any] = {"fill": colour(k), "stroke": "#fff", "stroke_width": size}
+    shape = k % 5
+    if shape == 0:
+        return element("circle", title, cx=x, cy=y, r=4.0 * size, **look)
+    if shape == 1:
+        return element("rect", title, x=x - 3.6 * size, y=y - 3.6 * size, width=7.2 * size, height=7.2 * size, **look)
+    outlines = {
+        2: ((0.0, -4.8), (4.5, 3.4), (-4.5, 3.4)),
+        3: ((0.0, -5.2), (5.2, 0.0), (0.0, 5.2), (-5.2, 0.0)),
+        4: ((0.0, 4.8), (4.5, -3.4), (-4.5, -3.4)),
+    }
+    points = " ".join(f"{number(x + size * dx)},{number(y + size * dy)}" for dx, dy in outlines[shape])
+    return element("polygon", title, points=points, **look)
+
+
+def _text(
+    text: str, x: float, y: float, *, size: int = 12, anchor: str = "middle", fill: str = INK, weight: str | None = None
+) -> Element:
+    return element("text", text, x=x, y=y, text_anchor=anchor, font_size=float(size), fill=fill, font_weight=weight)

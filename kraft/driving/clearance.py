@@ -1,0 +1,248 @@
+"""Clearance that plans keep: a bound of the deviation from their prediction, solvers that ask for it, and its levels.
+
+The bound is delta(t, v) for t s since the commit and a speed of v m/s.  Its shape comes from the covariance: the error
+of the estimated pose at any time, the uncertain delay times the speed, and a growth with time by what the model leaves
+out.  Its scale is a variance ratio, calibrated online: each cycle compares the deviation of the estimate from the last
+prediction with the bound.  The stated scale counts as a number of cycles, so that the calibration begins cautiously.
+
+Where the bound is measured, plans keep one of several levels of clearance: a share of the bound, and a margin.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kraft.driving.messages import PredictedMotion, Uncertainty
+from kraft.driving.method import CalibratedBound, PlannerSettings
+from kraft.planning.workspace import displacement, goal_of, poses_of, settings_of, workspace_of
+from kraft.scenario import Task
+from ompl_ext.arrays import Floats
+from ompl_ext.query import Safety
+from ompl_ext.solver import DirtSolver
+from ompl_ext.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class DeviationBound:
+    """delta(t, v) = `delta` + `per_speed` |v| + `per_time` t, with t at most `horizon` s (m, s, m/s)."""
+
+    delta: float
+    per_speed: float = 0.0
+    per_time: float = 0.0
+    horizon: float = 0.0
+
+    def at(self, since: Floats, speeds: Floats) -> Floats:
+        """Bound (n,) at times (n,) since the commit (s) and speeds (n,), m."""
+        safety = Safety(
+            delta=self.delta, delta_per_speed=self.per_speed, delta_per_time=self.per_time, delta_horizon=self.horizon
+        )
+        return safety.clearance(speeds, since)
+
+    def scaled(self, factor: float) -> DeviationBound:
+        """Bound times a factor."""
+        return DeviationBound(factor * self.delta, factor * self.per_speed, factor * self.per_time, self.horizon)
+
+
+class BoundCalibration:
+    """Bounds for the coming cycle, and their calibration by the cycles before."""
+
+    def __init__(self, settings: CalibratedBound, vehicle: Vehicle) -> None:
+        self._settings, self._vehicle = settings, vehicle
+        self._quantile = math.sqrt(-2.0 * math.log(1.0 - settings.level))  # of a normal deviation in the plane
+        self._ratios, self._count = settings.prior_cycles * settings.initial**2, settings.prior_cycles
+        self._last: tuple[PredictedMotion, DeviationBound] | None = None
+
+    @property
+    def factor(self) -> float:
+        """Scale of the bound, 1 if deviations are as large as the covariance states."""
+        low, high = self._settings.limits
+        return min(max(math.sqrt(self._ratios / self._count), low), high)
+
+    def bound(self, uncertainty: Uncertainty) -> DeviationBound:
+        """Bound for a cycle that is planned from an estimate with this uncertainty."""
+        return self._unscaled(uncertainty).scaled(self.factor)
+
+    def committed(self, predicted: PredictedMotion, uncertainty: Uncertainty) -> None:
+        """Record the prediction of the committed motion, to be compared with what follows."""
+        self._last = predicted, self._unscaled(uncertainty)
+
+    def observe(self, time: float, state: Floats) -> None:
+        """Compare an estimated state (nx,) at `time` (s) with the last prediction."""
+        if self._last is None or not self._last[0].times[0] < time:
+            return
+        predicted, bound = self._last
+        if time > predicted.times[-1] + 1e-9:
+            return
+        expected = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
+        deviation = displacement(state, expected, self._vehicle)
+        speed = expected[[self._vehicle.rest_indices[0]]]
+        ratio = deviation / float(bound.at(np.array([time - predicted.times[0]]), speed)[0])
+        kept = 1.0 - 1.0 / self._settings.memory_cycles
+        self._ratios = kept * self._ratios + (ratio / self._settings.expected_ratio) ** 2
+        self._count = kept * self._count + 1.0
+
+    def _unscaled(self, uncertainty: Uncertainty) -> DeviationBound:
+        vehicle, covariance = self._vehicle, uncertainty.state
+        pose = [vehicle.index("x"), vehicle.index("y")]
+        position = float(np.linalg.eigvalsh(covariance[np.ix_(pose, pose)])[-1])
+        turn = float(covariance[vehicle.index("theta"), vehicle.index("theta")])
+        sigma = math.sqrt(position + vehicle.footprint.reach**2 * turn)
+        return DeviationBound(
+            self._quantile * sigma, self._quantile * uncertainty.delay, self._quantile * self._settings.growth,
+            self._settings.horizon,
+        )  # fmt: skip
+
+
+MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
+
+
+@dataclass(frozen=True)
+class Solvers:
+    """Two solvers of one task: `planning` requires the method's margin and foresight, `checking` only its clearance.
+
+    The margin is not required when a plan is checked again, so that small errors do not reject the plan.
+    """
+
+    planning: DirtSolver
+    checking: DirtSolver
+
+    @classmethod
+    def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings) -> Solvers:
+        """Make the solvers for a method's settings; without a clearance in the settings, SAFETY is disabled."""
+        goal = goal_of(task)
+        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
+        workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
+        planner = "sst" if settings.type == "sst" else "dirt"
+        search = replace(settings_of(task, vehicle), polish=settings.polish, planner=planner)
+        checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
+        clearance = settings.bound or settings.safety
+        foresight = clearance.foresight if clearance else 0.0
+        if settings.margin == 0.0 and foresight <= settings.cycle:
+            return cls(checking, checking)
+        safety = replace(safety, cycle=max(foresight, settings.cycle))
+        margin = settings.margin if settings.bound is None else 0.0  # which is added to the bound
+        larger = replace(shape, length=shape.length + 2 * margin, width=shape.width + 2 * margin)
+        larger_vehicle = replace(vehicle, footprint=larger)
+        return cls(DirtSolver(larger_vehicle, workspace, goal, safety, search, settings.capacity), checking)
+
+    def load(self, state: Floats) -> None:
+        """Compute what queries of this map share, which the first one from a state (nx,) would do otherwise."""
+        for dirt in (self.checking, self.planning):
+            dirt.start(state, 0)
+            dirt.least_distance(poses_of(state[None, :], dirt.vehicle))
+
+    def set_bound(self, bound: DeviationBound) -> None:
+        """Set the clearance that SAFETY asks for in both."""
+        for dirt in (self.checking, self.planning):
+            dirt.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
+
+    def set_parameters(self, values: Floats) -> None:
+        """Set the parameters of the vehicle (np,) in both."""
+        self.checking.set_parameters(values)
+        if self.planning is not self.checking:
+            self.planning.set_parameters(values)
+
+
+def method_safety(settings: PlannerSettings) -> Safety:
+    """SAFETY with the clearance of a method, disabled if the method has none."""
+    margin = settings.safety
+    if settings.bound is not None:  # the clearance is set in every cycle
+        return Safety(cycle=settings.cycle)
+    if margin is None:
+        return Safety(enabled=False, cycle=settings.cycle)
+    return Safety(cycle=settings.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
+
+
+HYSTERESIS = 0.8  # share of the clearance of a level that suffices for a plan that was made for this level
+STEADY = 2  # cycles with the same level after which a higher one is tried
+NARROW = (1.0, 0.5)  # parts of the smallest share that plans keep without the margin before they give up foresight
+SOON = 3.0  # cycles for which plans keep the clearance then
+
+
+@dataclass(frozen=True)
+class Level:
+    """Clearance that plans keep for `foresight` s: a `share` of the bound, and `margin` m."""
+
+    share: float
+    margin: float = 0.0
+    foresight: float = 0.0
+
+
+def levels_of(settings: PlannerSettings) -> tuple[Level, ...]:
+    """Levels of a method's settings, in the order in which they are tried."""
+    if settings.bound is None:
+        return (Level(1.0),)
+    shares, margin, cycle = settings.bound.shares, settings.margin, settings.cycle
+    foresight = max(settings.bound.foresight, cycle)
+    far = [Level(share, margin, foresight) for share in shares]
+    if margin > 0.0:
+        far += [Level(share * shares[-1], 0.0, foresight) for share in NARROW]
+    if foresight == cycle:
+        return tuple(far)
+    soon = min(foresight, SOON * cycle)
+    return (*far, *(Level(share, 0.0, soon) for share in shares[::2]), Level(shares[-1], 0.0, cycle))
+
+
+class Levels:
+    """The level that the last plan keeps, and the clearances that the solvers are asked for at a level."""
+
+    def __init__(self, solvers: Solvers, settings: PlannerSettings) -> None:
+        self._solvers, self._settings = solvers, settings.bound or CalibratedBound()
+        self.all = levels_of(settings)
+        self.wide = len(self._settings.shares)
+        """number of the levels at which a plan keeps the margin"""
+        self.far = sum(level.foresight == self.all[0].foresight for level in self.all)
+        """number of the levels at which a plan keeps the clearance as long as at the first one"""
+        self.kept = 0
+        """index of the level of the last plan"""
+        self._steady = 0  # number of cycles with this level since a higher one was tried
+        self.bound = DeviationBound(0.0)
+
+    @property
+    def share(self) -> float:
+        """Share of the bound at the level that the last plan keeps."""
+        return self.all[self.kept].share
+
+    @property
+    def tries_higher(self) -> bool:
+        """Whether it is time to try a higher level."""
+        return self.kept > 0 and self._steady >= STEADY
+
+    def set(self, number: int, eased: bool) -> DirtSolver:
+        """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""
+        level, part = self.all[number], HYSTERESIS if eased else 1.0
+        bound, dirt = self.bound.scaled(level.share * part), self._solvers.planning
+        self._solvers.checking.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
+        dirt.set_bound(bound.delta + part * level.margin, bound.per_speed, bound.per_time, bound.horizon)
+        dirt.set_cycle(level.foresight)
+        return dirt
+
+    def downwards(self, first: int) -> list[int]:
+        """Levels from number `first` on; as long as they keep their foresight, every second one of them."""
+        return [*range(first, self.far, 2), *range(max(first, self.far), len(self.all))]
+
+    def upwards(self) -> list[int]:
+        """Levels to try above that of the last plan: the next one, and the lowest one with the whole foresight."""
+        return sorted({self.kept - 1, min(self.kept, self.far) - 1})
+
+    def require(self) -> None:
+        """Require what suffices when the last plan is checked again."""
+        self._solvers.set_bound(self.bound.scaled(self.share * self._settings.recheck))
+
+    def keep(self, number: int, stalled: bool) -> None:
+        """Record that a plan of a level is proposed; if the vehicle is `stalled`, the next plan may keep less."""
+        self._steady = self._steady % STEADY + 1 if number == self.kept else 0
+        self.kept = number
+        if stalled and number + 1 not in (self.wide, self.far, len(self.all)):
+            self.kept, self._steady = number + 1, 0
+
+    def drive_on(self, drives: bool) -> None:
+        """Change the level where no plan tells it: a lower one for a vehicle that stopped, a higher one in time."""
+        self._steady = self._steady + 1 if drives else 0
+        if not drives:
+            self.kept = min(self.kept + 1, self.wide - 1)
+        elif self._steady > STEADY:
+            self.kept, self._steady = max(self.kept - 1, 0), 0
