@@ -98,13 +98,14 @@ PAUSE: Final = 1.0
 class Fault:
     """What breaks, what the drive says about it (empty if nobody is left to say it), and whether the car must stand.
 
-    A car that drives in time whatever else its computer does need not stand.
+    A car that drives in time whatever else its computer does need not stand.  `mend` ends a fault after `PAUSE`.
     """
 
     name: str
     cause: Callable[[Rig, random.Random], None]
     says: str
     stops: bool = True
+    mend: Callable[[Rig], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -137,12 +138,14 @@ def signalled(name: str, number: int, victims: tuple[str, ...], says: str) -> Fa
                 os.killpg(rig.process.pid, number)
             else:
                 os.kill(rig.process.pid if victim == "planner" else rig.pid(victim), number)
-        if number == signal.SIGSTOP:
-            time.sleep(PAUSE)
-            for pid in (rig.process.pid, rig.pid("control"), rig.pid("guard"), rig.pid("display")):
-                os.kill(pid, signal.SIGCONT)
 
-    return Fault(name, cause, says)
+    return Fault(name, cause, says, mend=resume if number == signal.SIGSTOP else None)
+
+
+def resume(rig: Rig) -> None:
+    """Let paused processes go on."""
+    for pid in (rig.process.pid, rig.pid("control"), rig.pid("guard"), rig.pid("display")):
+        os.kill(pid, signal.SIGCONT)
 
 
 def lose(rig: Rig, generator: random.Random) -> None:
@@ -209,8 +212,13 @@ def one(fault: Fault, seed: int) -> Seen:
         rig.drive_until(generator.uniform(1.0, 5.0))
         rig.until(lambda: abs(rig.world.world.speed) > FAST or rig.result is not None, 20.0)
         began, last, place = rig.world.world.time, rig.rows("steps")[-1][0], rig.world.world.pose[:2]
+        stands = rig.standstill()
         fault.cause(rig, generator)
-        stood = rig.stands(WATCHED)
+        if fault.mend is not None:
+            ends = time.monotonic() + PAUSE
+            rig.until(lambda: stands() and time.monotonic() >= ends, PAUSE)
+            fault.mend(rig)
+        stood = rig.until(stands, WATCHED) and rig.world.world.collision is None
         said = not fault.says or rig.until(lambda: says(rig, fault.says), 10.0)
         rows = rig.rows("steps")
         kept = float(last) > began - 1.0 and float(rows[-1][0]) >= float(last)

@@ -31,6 +31,7 @@ watchdog: {{give_up: {give_up}}}
 {more}
 """
 Spoil = Callable[[str, Any], Any]
+REST_SPEED = 0.05  # up to which a car stands: where it stands it creeps to where it should (m/s)
 
 
 def free_port() -> int:
@@ -170,14 +171,20 @@ class Rig:
 
     def stands(self, seconds: float) -> bool:
         """Whether the car stands for half a second within a time, without a collision."""
-        since = [time.monotonic()]
+        return self.until(self.standstill(), seconds) and self.world.world.collision is None
 
-        def resting() -> bool:
-            if abs(self.world.world.speed) > 0.02:
-                since[0] = time.monotonic()
-            return time.monotonic() - since[0] > 0.5
+    def standstill(self) -> Callable[[], bool]:
+        """Condition, to be asked often: whether the car has stood for half a second since this call."""
+        since, stood = time.monotonic(), False
 
-        return self.until(resting, seconds) and self.world.world.collision is None
+        def has_stood() -> bool:
+            nonlocal since, stood
+            if abs(self.world.world.speed) > REST_SPEED:
+                since = time.monotonic()
+            stood = stood or time.monotonic() - since > 0.5
+            return stood
+
+        return has_stood
 
     @property
     def events(self) -> list[str]:
