@@ -31,6 +31,8 @@ POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation,
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
 POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
 PATHS, PATHS_AGAIN = 4, 2  # that are tried before the search begins, without and with edges of an earlier plan
+REHEARSALS, REHEARSED = 16, 32  # queries of how many iterations before the first one
+GOLDEN = 0.618  # step of their places across the workspace, as a share of it
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
@@ -84,6 +86,23 @@ class DirtSolver(QueryTree):
         self._follower: PathFollower | None = None  # made with the first path
         self._polished = _Polished()
         self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
+        self._rehearse()
+
+    def _rehearse(self) -> None:
+        """Plan for a moment from places all over the workspace, so that the first query is as fast as later ones.
+
+        In a new process, kernels are loaded and memory is touched when they are first used.
+        """
+        state, places = np.zeros(len(self.vehicle.state)), [self.vehicle.index(name) for name in ("x", "y")]
+        low, high = np.array(self.workspace.bounds).T
+        for k in range(REHEARSALS):
+            state[places] = low + (high - low) * [GOLDEN * k % 1.0, (k + 0.5) / REHEARSALS]
+            self.start(state)
+            if self.goal is not None and not self._follows_path:
+                self.grow(REHEARSED, stop=lambda: bool(self._progress.history))
+        if self.safety.enabled:
+            self.contingency(state)
+        self.clear()
 
     def clear(self, seed: int = 0) -> None:
         """Empty the tree; memory allocated since is kept for later queries."""

@@ -355,6 +355,13 @@ def test_a_query_empties_all_cells_of_the_one_before_whatever_the_size_of_its_tr
         assert not tree.level[:, at.LEVEL_COUNT].any()
 
 
+def test_a_new_solver_has_an_empty_tree() -> None:
+    dirt = DirtSolver(BENCHMARK, TURNS, GOAL)
+    assert dirt.progress.iterations == dirt.tree_arrays.count[at.SIZE] == 0
+    assert dirt.plan() is None
+    assert not dirt.tree_arrays.region_cells.any()
+
+
 def test_memory_of_nodes_begins_cache_lines() -> None:
     tree = grown(10)
     assert all(array.ctypes.data % 64 == 0 for array in (tree.value, tree.link))
