@@ -17,7 +17,7 @@ from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
 from ompl_ext.kernels.tree_memory import CAPACITY, MAX_NODES, path_to, prune
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Plan
-from ompl_ext.polish import SMOOTHNESS_COST, Guess, Polish, guess_of, guess_to_goal
+from ompl_ext.polish import Guess, Polish, guess_of, guess_to_goal, weights_of
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to_go_of, settings_for
 from ompl_ext.query_tree import Progress, QueryTree
 from ompl_ext.vehicle import Vehicle
@@ -383,7 +383,7 @@ class DirtSolver(QueryTree):
         assert self.goal is not None
         tree, nu = self._tree, len(self.vehicle.controls)
         begin = float(tree.value[head[-1], at.COST]) if head else 0.0
-        for share in SMOOTHNESS_COST:
+        for share in weights_of(self.goal).smoothness_costs:
             found = self._polish.improve(guess, self.goal, begin, urgency, share) if guess.time > 0.0 else None
             if found is None:
                 return False
