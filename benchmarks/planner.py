@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 
@@ -28,7 +30,7 @@ def run(effort: Effort) -> Report:
         dirt.start(query.start)
         dirt.grow(iterations=WARM_UP)
         rows += [*first_solutions(query, dirt, effort.seeds), *over_time(query, dirt, effort.seeds)]
-        rows += set_up(query, max(3, effort.repeats))
+        rows += [first_of_process(name, 3 * effort.processes), *set_up(query, max(3, effort.repeats))]
     notes = [
         "The clock of a query runs from `start`, which empties the tree's memory, to when Python sees the solution.",
         f"An edge is {RK4_STEPS} RK4 steps and its collision checks; edges/s is over the whole loop.",
@@ -58,6 +60,16 @@ def first_solution(query: Scene, dirt: DirtSolver, seed: int) -> tuple[float, fl
     dirt.start(query.start, seed)
     progress = dirt.grow(stop=lambda: bool(dirt.progress.history))
     return time.perf_counter() - began, progress.history[0][1]
+
+
+def first_of_process(name: str, processes: int) -> Row:
+    """Time to the first solution where it is the first plan of a process, each with a seed of its own."""
+    milliseconds = []
+    for seed in range(processes):
+        command = [sys.executable, "-m", "benchmarks.first_plan", name, str(seed)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        milliseconds.append(float(done.stdout))
+    return row(f"{name}: first solution of a new process", "ms", milliseconds, Target(0.3))
 
 
 def over_time(query: Scene, dirt: DirtSolver, seeds: int) -> list[Row]:

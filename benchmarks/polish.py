@@ -18,6 +18,7 @@ from ompl_ext.solver import DirtSolver
 
 LOOKS = (0.005, 0.02, 0.1)  # s
 COST_WITHIN = {("turns", 0.02): 9.65, ("boxes", 0.02): 9.82}
+STEERING_AFTER = 0.02  # s
 WARM_UP = 3000  # iterations
 GUESS = 1024  # iterations of the plan that is optimised
 
@@ -27,8 +28,8 @@ def run(effort: Effort) -> Report:
     rows: list[Row] = []
     for name in SCENES:
         query = scene(name)
-        for polish in (False, True):
-            rows += over_time(query, polish, effort.seeds)
+        without, optimised = (over_time(query, polish, effort.seeds) for polish in (False, True))
+        rows += [*without, *optimised, share_of_steering(name, without, optimised)]
         rows.append(one_optimisation(query, effort.seeds))
     notes = ["Steering: sum of the changes of the command along the plan; its range is 2."]
     return Report("polish", rows, notes=notes)
@@ -74,6 +75,17 @@ def over_time(query: Scene, polish: bool, seeds: int) -> list[Row]:
         *rows,
         replace(row(f"{which}: edges, optimisation included", "1/s", rates), more=True),
     ]
+
+
+def share_of_steering(name: str, without: list[Row], optimised: list[Row]) -> Row:
+    """Median of the changes of the steering of optimised plans over that of others, after equal times."""
+    medians = [
+        float(np.median(each.samples))
+        for rows in (optimised, without)
+        for each in rows
+        if each.quantity.endswith(f"steering after {number(1e3 * STEERING_AFTER)} ms")
+    ]
+    return row(f"{name}: steering with over without", "", [medians[0] / medians[1]], Target(0.25))
 
 
 def steering_changes(query: Scene, plan: Plan) -> float:

@@ -42,8 +42,8 @@ class GrowingTree:
 
     def clear(self, random: Words) -> None:
         """Empty the tree; memory allocated since is kept."""
+        reset(self._memory, random)
         self.tree = first_nodes(self._memory, self._capacity)
-        reset(self.tree, random)
 
     def reserve(self, nodes: int) -> None:
         """Reserve memory for so many more nodes, as far as the limit allows."""

@@ -5,6 +5,9 @@ al., A family of iterative Gauss-Newton shooting methods for nonlinear optimal c
 of the controls are minimised; clearance, limits of the state and the goal region are penalised where they are violated;
 controls and durations have bounds.  The model is soft at first, and becomes harder from round to round.
 
+Changes of controls count nearly in proportion to their size: squares would spread a turn over its whole length, with a
+peak in the middle, where a constant curvature changes the steering least.
+
 Then the edges are followed with the tree's own propagation and checks.  Where they lack clearance, because the checks
 allow for the motion between samples and for the cells of the field, more is asked for, and the last round is repeated.
 What passes is added to the tree like the edges of an earlier plan, with all of its checks once more.
@@ -38,7 +41,6 @@ MOST_INTERVALS = 300  # of a guess; longer plans have longer ones
 RANGE = (0.2, 2.0)  # shortest and longest interval after an improvement, as multiples of those of the guess
 CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
 HARD = 1e6  # last stiffness of the model
-SMOOTHNESS_COST = (0.004, 0.0005)  # share of the time that they count for at most, in the last rounds; in turn
 INSIDE, NEAR_BORDER = 0.6, 1e-3  # share of the goal's tolerances that is aimed for; least distance from its border (m)
 TRIALS, LAST_TRIALS = 10, 20  # steps of a round, of a last one
 REPLAYS = 10  # last rounds, each with more clearance
@@ -55,11 +57,19 @@ class Weights(NamedTuple):
     hardening: float  # factor of the stiffness from round to round
     penalty: tuple[float, float]  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
     smoothness: float  # of changes of controls: times the square of the time for a footprint's length, per interval
+    smoothness_costs: tuple[float, float]  # share of the time that they count for at most, in the last rounds; in turn
+    small_change: float  # of a control, as a share of its range, beyond which a change counts in proportion
     evenness: float  # of the deviations of the durations from their mean, per interval
 
 
-USUAL = Weights(10.0, 30.0, (100.0, 3e3), 0.7, 10.0)
-MANOEUVRE = Weights(30.0, 6.0, (1e4, 1e5), 0.02, 0.1)  # with a heading: many changes of controls in little space
+USUAL = Weights(10.0, 30.0, (100.0, 3e3), 80.0, (0.03, 0.0005), 5e-4, 10.0)
+MANOEUVRE = Weights(30.0, 6.0, (1e4, 1e5), 0.02, (0.004, 0.0005), math.inf, 0.1)
+"""With a heading: many changes of controls in little space."""
+
+
+def weights_of(goal: Goal) -> Weights:
+    """Weights of an optimisation of plans to a goal."""
+    return MANOEUVRE if goal.has_heading else USUAL
 
 
 @dataclass(frozen=True)
@@ -95,7 +105,7 @@ class Polish:
         goal: Goal,
         begin: float = 0.0,
         urgency: float = 1.0,
-        cost_of_smoothness: float = SMOOTHNESS_COST[0],
+        cost_of_smoothness: float | None = None,
     ) -> Guess | None:
         """Trajectory that obeys the model, passes all checks and takes less time, as far as one was found.
 
@@ -104,14 +114,15 @@ class Polish:
             goal: region to end in.
             begin: time of its first state since the begin of the query (s).
             urgency: weight of the time; a small one for a guess that has to become feasible first.
-            cost_of_smoothness: share of the time that the changes of the controls count for at most.
+            cost_of_smoothness: share of the time that the changes of the controls count for at most; by default the
+                first one of `weights_of` the goal.
         """
         self._load(guess, goal, begin, urgency)
         damping, setting, stiffness = DAMPING, self._setting, self._weights.soft
         while stiffness < HARD:
             damping = self._round(stiffness, TRIALS, damping)
             stiffness *= self._weights.hardening
-        setting[st.SMOOTHNESS_COST] = cost_of_smoothness
+        setting[st.SMOOTHNESS_COST] = cost_of_smoothness or self._weights.smoothness_costs[0]
         quantum, longer = float(self._problem.scalar[at.QUANTUM]), 0
         for replay in range(REPLAYS):
             damping = self._round(HARD, LAST_TRIALS, damping)
@@ -172,7 +183,7 @@ class Polish:
     def _load(self, guess: Guess, goal: Goal, begin: float, urgency: float) -> None:
         self._store(guess)
         n, setting, shape = self._n, self._setting, self._vehicle.footprint
-        self._weights = weights = MANOEUVRE if goal.has_heading else USUAL
+        self._weights = weights = weights_of(goal)
         interval = guess.time / n
         length = shape.length / self._vehicle.top_speed
         setting[[st.URGENCY, st.SMOOTHNESS, st.SMOOTHNESS_COST]] = (
@@ -180,7 +191,7 @@ class Polish:
             weights.smoothness * length**2 / interval,
             math.inf,
         )
-        setting[[st.EVENNESS, st.BEGIN]] = weights.evenness / interval, begin
+        setting[[st.EVENNESS, st.BEGIN, st.SMALL_CHANGE]] = weights.evenness / interval, begin, weights.small_change
         setting[[st.SHORTEST, st.LONGEST]] = RANGE[0] * interval, RANGE[1] * interval
         inside = INSIDE if goal.has_heading or goal.limits else 1.0
         setting[st.GOAL_DISTANCE] = min(inside * goal.radius, max(goal.radius - NEAR_BORDER, 0.5 * goal.radius))

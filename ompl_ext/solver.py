@@ -17,7 +17,7 @@ from ompl_ext.kernels.dirt import EXPLORATION_INSERTIONS
 from ompl_ext.kernels.tree_memory import CAPACITY, MAX_NODES, path_to, prune
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Plan
-from ompl_ext.polish import SMOOTHNESS_COST, Guess, Polish, guess_of, guess_to_goal
+from ompl_ext.polish import Guess, Polish, guess_of, guess_to_goal, weights_of
 from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to_go_of, settings_for
 from ompl_ext.query_tree import Progress, QueryTree
 from ompl_ext.vehicle import Vehicle
@@ -31,6 +31,8 @@ POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation,
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
 POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
 PATHS, PATHS_AGAIN = 4, 2  # that are tried before the search begins, without and with edges of an earlier plan
+REHEARSALS, REHEARSED = 16, 32  # queries of how many iterations before the first one
+GOLDEN = 0.618  # step of their places across the workspace, as a share of it
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
 
 
@@ -84,6 +86,23 @@ class DirtSolver(QueryTree):
         self._follower: PathFollower | None = None  # made with the first path
         self._polished = _Polished()
         self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
+        self._rehearse()
+
+    def _rehearse(self) -> None:
+        """Plan for a moment from places all over the workspace, so that the first query is as fast as later ones.
+
+        In a new process, kernels are loaded and memory is touched when they are first used.
+        """
+        state, places = np.zeros(len(self.vehicle.state)), [self.vehicle.index(name) for name in ("x", "y")]
+        low, high = np.array(self.workspace.bounds).T
+        for k in range(REHEARSALS):
+            state[places] = low + (high - low) * [GOLDEN * k % 1.0, (k + 0.5) / REHEARSALS]
+            self.start(state)
+            if self.goal is not None and not self._follows_path:
+                self.grow(REHEARSED, stop=lambda: bool(self._progress.history))
+        if self.safety.enabled:
+            self.contingency(state)
+        self.clear()
 
     def clear(self, seed: int = 0) -> None:
         """Empty the tree; memory allocated since is kept for later queries."""
@@ -364,7 +383,7 @@ class DirtSolver(QueryTree):
         assert self.goal is not None
         tree, nu = self._tree, len(self.vehicle.controls)
         begin = float(tree.value[head[-1], at.COST]) if head else 0.0
-        for share in SMOOTHNESS_COST:
+        for share in weights_of(self.goal).smoothness_costs:
             found = self._polish.improve(guess, self.goal, begin, urgency, share) if guess.time > 0.0 else None
             if found is None:
                 return False

@@ -65,7 +65,7 @@ STATUS_PERIOD: Final = 1.0
 """Time between two reports of the state, s."""
 STOPPED: Final = 1.0
 """Time for which the vehicle is commanded to stand before the drive ends, s."""
-STANDING: Final = 0.6
+STANDING: Final = 1.0
 """Time for which a vehicle that has stopped by itself stands before it drives on, s."""
 STOPPING_MAX: Final = 6.0
 """Longest time in which a vehicle that stops at the end of a drive comes to rest, s."""

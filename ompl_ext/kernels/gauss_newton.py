@@ -55,6 +55,7 @@ from ompl_ext.kernels.trajectory_types import (  # fmt: skip
     PENALTY,
     SHOOTING,
     SHORTEST,
+    SMALL_CHANGE,
     SMOOTHNESS,
     SMOOTHNESS_COST,
     STAGES,
@@ -340,14 +341,20 @@ def expand(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Sh
 
 @inlined
 def weigh(n: int, problem: Problem, setting: Floats, work: Shooting, stages: Stages) -> None:
-    """Weights of the changes of controls, which in the last rounds cost a share of the time at most; even duration."""
+    """Weights of the changes of controls, which in the last rounds cost a share of the time at most; even duration.
+
+    Beyond a share of a control's range a change counts in proportion, not with its square: weights are those of the
+    changes of the current trajectory (iteratively reweighted least squares).
+    """
     time, rough = 0.0, 0.0
     for k in range(n):
         time += work.inputs[k, NU]
         for i in range(NU):
             jump = work.inputs[k, i] - work.inputs[k - 1, i] if k > 0 else 0.0
             span = problem.controls[i, 1] - problem.controls[i, 0]
-            rough += jump * jump / (span * span)
+            relative = jump / (span * setting[SMALL_CHANGE])
+            stages.jump_weight[k, i] = 1.0 / math.sqrt(1.0 + relative * relative) if k > 0 else 0.0
+            rough += stages.jump_weight[k, i] * (jump * jump / (span * span))
     setting[EVEN] = time / n
     weight = setting[SMOOTHNESS]
     if 0.5 * weight * rough > setting[SMOOTHNESS_COST] * time:
@@ -355,7 +362,7 @@ def weigh(n: int, problem: Problem, setting: Floats, work: Shooting, stages: Sta
     for k in range(1, n):
         for i in range(NU):
             span = problem.controls[i, 1] - problem.controls[i, 0]
-            stages.jump_weight[k, i] = weight / (span * span)
+            stages.jump_weight[k, i] *= weight / (span * span)
 
 
 def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: Lanes, braking: Lanes) -> int:

@@ -143,12 +143,11 @@ class Tree(NamedTuple):
     edge: Matrix  # (capacity, nu + 1) control and duration of the edge from the parent
     value: Matrix  # (capacity, 8) what the search reads of a node, one cache line each
     link: IntMatrix32  # (capacity, 8), half a cache line each
-    region_head: Ints32  # first node of each cell, level after level
+    region_cells: IntMatrix32  # (cells, 2) list of each cell and a bound of f in it, level after level
     level: IntMatrix  # (levels, 7)
     level_cell: Floats  # cell size of each level (m)
-    cell_head: Ints32
-    cell_best: Floats  # smallest f in each cell
-    block_best: Floats  # smallest f in each block of cells
+    cells: IntMatrix32  # (cells, 2) list of each cell of positions, and a bound of f in it
+    block_bound: Ints32  # bound of f in each block of cells
     block_shape: Ints  # columns, rows of blocks, and how they are stored
     frame: Floats  # lower left corner and cell size of the cells (m)
     count: Ints  # type: ignore[assignment]  # hides the method of tuples, which is not needed
@@ -167,7 +166,14 @@ F, RADIUS, COST, TOGO = (
 # Columns of Tree.link
 PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS = range(7)
 
-# Columns of Tree.level: first index in region_head, columns and rows, number of nodes, and how the cells are stored
+# Columns of Tree.region_cells and Tree.cells: first node + 1, and a bound of f in ticks.  An empty cell is zeros, so
+# that memory may stay as the system gives it.  The bound of regions is above the largest f of a cell.  That of
+# positions, and that of a block, is more than the smallest f is below MOST_TICKS.
+HEAD, BOUND = range(2)
+TICKS = 4096.0  # per s
+MOST_TICKS = 2.0**31 - 3.0  # 6 days; a larger f counts as this
+
+# Columns of Tree.level: first index in region_cells, columns and rows, number of nodes, and how the cells are stored
 LEVEL_START, LEVEL_COLUMNS, LEVEL_ROWS, LEVEL_COUNT = range(4)
 LEVEL_COLUMN_MASK, LEVEL_ROW_MASK, LEVEL_STRIDE = range(4, 7)
 

@@ -26,6 +26,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CELL_NEXT,
     COST,
     EDGES,
+    HEAD,
     ITERATIONS,
     LANE_WIDTH,
     LANES,
@@ -59,11 +60,11 @@ def cheapest_within(tree: Tree, q: Floats, radius: float) -> int:
     chosen, lowest = int64(-1), math.inf
     for row in range(first_row, last_row + 1):
         for column in range(first_column, last_column + 1):
-            if tree.block_best[row * columns + column] == math.inf:
+            if tree.block_bound[row * columns + column] == 0:
                 continue
             first = stored_block(tree, row, column) * BLOCK * BLOCK
             for cell in range(first, first + BLOCK * BLOCK):
-                node = int64(tree.cell_head[cell])
+                node = int64(tree.cells[cell, HEAD]) - 1
                 while node >= 0:
                     cheaper = tree.value[node, RADIUS] >= 0.0 and tree.value[node, COST] < lowest
                     if cheaper and distance_squared(tree, node, q) <= radius * radius:

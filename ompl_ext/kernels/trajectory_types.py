@@ -70,7 +70,8 @@ URGENCY, SMOOTHNESS, SMOOTHNESS_COST, EVENNESS = 2, 3, 4, 5  # weights of time, 
 EVEN, SHORTEST, LONGEST = 6, 7, 8  # mean, shortest and longest duration of an interval (s); fixed if equal
 GOAL_DISTANCE, GOAL_HEADING, GOAL_TURN, GOAL_SHARE = 9, 10, 11, 12  # region that is aimed for (m, rad)
 BEGIN = 13  # time of the first state since the begin of the query (s)
-SETTINGS = 14
+SMALL_CHANGE = 14  # of a control, as a share of its range, beyond which a change counts in proportion
+SETTINGS = 15
 UNSAFE = 1_000_000  # in the number of edges that fail: SAFETY fails, too
 
 

@@ -6,8 +6,12 @@ hence no two nodes of a level are much closer than its cell size, and a cell lis
 of a query grows with the number of levels, not of nodes.
 
 *Cells.*  A uniform grid in blocks of 8 x 8 cells; blocks and cells store the smallest f = cost-to-come + cost-to-go of
-their nodes.  A search for the nearest better node proceeds outward over rings of blocks and skips every block and cell
-without a better node.
+their nodes.  A search for the nearest better node begins in the 3 x 3 cells around the point, proceeds outward over
+rings of blocks and skips every block and cell without a better node.
+
+*Bounds of f.*  In a large tree a node is rarely in a cache, but the cells beside each other share a line of one.  So a
+cell has a bound of f beside its first node: for regions of the largest, because only worse nodes are shrunk, for
+positions of the smallest.
 
 *Large workspaces.*  The cells keep their size, and the same memory is used for cells that lie a power of two apart: a
 list may hold nodes of several far cells.  Every use compares distances, so that this changes nothing but the time, and
@@ -30,7 +34,9 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BLOCK_ROW_MASK,
     BLOCK_ROWS,
     BLOCK_STRIDE,
+    BOUND,
     CELL_NEXT,
+    HEAD,
     LEVEL_COLUMN_MASK,
     LEVEL_COLUMNS,
     LEVEL_COUNT,
@@ -38,11 +44,13 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     LEVEL_ROWS,
     LEVEL_START,
     LEVEL_STRIDE,
+    MOST_TICKS,
     Q_DIM,
     RADIUS,
     REGION_LEVEL,
     REGION_NEXT,
     REGION_PREVIOUS,
+    TICKS,
     VISITS,
     F,
     Tree,
@@ -71,7 +79,7 @@ def distance_squared(tree: Tree, node: int, q: Floats) -> float:
 
 @inlined
 def stored_cell(tree: Tree, level: int, row: int, column: int) -> int:
-    """Index in region_head of a cell of a level."""
+    """Index in region_cells of a cell of a level."""
     row, column = row & tree.level[level, LEVEL_ROW_MASK], column & tree.level[level, LEVEL_COLUMN_MASK]
     return tree.level[level, LEVEL_START] + row * tree.level[level, LEVEL_STRIDE] + column
 
@@ -85,7 +93,7 @@ def stored_block(tree: Tree, row: int, column: int) -> int:
 
 @inlined
 def region_cell(tree: Tree, level: int, node: int) -> int:
-    """Index in region_head of the cell that contains a node's position."""
+    """Index in region_cells of the cell that contains a node's position."""
     size, columns, rows = (
         tree.level_cell[level],
         tree.level[level, LEVEL_COLUMNS],
@@ -97,19 +105,26 @@ def region_cell(tree: Tree, level: int, node: int) -> int:
 
 
 @inlined
+def ticks(f: float) -> float:
+    """An f (s) in ticks, in which cells store bounds of it."""
+    return min(f * TICKS, MOST_TICKS)
+
+
+@inlined
 def list_region(tree: Tree, node: int) -> None:
     """List a node on the level of its region's radius."""
     level = int64(0)
     while level < len(tree.level_cell) - 1 and tree.level_cell[level] < tree.value[node, RADIUS]:
         level += 1
     cell = region_cell(tree, level, node)
-    head = int64(tree.region_head[cell])
+    head = int64(tree.region_cells[cell, HEAD]) - 1
     tree.link[node, REGION_LEVEL] = level
     tree.link[node, REGION_NEXT] = head
     tree.link[node, REGION_PREVIOUS] = -1
     if head >= 0:
         tree.link[head, REGION_PREVIOUS] = node
-    tree.region_head[cell] = node
+    tree.region_cells[cell, HEAD] = node + 1
+    tree.region_cells[cell, BOUND] = max(int64(tree.region_cells[cell, BOUND]), int(ticks(tree.value[node, F])) + 1)
     tree.level[level, LEVEL_COUNT] += 1
 
 
@@ -122,7 +137,10 @@ def unlist_region(tree: Tree, node: int) -> None:
     if before >= 0:
         tree.link[before, REGION_NEXT] = after
     else:
-        tree.region_head[region_cell(tree, level, node)] = after
+        cell = region_cell(tree, level, node)
+        tree.region_cells[cell, HEAD] = after + 1
+        if after < 0:
+            tree.region_cells[cell, BOUND] = 0
     if after >= 0:
         tree.link[after, REGION_PREVIOUS] = before
     tree.level[level, LEVEL_COUNT] -= 1
@@ -144,6 +162,7 @@ def level_window(tree: Tree, level: int, q: Floats) -> tuple[int, int, int, int]
 @inlined
 def shrink_worse(tree: Tree, node: int, closed: float) -> None:
     """Shrink the region of every worse node whose region contains `node`; below radius `closed`, close that node."""
+    better = ticks(tree.value[node, F])
     for level in range(len(tree.level_cell)):
         if tree.level[level, LEVEL_COUNT] == 0:
             continue
@@ -151,7 +170,9 @@ def shrink_worse(tree: Tree, node: int, closed: float) -> None:
         for row in range(first_row, end_row):
             for column in range(first_column, end_column):
                 cell = stored_cell(tree, level, row, column)
-                other = int64(tree.region_head[cell])
+                if tree.region_cells[cell, BOUND] <= better:
+                    continue  # none is worse
+                other = int64(tree.region_cells[cell, HEAD]) - 1
                 while other >= 0:
                     following = tree.link[other, REGION_NEXT]
                     if tree.value[other, F] > tree.value[node, F]:
@@ -178,7 +199,7 @@ def select(tree: Tree, q: Floats) -> int:
         for row in range(first_row, end_row):
             for column in range(first_column, end_column):
                 cell = stored_cell(tree, level, row, column)
-                node = int64(tree.region_head[cell])
+                node = int64(tree.region_cells[cell, HEAD]) - 1
                 while node >= 0:
                     following = tree.link[node, REGION_NEXT]
                     if tree.value[node, F] >= tree.best[0]:
@@ -210,14 +231,14 @@ def nearest_better_in_cell(
     tree: Tree, cell: int, q: Floats, f: float, node: int, best2: float, closed: float
 ) -> tuple[int, float]:
     """Update (node, squared distance) with the nodes of a cell; remove nodes closed since they were listed."""
-    before, other = int64(-1), int64(tree.cell_head[cell])
+    before, other = int64(-1), int64(tree.cells[cell, HEAD]) - 1
     while other >= 0 and best2 >= closed * closed:
         following = tree.link[other, CELL_NEXT]
         if tree.value[other, RADIUS] < closed:
             if before >= 0:
                 tree.link[before, CELL_NEXT] = following
             else:
-                tree.cell_head[cell] = following
+                tree.cells[cell, HEAD] = following + 1
         else:
             before = other
             if tree.value[other, F] < f:
@@ -229,16 +250,76 @@ def nearest_better_in_cell(
 
 
 @inlined
+def position_cell(tree: Tree, row: int, column: int) -> int:
+    """Index in cells of a cell of positions."""
+    block = stored_block(tree, row // BLOCK, column // BLOCK)
+    return (block * BLOCK + row % BLOCK) * BLOCK + column % BLOCK
+
+
+@inlined
+def position_block(tree: Tree, row: int, column: int) -> int:
+    """Index in block_bound of the block of a cell of positions."""
+    return (row // BLOCK) * tree.block_shape[BLOCK_COLUMNS] + column // BLOCK
+
+
+@inlined
+def nearest_better_around(
+    tree: Tree, q: Floats, f: float, center_row: int, center_column: int, best2: float, closed: float
+) -> tuple[int, float]:
+    """Nearest better node in the 3 x 3 cells around a point, and its squared distance; the center cell first."""
+    size, node, cell = tree.frame[2], int64(-1), position_cell(tree, center_row, center_column)
+    rows, columns = tree.block_shape[BLOCK_ROWS] * BLOCK, tree.block_shape[BLOCK_COLUMNS] * BLOCK
+    below = MOST_TICKS - ticks(f)
+    if tree.cells[cell, BOUND] > below:
+        node, best2 = nearest_better_in_cell(tree, cell, q, f, node, best2, closed)
+    for row in range(max(center_row - 1, 0), min(center_row + 2, rows)):
+        for column in range(max(center_column - 1, 0), min(center_column + 2, columns)):
+            cell = position_cell(tree, row, column)
+            if tree.cells[cell, BOUND] > below and not (row == center_row and column == center_column):
+                x, y = tree.frame[0] + column * size, tree.frame[1] + row * size
+                if gap_squared(q[0], q[1], x, y, size) < best2:
+                    node, best2 = nearest_better_in_cell(tree, cell, q, f, node, best2, closed)
+    return node, best2
+
+
+@inlined
+def nearest_better_in_block(
+    tree: Tree, row: int, column: int, q: Floats, f: float, node: int, best2: float, closed: float
+) -> tuple[int, float]:
+    """Update (node, squared distance) with the nodes of a block of cells."""
+    cell_size, first = tree.frame[2], stored_block(tree, row, column) * BLOCK * BLOCK
+    left, bottom = tree.frame[0] + column * BLOCK * cell_size, tree.frame[1] + row * BLOCK * cell_size
+    below = MOST_TICKS - ticks(f)
+    for k in range(BLOCK * BLOCK):
+        if tree.cells[first + k, BOUND] > below:
+            x, y = left + (k % BLOCK) * cell_size, bottom + (k // BLOCK) * cell_size
+            if gap_squared(q[0], q[1], x, y, cell_size) < best2:
+                node, best2 = nearest_better_in_cell(tree, first + k, q, f, node, best2, closed)
+    return node, best2
+
+
+@inlined
+def cell_of(tree: Tree, q: Floats) -> tuple[int, int]:
+    """Row and column of the cell of positions that contains a configuration."""
+    columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
+    column = clamp(int((q[0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
+    row = clamp(int((q[1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)
+    return row, column
+
+
+@inlined
 def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float) -> tuple[int, float]:
     """Nearest listed node with f below `f` within `limit` m, and its distance; -1 and `limit` if there is none.
 
     A distance below `closed` need not be the smallest: any such distance closes the node.
     """
     columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
-    cell_size, size = tree.frame[2], BLOCK * tree.frame[2]
-    center_column = clamp(int((q[0] - tree.frame[0]) / size), columns)
-    center_row = clamp(int((q[1] - tree.frame[1]) / size), rows)
-    best2, node = limit * limit, int64(-1)
+    size = BLOCK * tree.frame[2]
+    center_row, center_column = cell_of(tree, q)
+    node, best2 = nearest_better_around(tree, q, f, center_row, center_column, limit * limit, closed)
+    if best2 < tree.frame[2] * tree.frame[2]:  # all that is nearer is in those cells; in a large tree nearly always
+        return node, math.sqrt(best2)
+    center_row, center_column, below = center_row // BLOCK, center_column // BLOCK, MOST_TICKS - ticks(f)
     for ring in range(max(columns, rows)):
         nearest = max((ring - 1) * size, 0.0)
         if nearest * nearest > best2 or best2 < closed * closed:
@@ -248,32 +329,24 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
             for column in range(center_column - ring, center_column + ring + 1, step):
                 if column < 0 or column >= columns:
                     continue
-                block = row * columns + column
                 left, bottom = tree.frame[0] + column * size, tree.frame[1] + row * size
-                if tree.block_best[block] >= f or gap_squared(q[0], q[1], left, bottom, size) >= best2:
-                    continue
-                first = stored_block(tree, row, column) * BLOCK * BLOCK
-                for k in range(BLOCK * BLOCK):
-                    cell = first + k
-                    if tree.cell_best[cell] < f:
-                        x, y = left + (k % BLOCK) * cell_size, bottom + (k // BLOCK) * cell_size
-                        if gap_squared(q[0], q[1], x, y, cell_size) < best2:
-                            node, best2 = nearest_better_in_cell(tree, cell, q, f, node, best2, closed)
+                is_better = tree.block_bound[row * columns + column] > below
+                if is_better and gap_squared(q[0], q[1], left, bottom, size) < best2:
+                    node, best2 = nearest_better_in_block(tree, row, column, q, f, node, best2, closed)
     return node, math.sqrt(best2)
 
 
 @inlined
 def list_position(tree: Tree, node: int) -> None:
     """List a node in the cell of its position."""
-    columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
-    column = clamp(int((tree.value[node, 0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
-    row = clamp(int((tree.value[node, 1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)
-    block = (row // BLOCK) * columns + column // BLOCK
-    cell = (stored_block(tree, row // BLOCK, column // BLOCK) * BLOCK + row % BLOCK) * BLOCK + column % BLOCK
-    tree.link[node, CELL_NEXT] = tree.cell_head[cell]
-    tree.cell_head[cell] = node
-    tree.cell_best[cell] = min(tree.cell_best[cell], tree.value[node, F])
-    tree.block_best[block] = min(tree.block_best[block], tree.value[node, F])
+    row, column = cell_of(tree, tree.value[node])
+    cell = position_cell(tree, row, column)
+    block = position_block(tree, row, column)
+    bound = int(MOST_TICKS - ticks(tree.value[node, F])) + 1
+    tree.link[node, CELL_NEXT] = tree.cells[cell, HEAD] - 1
+    tree.cells[cell, HEAD] = node + 1
+    tree.cells[cell, BOUND] = max(int64(tree.cells[cell, BOUND]), bound)
+    tree.block_bound[block] = max(int64(tree.block_bound[block]), bound)
 
 
 @compiled

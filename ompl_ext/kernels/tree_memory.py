@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Ints32, Words
+from ompl_ext.arrays import Bools, Floats, Ints32, Words, int64
 from ompl_ext.jit import compiled
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
     BEST,
+    BOUND,
     CLOSEST,
     COST,
     COUNTS,
     FULL,
+    HEAD,
     LANE_WIDTH,
     LEVEL_COLUMNS,
     LEVEL_COUNT,
@@ -26,6 +28,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     PRUNED,
     Q_DIM,
     RADIUS,
+    REGION_LEVEL,
     SIZE,
     TOGO,
     VISITS,
@@ -33,7 +36,17 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     Lanes,
     Tree,
 )
-from ompl_ext.kernels.tree import BLOCK, add_to_indices, closed_radius, distance_squared, list_node
+from ompl_ext.kernels.tree import (  # fmt: skip
+    BLOCK,
+    add_to_indices,
+    cell_of,
+    closed_radius,
+    distance_squared,
+    list_node,
+    position_block,
+    position_cell,
+    region_cell,
+)
 
 REGION_CELL = 0.01  # cell size of the finest level of regions (m)
 POSITION_CELL = 0.02  # size of a cell of positions (m)
@@ -43,6 +56,7 @@ MAX_CELLS = 250_000  # of each index with memory of their own; in larger workspa
 MAX_BLOCKS = 500_000  # of cells of positions; in workspaces above 12,800 m^2 these cells are larger
 EVERY = 2**62 - 1  # mask of the number of a column or row that shares its memory with no other
 HUGE_PAGE = 2**21  # bytes
+CELLS_PER_NODE = 32  # cells are emptied one by one if there are this many times fewer nodes
 _PER_NODE = ("state", "edge", "value", "link")
 
 
@@ -67,16 +81,15 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
     *how, stored = _storage(blocks[0], blocks[1], MAX_CELLS // (BLOCK * BLOCK))
     cells = stored * BLOCK * BLOCK
     return Tree(
-        state=_per_node(capacity, nx, np.float64),
-        edge=_per_node(capacity, nu + 1, np.float64),
-        value=_per_node(capacity, 8, np.float64),
-        link=_per_node(capacity, 8, np.int32),
-        region_head=np.full(start, -1, np.int32),
+        state=_in_huge_pages(capacity, nx, np.float64),
+        edge=_in_huge_pages(capacity, nu + 1, np.float64),
+        value=_in_huge_pages(capacity, 8, np.float64),
+        link=_in_huge_pages(capacity, 8, np.int32),
+        region_cells=_in_huge_pages(start, 2, np.int32),
         level=np.array(levels),
         level_cell=np.array(sizes),
-        cell_head=np.full(cells, -1, np.int32),
-        cell_best=np.full(cells, math.inf),
-        block_best=np.full(blocks[0] * blocks[1], math.inf),
+        cells=_in_huge_pages(cells, 2, np.int32),
+        block_bound=np.zeros(blocks[0] * blocks[1], np.int32),
         block_shape=np.array([*blocks, *how]),
         frame=np.array([x_low, y_low, cell]),
         count=np.zeros(COUNTS, np.int64),
@@ -101,16 +114,16 @@ def _storage(columns: int, rows: int, most: int) -> tuple[int, int, int, int]:
     return masks[0], masks[1], stored_columns, stored_columns * stored_rows
 
 
-def _per_node(capacity: int, columns: int, dtype: type) -> Any:
-    """Zeros (capacity, columns) that begin a cache line, in huge pages if the system has them; the first is touched.
+def _in_huge_pages(rows: int, columns: int, dtype: type) -> Any:
+    """Zeros (rows, columns) that begin a cache line, in huge pages if the system has them; the first is touched.
 
     Nodes are visited in no order: with small pages most visits would miss the processor's cache of addresses too.
     """
-    size = max(capacity, 1) * columns * np.dtype(dtype).itemsize
+    size = max(rows, 1) * columns * np.dtype(dtype).itemsize
     memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     if size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
         memory.madvise(mmap.MADV_HUGEPAGE)
-    array: Any = np.frombuffer(memory, dtype, capacity * columns).reshape(capacity, columns)
+    array: Any = np.frombuffer(memory, dtype, rows * columns).reshape(rows, columns)
     array[: HUGE_PAGE // (columns * array.itemsize)] = 0
     return array
 
@@ -128,7 +141,7 @@ def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:
     larger = {}
     for name in _PER_NODE:
         array = getattr(tree, name)
-        larger[name] = _per_node(capacity, array.shape[1], array.dtype.type)
+        larger[name] = _in_huge_pages(capacity, array.shape[1], array.dtype.type)
         larger[name][:size] = array[:size]
     return tree._replace(**larger)
 
@@ -140,20 +153,34 @@ def first_nodes(tree: Tree, capacity: int) -> Tree:
 
 def reset(tree: Tree, random: Words) -> None:
     """Empty the tree for a new query and reuse its memory."""
+    reset_indices(tree)
     tree.count[:] = 0
     tree.count[[BEST, CLOSEST, NEXT]] = -1
     tree.best[:] = math.inf
     tree.random[:] = random
-    reset_indices(tree)
 
 
 def reset_indices(tree: Tree) -> None:
-    """Empty both indices."""
-    tree.region_head[:] = -1
+    """Empty both indices; the nodes that they list must not have moved."""
+    if tree.count[SIZE] < len(tree.region_cells) // CELLS_PER_NODE:
+        _empty_cells_of_nodes(tree)
+    else:
+        tree.region_cells[:] = 0
+        tree.cells[:] = 0
+        tree.block_bound[:] = 0
     tree.level[:, LEVEL_COUNT] = 0
-    tree.cell_head[:] = -1
-    tree.cell_best[:] = math.inf
-    tree.block_best[:] = math.inf
+
+
+@compiled
+def _empty_cells_of_nodes(tree: Tree) -> None:
+    """Empty the cells of every node."""
+    for node in range(tree.count[SIZE]):
+        region = region_cell(tree, max(int64(tree.link[node, REGION_LEVEL]), 0), node)
+        tree.region_cells[region, HEAD], tree.region_cells[region, BOUND] = 0, 0
+        row, column = cell_of(tree, tree.value[node])
+        cell = position_cell(tree, row, column)
+        tree.cells[cell, HEAD], tree.cells[cell, BOUND] = 0, 0
+        tree.block_bound[position_block(tree, row, column)] = 0
 
 
 @compiled
@@ -224,6 +251,7 @@ def prune(tree: Tree, bound: int = F) -> int:
         if tree.count[named] >= 0:
             keep[tree.count[named]] = True
     _keep_ancestors(keep, parent)
+    reset_indices(tree)
     new_index = np.cumsum(keep) - 1
     kept = int(new_index[-1]) + 1
     for array in (tree.state, tree.edge, tree.value, tree.link):
@@ -236,7 +264,6 @@ def prune(tree: Tree, bound: int = F) -> int:
     tree.count[SIZE] = kept
     tree.count[PRUNED] += size - kept
     tree.count[FULL] = 0
-    reset_indices(tree)
     relist(tree)
     return size - kept
 

@@ -44,7 +44,7 @@ def listed_by_region(tree: Tree) -> dict[int, tuple[int, int]]:
     for level, (start, columns, rows, count) in enumerate(tree.level[:, :4]):
         here = 0
         for cell in range(start, start + columns * rows):
-            before, node = -1, int(tree.region_head[cell])
+            before, node = -1, int(tree.region_cells[cell, at.HEAD]) - 1
             while node >= 0:
                 assert node not in listed
                 assert tree.link[node, at.REGION_PREVIOUS] == before
@@ -58,8 +58,8 @@ def listed_by_region(tree: Tree) -> dict[int, tuple[int, int]]:
 
 def listed_by_cell(tree: Tree) -> dict[int, int]:
     listed: dict[int, int] = {}
-    for cell, head in enumerate(tree.cell_head):
-        node = int(head)
+    for cell, head in enumerate(tree.cells[:, at.HEAD]):
+        node = int(head) - 1
         while node >= 0:
             assert node not in listed
             listed[node] = cell
@@ -71,6 +71,7 @@ def check_regions(tree: Tree) -> None:
     listed = listed_by_region(tree)
     radius, size = column(tree, at.RADIUS), tree.level_cell
     for node, (level, cell) in listed.items():
+        assert tree.region_cells[cell, at.BOUND] > tree.value[node, at.F] * at.TICKS
         assert radius[node] <= size[level] or level == len(size) - 1
         assert level == 0 or radius[node] > size[level - 1]
         start, columns, rows, _ = tree.level[level, :4]
@@ -88,8 +89,9 @@ def check_cells(tree: Tree) -> None:
         low = tree.frame[:2] + (np.array([block_column, row]) * 8 + (k % 8, k // 8)) * tree.frame[2]
         assert (low - 1e-9 <= tree.value[node, :2]).all()
         assert (tree.value[node, :2] <= low + tree.frame[2] + 1e-9).all()
-        assert tree.cell_best[cell] <= f[node]
-        assert tree.block_best[block] <= f[node]
+        below = at.MOST_TICKS - f[node] * at.TICKS
+        assert tree.cells[cell, at.BOUND] >= below
+        assert tree.block_bound[block] >= below
     assert set(np.flatnonzero(column(tree, at.RADIUS) >= RESOLUTION)) <= set(listed)
 
 
@@ -326,8 +328,8 @@ def test_in_a_large_workspace_cells_share_memory_and_queries_are_those_of_brute_
     dirt.start(np.array([5.0, 5.0, 0.7, 0.0]), 0)
     dirt.grow(iterations=6000)
     tree, rng = dirt.tree_arrays, np.random.default_rng(0)
-    assert len(tree.region_head) < 3_000_000
-    assert len(tree.cell_head) < 600_000
+    assert len(tree.region_cells) < 3_000_000
+    assert len(tree.cells) < 600_000
     f, radius, q = column(tree, at.F), column(tree, at.RADIUS), tree.value[: tree.count[at.SIZE], :4]
     for node in rng.integers(1, len(f), 300):
         better = np.flatnonzero((f < f[node]) & (radius >= RESOLUTION))
@@ -338,6 +340,26 @@ def test_in_a_large_workspace_cells_share_memory_and_queries_are_those_of_brute_
         if holding.any():
             visits = tree.link[: len(f), at.VISITS]
             assert visits[select(tree, sample)] == visits[holding].min()
+
+
+def test_a_query_empties_all_cells_of_the_one_before_whatever_the_size_of_its_tree() -> None:
+    for iterations in (30, 30_000):  # cells of the nodes one by one, and all of them
+        dirt = DirtSolver(BENCHMARK, TURNS, GOAL)
+        dirt.start(START, 1)
+        dirt.grow(iterations=iterations)
+        dirt.clear()
+        tree = dirt.tree_arrays
+        assert not tree.region_cells.any()
+        assert not tree.cells.any()
+        assert not tree.block_bound.any()
+        assert not tree.level[:, at.LEVEL_COUNT].any()
+
+
+def test_a_new_solver_has_an_empty_tree() -> None:
+    dirt = DirtSolver(BENCHMARK, TURNS, GOAL)
+    assert dirt.progress.iterations == dirt.tree_arrays.count[at.SIZE] == 0
+    assert dirt.plan() is None
+    assert not dirt.tree_arrays.region_cells.any()
 
 
 def test_memory_of_nodes_begins_cache_lines() -> None:
