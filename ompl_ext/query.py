@@ -137,6 +137,8 @@ class Settings:
     cell: float = 0.02
     pose_cost_to_go: bool | None = None
     """whether the cost-to-go knows the heading; by default it does if the goal has one"""
+    way_margin: float = 0.0
+    """distance that the ways of that cost-to-go keep from obstacles where they can, for goals without a heading (m)"""
     polish: bool | None = None
     """whether plans are improved by local optimisation; by default they are if the goal has a heading"""
 
@@ -169,6 +171,7 @@ class Settings:
                     (self.heading_weight, 0.0),
                     (self.beyond, 0.0),
                     (self.quantum, 0.0),
+                    (self.way_margin, 0.0),
                 )
             ),
         }
@@ -311,7 +314,9 @@ def _with_pose_cost_to_go(
     problem: Problem, vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings
 ) -> Problem:
     """Problem with the cost-to-go of poses."""
-    found = pose_cost_to_go_of(vehicle, workspace, goal, settings.cell)
+    margin = 0.0 if goal.has_heading else settings.way_margin
+    wide = replace(vehicle, footprint=vehicle.footprint.with_margin(margin))
+    found = pose_cost_to_go_of(wide, workspace, goal, settings.cell)
     problem.option[[at.POSE_HEADINGS, at.POSE_ROWS, at.POSE_COLUMNS]] = found.shape
     problem.scalar[[at.POSE_X, at.POSE_Y, at.POSE_INVERSE]] = *found.origin, 1 / found.cell
     problem.scalar[[at.POSE_BEYOND, at.POSE_HEADING]] = found.beyond, goal.heading
@@ -378,7 +383,7 @@ def _pose_seconds(
         tolerance,
         motion.extreme_twists(footprint.reach)[0],
         reversal,
-        (cell, COARSEST * footprint.width),
+        (cell if tolerance < math.pi else COARSEST * footprint.width, COARSEST * footprint.width),
         geodesic,
         footprint.width,
         discs,

@@ -96,6 +96,7 @@ class BoundCalibration:
         )  # fmt: skip
 
 
+WAY_MARGIN = 0.05  # distance that the ways of the cost-to-go of poses keep from obstacles where they can (m)
 MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
 
 
@@ -117,6 +118,8 @@ class Solvers:
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
         planner = "sst" if settings.type == "sst" else "dirt"
         search = replace(settings_of(task, vehicle), polish=settings.polish, planner=planner)
+        if settings.cost_to_go == "pose" and vehicle.index("theta") >= 0:
+            search = replace(search, pose_cost_to_go=True, way_margin=WAY_MARGIN)
         checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
         clearance = settings.bound or settings.safety
         foresight = clearance.foresight if clearance else 0.0
@@ -124,8 +127,7 @@ class Solvers:
             return cls(checking, checking)
         safety = replace(safety, cycle=max(foresight, settings.cycle))
         margin = settings.margin if settings.bound is None else 0.0  # which is added to the bound
-        larger = replace(shape, length=shape.length + 2 * margin, width=shape.width + 2 * margin)
-        larger_vehicle = replace(vehicle, footprint=larger)
+        larger_vehicle = replace(vehicle, footprint=shape.with_margin(margin))
         return cls(DirtSolver(larger_vehicle, workspace, goal, safety, search, settings.capacity), checking)
 
     def load(self, state: Floats) -> None:

@@ -99,6 +99,8 @@ class PlannerSettings(StrictModel):
     """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
     switch_gain: NonNegative = 0.0
     """cost that a plan which goes another way than the last one must save, s"""
+    cost_to_go: Literal["position", "pose"] = "position"
+    """what guides the search: the shortest way of a `position`, or of a `pose`, which knows how the vehicle turns"""
     polish: bool | None = None
     """whether plans are improved by local optimisation; if it is left out, only those to a goal with a heading"""
     patience: Seconds = 0.5

@@ -114,8 +114,11 @@ def pose_cost_to_go(
     frame[8:10] = SPARE * footprint_width, COMFORT * footprint_width
     region = np.array([*goal, goal_radius, goal_tolerance])
     close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
-    nearby = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
-    for near, ease in ((nearby, EASE), (nearby, 1.0), (None, 1.0)):
+    attempts: list[tuple[NearPoses | None, float]] = [(None, EASE), (None, 1.0)]
+    if goal_tolerance < math.pi:  # a goal that any heading reaches is not narrow
+        nearby = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
+        attempts = [(nearby, EASE), (nearby, 1.0), (None, 1.0)]
+    for near, ease in attempts:
         motions = motions_of(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists), cell, headings, STRIDE)
         table = _searched(count, frame, motions, reversal, region, maps, near)
         if np.count_nonzero(table.seconds < UNKNOWN) >= LEADS_ON * count:

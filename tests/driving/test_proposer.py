@@ -15,6 +15,7 @@ from kraft.driving.messages import ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN
 from kraft.errors import Defect
+from ompl_ext.kernels import kernel_types as at
 from ompl_ext.plan import Plan
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
@@ -44,6 +45,20 @@ def test_planning_keeps_margin_and_foresight_and_checking_does_not() -> None:
         assert (dirt.safety.enabled, dirt.safety.delta, dirt.safety.delta_per_speed) == (True, 0.02, 0.05)
         assert dirt.goal is not None
         assert dirt.goal.radius == pytest.approx(0.15)  # the scene's is 0.25 m
+
+
+def test_the_cost_to_go_of_poses_leads_a_car_that_faces_away_round_and_not_astern_into_a_wall() -> None:
+    ahead, facing_away = start(), start()
+    facing_away[2] += math.pi
+    seconds = {}
+    for kind in ("position", "pose"):
+        dirt = solvers(cost_to_go=kind, margin=0.03).planning
+        seconds[kind] = [
+            dirt.start(state) and float(dirt.tree_arrays.value[0, at.TOGO]) for state in (ahead, facing_away)
+        ]
+    assert seconds["position"][0] == seconds["position"][1]
+    assert seconds["pose"][1] > seconds["pose"][0] + 0.5
+    assert all(seconds["pose"][k] >= seconds["position"][k] for k in range(2))
 
 
 def test_a_goal_is_not_shrunk_to_nothing() -> None:

@@ -125,6 +125,24 @@ def test_the_cost_to_go_of_poses_knows_turning_and_reversing() -> None:
     assert seconds(1.5, 2.2, 0.0) > 0.7 + 0.3  # a rover does not move sideways
 
 
+def test_ways_of_poses_avoid_a_gap_without_the_margin_and_take_it_if_there_is_no_other() -> None:
+    gap, wide = 0.5 * ROVER.footprint.width + 0.02, Settings(pose_cost_to_go=True, way_margin=0.05)
+    goal, start = Goal((1.5, 2.5), 0.1), np.array([1.5, 0.5, math.pi / 2, 0.0, 0.0])
+
+    def seconds(settings: Settings, right_end: float) -> float:
+        walls = [box((0.5 * (1.5 - gap), 1.5), (1.5 - gap, 0.1)),
+                 box((0.5 * (1.5 + gap + right_end), 1.5), (right_end - 1.5 - gap, 0.1))]  # fmt: skip
+        dirt = DirtSolver(ROVER, Workspace(((0.0, 4.0), (0.0, 3.0)), tuple(walls)), goal, NO_SAFETY, settings)
+        dirt.start(start)
+        return float(dirt.tree_arrays.value[0, at.TOGO])
+
+    through = seconds(Settings(pose_cost_to_go=True), 3.0)
+    around, forced = seconds(wide, 3.0), seconds(wide, 4.0)
+    assert through < 2.5
+    assert through + 0.2 < around < 6.0
+    assert forced < 20.0
+
+
 def test_motion_finds_rates_ranges_and_extreme_velocities() -> None:
     motion = motion_of(ROVER)
     v, omega = ROVER.index("v"), ROVER.index("omega")
