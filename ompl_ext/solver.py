@@ -231,9 +231,10 @@ class DirtSolver(QueryTree):
 
     @property
     def _follows_path(self) -> bool:
-        """Whether the path of poses to the goal is to be added to the tree: once, unless there is a plan already."""
+        """Whether the path of poses to a goal with a heading is to be added: once, unless there is a plan already."""
         count, option = self._tree.count, self._problem.option
-        wanted = option[at.POSE_HEADINGS] > 0 and self.settings.quantum == 0.0 and self.settings.planner == "dirt"
+        wanted = self._has_heading and option[at.POSE_HEADINGS] > 0
+        wanted &= self.settings.quantum == 0.0 and self.settings.planner == "dirt"
         return bool(wanted and count[at.ITERATIONS] == 0 and count[at.SIZE] > 0 and count[at.BEST] < 0)
 
     def _add_path(self) -> None:
