@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Target, row
-from benchmarks.rig import Rig, Spoil
+from benchmarks.rig import CREEPING, Rig, Spoil
 from kraft.robot.messages import make, nanoseconds_of
 
 POSES: Final = "/pf/pose/odom"
@@ -212,7 +212,7 @@ def one(fault: Fault, seed: int) -> Seen:
         rig.drive_until(generator.uniform(1.0, 5.0))
         rig.until(lambda: abs(rig.world.world.speed) > FAST or rig.result is not None, 20.0)
         began, last, place = rig.world.world.time, rig.rows("steps")[-1][0], rig.world.world.pose[:2]
-        stands = rig.standstill()
+        stands = rig.standstill(CREEPING)
         fault.cause(rig, generator)
         if fault.mend is not None:
             ends = time.monotonic() + PAUSE

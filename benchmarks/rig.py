@@ -31,7 +31,8 @@ watchdog: {{give_up: {give_up}}}
 {more}
 """
 Spoil = Callable[[str, Any], Any]
-REST_SPEED = 0.05  # up to which a car stands: where it stands it creeps to where it should (m/s)
+REST_SPEED = 0.02  # up to which a car stands (m/s)
+CREEPING = 0.05  # up to which one stands that creeps to where it should stand (m/s)
 
 
 def free_port() -> int:
@@ -173,13 +174,13 @@ class Rig:
         """Whether the car stands for half a second within a time, without a collision."""
         return self.until(self.standstill(), seconds) and self.world.world.collision is None
 
-    def standstill(self) -> Callable[[], bool]:
-        """Condition, to be asked often: whether the car has stood for half a second since this call."""
+    def standstill(self, slow: float = REST_SPEED) -> Callable[[], bool]:
+        """Condition, to be asked often: whether the car was at most `slow` (m/s) for half a second since this call."""
         since, stood = time.monotonic(), False
 
         def has_stood() -> bool:
             nonlocal since, stood
-            if abs(self.world.world.speed) > REST_SPEED:
+            if abs(self.world.world.speed) > slow:
                 since = time.monotonic()
             stood = stood or time.monotonic() - since > 0.5
             return stood

@@ -122,7 +122,9 @@ class Polish:
         while stiffness < HARD:
             damping = self._round(stiffness, TRIALS, damping)
             stiffness *= self._weights.hardening
-        setting[st.SMOOTHNESS_COST] = cost_of_smoothness or self._weights.smoothness_costs[0]
+        if cost_of_smoothness is None:
+            cost_of_smoothness = self._weights.smoothness_costs[0]
+        setting[st.SMOOTHNESS_COST] = cost_of_smoothness
         quantum, longer = float(self._problem.scalar[at.QUANTUM]), 0
         for replay in range(REPLAYS):
             damping = self._round(HARD, LAST_TRIALS, damping)

@@ -34,6 +34,7 @@ PATHS, PATHS_AGAIN = 4, 2  # that are tried before the search begins, without an
 REHEARSALS, REHEARSED = 16, 32  # queries of how many iterations before the first one
 GOLDEN = 0.618  # step of their places across the workspace, as a share of it
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
+_rehearsed: set[tuple[int, str, bool]] = set()  # kernels, which a process keeps, and what is searched with them
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,12 @@ class DirtSolver(QueryTree):
     def _rehearse(self) -> None:
         """Plan for a moment from places all over the workspace, so that the first query is as fast as later ones.
 
-        In a new process, kernels are loaded and memory is touched when they are first used.
+        In a new process, kernels are loaded when they are first used; later solvers for the same ones find them there.
         """
+        what = id(self._kernels), self.settings.planner, self.safety.enabled
+        if what in _rehearsed:
+            return
+        _rehearsed.add(what)
         state, places = np.zeros(len(self.vehicle.state)), [self.vehicle.index(name) for name in ("x", "y")]
         low, high = np.array(self.workspace.bounds).T
         for k in range(REHEARSALS):
