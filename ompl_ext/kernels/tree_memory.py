@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Ints32, Words, int64
+from ompl_ext.arrays import Bools, Floats, Ints, Ints32, Words, int64
 from ompl_ext.jit import compiled
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
@@ -92,10 +92,16 @@ def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float],
         block_bound=np.zeros(blocks[0] * blocks[1], np.int32),
         block_shape=np.array([*blocks, *how]),
         frame=np.array([x_low, y_low, cell]),
-        count=np.zeros(COUNTS, np.int64),
+        count=_counts_of_no_nodes(),
         best=np.full(2, math.inf),
         random=np.zeros(1, np.uint64),
     )
+
+
+def _counts_of_no_nodes() -> Ints:
+    counts = np.zeros(COUNTS, np.int64)
+    counts[[BEST, CLOSEST, NEXT]] = -1
+    return counts
 
 
 def _storage(columns: int, rows: int, most: int) -> tuple[int, int, int, int]:
@@ -154,8 +160,7 @@ def first_nodes(tree: Tree, capacity: int) -> Tree:
 def reset(tree: Tree, random: Words) -> None:
     """Empty the tree for a new query and reuse its memory."""
     reset_indices(tree)
-    tree.count[:] = 0
-    tree.count[[BEST, CLOSEST, NEXT]] = -1
+    tree.count[:] = _counts_of_no_nodes()
     tree.best[:] = math.inf
     tree.random[:] = random
 
