@@ -30,7 +30,7 @@ def run(effort: Effort) -> Report:
         dirt.start(query.start)
         dirt.grow(iterations=WARM_UP)
         rows += [*first_solutions(query, dirt, effort.seeds), *over_time(query, dirt, effort.seeds)]
-        rows += [first_of_process(name, 3 * effort.processes), *set_up(query, max(3, effort.repeats))]
+        rows += [first_of_process(name, effort.processes), *set_up(query, max(3, effort.repeats))]
     notes = [
         "The clock of a query runs from `start`, which empties the tree's memory, to when Python sees the solution.",
         f"An edge is {RK4_STEPS} RK4 steps and its collision checks; edges/s is over the whole loop.",

@@ -223,6 +223,15 @@ def decode(content: bytes, file: str) -> str:
 
 
 def _composed(text: str, file: str) -> yaml.Node | None:
+    try:
+        node: yaml.Node | None = _FastLoader(text).get_single_node()
+    except (yaml.YAMLError, ValueError, OverflowError):
+        return _composed_or_explained(text, file)
+    return node
+
+
+def _composed_or_explained(text: str, file: str) -> yaml.Node | None:
+    """As `_composed`, by PyYAML's own parser, which describes what is wrong better."""
     loader: _Loader | None = None
     try:
         loader = _Loader(text)
@@ -242,24 +251,44 @@ def _composed(text: str, file: str) -> yaml.Node | None:
     return node
 
 
-class _Loader(yaml.SafeLoader):
-    """PyYAML's loader with a limit of depth, which leaves unquoted words as they are."""
+class _Composer(yaml.composer.Composer):
+    """PyYAML's composer with a limit of depth, which leaves unquoted words as they are.
+
+    Composing is recursive: libyaml's own composer overflows the stack in a text that is nested too deep.
+    """
 
     depth = 0
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
         if kind is yaml.ScalarNode and implicit[0]:
             return PLAIN
-        return super().resolve(kind, value, implicit)  # type: ignore[no-untyped-call]
+        return super().resolve(kind, value, implicit)  # type: ignore[misc]
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         self.depth += 1
         if self.depth > DEPTH_MAX:
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            mark = self.peek_event().start_mark  # type: ignore[attr-defined]
             raise yaml.MarkedYAMLError(problem=TOO_DEEP, problem_mark=mark)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
+
+
+class _Loader(_Composer, yaml.SafeLoader):
+    """Loader with PyYAML's own parser."""
+
+
+if yaml.__with_libyaml__:
+
+    class _CLoader(_Composer, yaml.CSafeLoader):
+        """Loader with libyaml's parser, which takes a sixth of the time."""
+
+        def __init__(self, text: str) -> None:
+            yaml.CSafeLoader.__init__(self, text)
+            yaml.composer.Composer.__init__(self)
+
+
+_FastLoader: Any = _CLoader if yaml.__with_libyaml__ else _Loader
 
 
 def _explained(error: yaml.MarkedYAMLError) -> tuple[str, str]:
@@ -284,9 +313,12 @@ def _marked(mark: Any) -> Position | None:
     return Position(mark.line + 1, mark.column + 1) if mark else None
 
 
+_SURROGATE = re.compile("[\ud800-\udfff]")
+
+
 def holds_surrogate(text: str) -> bool:
     """Whether a text contains a surrogate, which escapes can write and UTF-8 cannot."""
-    return any("\ud800" <= character <= "\udfff" for character in text)
+    return _SURROGATE.search(text) is not None
 
 
 @dataclass

@@ -171,7 +171,7 @@ def add_dynamics(i: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
     for r in range(np_):
         for b in range(nx):
             out.gradient[log, r] -= out.by_rho[i, b, r] * weighted_p[b, np_]
-            for q in range(np_):
+            for q in range(r, np_):
                 out.information[log, r, q] += out.by_rho[i, b, r] * weighted_p[b, q]
 
 
@@ -208,7 +208,7 @@ def add_pose(j: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
             if slope == 0.0:
                 continue
             out.gradient[log, r] += slope * g.pose[j, row]
-            for q in range(np_):
+            for q in range(r, np_):
                 out.information[log, r, q] += slope * g.pose_rho[j, row, q]
 
 
@@ -233,7 +233,7 @@ def eliminate_state(s: int, last: bool, log: int, damping: float, out: Eliminate
     for r in range(np_):
         for b in range(nx):
             out.gradient[log, r] -= before[b, nx + r] * solved[b, nx + np_]
-            for q in range(np_):
+            for q in range(r, np_):
                 out.information[log, r, q] -= before[b, nx + r] * solved[b, nx + q]
 
 
@@ -252,6 +252,10 @@ def _eliminate(g: Graph, damping: float, out: Eliminated) -> None:
                 add_pose(j, s, log, g, out)
             eliminate_state(s, False, log, damping, out)
         eliminate_state(g.first[chain + 1] - 1, True, log, damping, out)
+    for log in range(len(out.information)):  # steps and poses add to the upper triangle
+        for r in range(out.information.shape[1]):
+            for q in range(r):
+                out.information[log, r, q] = out.information[log, q, r]
 
 
 @part

@@ -8,8 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.diagnostics import located, raised
+from support.paths import ROOT
 
-from kraft.config.yaml_reader import Position, Unusable, format_path, parse_document, parse_path, read_document
+from kraft.config import yaml_reader
+from kraft.config.yaml_reader import (
+    Document,
+    Position,
+    Unusable,
+    format_path,
+    parse_document,
+    parse_path,
+    read_document,
+)
 from kraft.errors import Code, Diagnostic, InputError
 
 
@@ -177,3 +187,35 @@ yaml_like = st.text(alphabet="ab01.:-[]{},&*!'\"|>%#?~<=@`\\ \n\t_xeux\ufeff\u20
 def test_no_text_raises_anything_but_an_input_error(content: str) -> None:
     for problem in problems_of(content):
         str(problem).encode()  # and what it says can be printed
+
+
+ODD = (
+    "a:\r\n - b\r\n",
+    "a: |\n  x\n  y\nb: >-\n  u",
+    "\ufeffä: 😀 # x\nb: [1, {c: 'd'}]",
+    "&a {b: 1}: 2",
+    "a: &x [1]\nb: *x",
+    "",
+)
+
+
+def test_libyaml_and_the_parser_of_pyyaml_read_the_same_values_at_the_same_places(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    files = [path.read_text(encoding="utf-8") for room in ("configs", "scenarios") for path in files_of(room)]
+    assert len(files) > 50
+
+    def read(content: str) -> Document | tuple[Diagnostic, ...]:
+        yaml_reader._root.cache_clear()
+        try:
+            return parse_document(content, "f.yaml")
+        except InputError as error:
+            return error.diagnostics
+
+    fast = [read(content) for content in (*files, *ODD)]
+    monkeypatch.setattr(yaml_reader, "_FastLoader", yaml_reader._Loader)
+    assert [read(content) for content in (*files, *ODD)] == fast
+
+
+def files_of(room: str) -> list[Path]:
+    return sorted((ROOT / room).rglob("*.yaml"))
