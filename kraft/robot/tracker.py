@@ -6,10 +6,11 @@ The controller has one, and so has the brake guard, which is told what the contr
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
-from kraft.driving.contingencies import OnBoard
+from kraft.driving.contingencies import OnBoard, manoeuvre_reference
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator, Learned
@@ -25,6 +26,9 @@ from kraft.robot.protocol import Begin, DriveSpec
 from kraft.robot.transport import Transport
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety
+
+STANDSTILL: Final = 0.1
+"""Speed up to which the vehicle is kept where it is after a stop, m/s."""
 
 
 class Tracker:
@@ -50,6 +54,7 @@ class Tracker:
         self._open_loop = np.array(begin.state, dtype=float)
         self._last_command, self.last_sent = self.model.rest.copy(), 0.0
         self.arrived = 0
+        self._stand = self._stands_after = begin.commitment.reference  # the stop after which the vehicle is kept there
 
     def start(self, clocks: Clocks) -> None:
         """Set time 0, and drop the poses that have arrived before."""
@@ -112,10 +117,23 @@ class Tracker:
     def command(self, now: float, estimate: Estimate) -> tuple[Floats, Reference]:
         """Command (nu,) for now, and the reference that it tracks."""
         reference = self.on_board.reference(estimate)
-        command = self.model.clamped(self._controller.command(estimate, reference))
+        stands = self.on_board.is_stopping and now >= reference.end
+        tracked = self._standing(estimate, reference) if stands else reference
+        command = self.model.clamped(self._controller.command(estimate, tracked))
         if now < 0.0 or (self.is_blind(estimate) and now >= reference.end):
             command = self.model.rest.copy()  # what holds a vehicle on a slope is not known any more
         return command, reference
+
+    def _standing(self, estimate: Estimate, stop: Reference) -> Reference:
+        """Reference that keeps a vehicle where it stands after a stop; tracking the stop, it would creep to its end."""
+        if self._stands_after is not stop:
+            if abs(estimate.state[self.model.v]) > STANDSTILL:
+                return stop
+            state = np.array(estimate.state, dtype=float)
+            state[list(self.model.vehicle.rest_indices)] = 0.0
+            here = manoeuvre_reference(self.model.vehicle, 0, np.array([estimate.time]), state[np.newaxis])
+            self._stands_after, self._stand = stop, here
+        return self._stand
 
     def publish(self, now: float, command: Floats) -> None:
         """Send a command to the robot."""

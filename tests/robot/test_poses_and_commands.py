@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from multiprocessing import Pipe
 from typing import Any
 
 import numpy as np
 import pytest
 
-from kraft.driving.messages import Commitment, Reference, ReferenceKind
+from kraft.driving.contingencies import manoeuvre_reference
+from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
@@ -232,6 +234,28 @@ def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick
     assert found == 1
     assert tracker.last_sent == 1.2
     tracker.commanded(1.2, np.zeros(2))
+
+
+def test_after_a_stop_the_car_is_kept_where_it_stands() -> None:
+    """A stop that ends elsewhere than planned is not corrected at a creep."""
+    described = robot()
+    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr")
+    spec = DriveSpec(task, load_method("adaptive-kraft"), vehicle, described, 60.0)
+    at = np.array(spec.at_rest((task.start.x, task.start.y, task.start.heading)))
+    ahead = at.copy()
+    ahead[vehicle.index("y")] += 0.2
+    stop = manoeuvre_reference(vehicle, 0, np.array([0.9, 1.0]), np.array([ahead, ahead]))
+    node = LoopbackBus().node("kraft")
+    tracker = Tracker(spec, Begin(at, Commitment(stop)), node, Inputs(described, node))
+    tracker.on_board.stop(Estimate(1.0, at, 0.0))
+    tracker.on_board.commitment = Commitment(stop := replace(stop))
+    rolling = at.copy()
+    rolling[tracker.model.v] = 0.3
+    corrected, _ = tracker.command(1.2, Estimate(1.2, rolling, 0.0))
+    kept, reference = tracker.command(1.3, Estimate(1.3, at, 0.0))
+    assert reference is stop
+    assert np.array_equal(kept, tracker.model.rest)
+    assert not np.array_equal(corrected, tracker.model.rest)
 
 
 @pytest.mark.slow
