@@ -33,7 +33,7 @@ from ompl_ext.kernels.posepath import PosePath
 from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
-from ompl_ext.query import Goal, Settings, lanes_of, pose_cost_to_go_of, settings_for
+from ompl_ext.query import Goal, Settings, lanes_of, pose_cost_to_go_of
 from ompl_ext.vehicle import Vehicle
 
 INTERVAL, STRIDE = 0.1, 0.35  # longest interval of a guess (s), and motion in it at the top speed (footprint's lengths)
@@ -273,7 +273,7 @@ def guess_to_goal(
     vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings, start: Floats
 ) -> Guess | None:
     """Guess along the path of poses from a start (nx,) to a goal with a heading; None if there is no path."""
-    found = pose_cost_to_go_of(vehicle, workspace, goal, settings_for(settings, vehicle, goal).cell)
+    found = pose_cost_to_go_of(vehicle, workspace, goal, settings)
     path = found.path_from(*(float(start[vehicle.index(name)]) for name in ("x", "y", "theta")))
     return guess_along(path, vehicle, start) if path is not None and len(path.times) > 1 else None
 

@@ -138,7 +138,7 @@ class Settings:
     pose_cost_to_go: bool | None = None
     """whether the cost-to-go knows the heading; by default it does if the goal has one"""
     way_margin: float = 0.0
-    """distance that the ways of that cost-to-go keep from obstacles where they can, for goals without a heading (m)"""
+    """distance that the ways of that cost-to-go keep from obstacles where they can, but not close to a pose to reach (m)"""
     polish: bool | None = None
     """whether plans are improved by local optimisation; by default they are if the goal has a heading"""
 
@@ -305,18 +305,18 @@ def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings
             scalar[[at.BRAKING, at.GOAL_SPEED]] = rate, max(abs(low), abs(high))
 
 
-def pose_cost_to_go_of(vehicle: Vehicle, workspace: Workspace, goal: Goal, cell: float) -> PoseCostToGo:
+def pose_cost_to_go_of(vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings) -> PoseCostToGo:
     """Cost-to-go of poses, computed once for a vehicle, a map and a goal; kernels only read it."""
-    return _pose_seconds(_Vehicle(vehicle), workspace, cell, goal.center, goal.radius, goal.heading, goal.tolerance)
+    wide, cell = vehicle.footprint.with_margin(settings.way_margin), settings_for(settings, vehicle, goal).cell
+    key, near = _Vehicle(replace(vehicle, footprint=wide)), vehicle.footprint if goal.has_heading else wide
+    return _pose_seconds(key, near, workspace, cell, goal.center, goal.radius, goal.heading, goal.tolerance)
 
 
 def _with_pose_cost_to_go(
     problem: Problem, vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings
 ) -> Problem:
     """Problem with the cost-to-go of poses."""
-    margin = 0.0 if goal.has_heading else settings.way_margin
-    wide = replace(vehicle, footprint=vehicle.footprint.with_margin(margin))
-    found = pose_cost_to_go_of(wide, workspace, goal, settings.cell)
+    found = pose_cost_to_go_of(vehicle, workspace, goal, settings)
     problem.option[[at.POSE_HEADINGS, at.POSE_ROWS, at.POSE_COLUMNS]] = found.shape
     problem.scalar[[at.POSE_X, at.POSE_Y, at.POSE_INVERSE]] = *found.origin, 1 / found.cell
     problem.scalar[[at.POSE_BEYOND, at.POSE_HEADING]] = found.beyond, goal.heading
@@ -354,6 +354,7 @@ PRECISE = 0.018  # spacing of the fine field there, as a share of the footprint'
 @lru_cache(CACHED_MAPS)
 def _pose_seconds(
     key: _Vehicle,
+    near: Footprint,
     workspace: Workspace,
     cell: float,
     center: tuple[float, float],
@@ -361,10 +362,10 @@ def _pose_seconds(
     heading: float,
     tolerance: float,
 ) -> PoseCostToGo:
-    """Cost-to-go of poses; kernels only read it."""
+    """Cost-to-go of poses; the search around a goal with a heading has the footprint `near`."""
     vehicle = key.vehicle
     footprint, motion = vehicle.footprint, motion_of(vehicle)
-    discs = _tight_cover(footprint, EXCESS)
+    discs = _tight_cover(near, EXCESS)
     smallest = float(discs[:, 2].min())
     spacing = PRECISE * footprint.width
     field, fine = _fields(workspace, footprint, smallest, cell, 0.0, spacing)

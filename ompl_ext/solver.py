@@ -18,7 +18,7 @@ from ompl_ext.kernels.tree_memory import CAPACITY, MAX_NODES, path_to, prune
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Plan
 from ompl_ext.polish import Guess, Polish, guess_of, guess_to_goal, weights_of
-from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to_go_of, settings_for
+from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to_go_of
 from ompl_ext.query_tree import Progress, QueryTree
 from ompl_ext.vehicle import Vehicle
 
@@ -247,8 +247,7 @@ class DirtSolver(QueryTree):
         vehicle, goal = self._first
         assert goal is not None
         began, root = time.perf_counter(), self._tree.state[0].copy()
-        cell = settings_for(self.settings, vehicle, goal).cell
-        found = pose_cost_to_go_of(vehicle, self.workspace, goal, cell)
+        found = pose_cost_to_go_of(vehicle, self.workspace, goal, self.settings)
         follower = self._path_follower(vehicle)
         retained = int(self._tree.count[at.RETAINED])
         x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))

@@ -110,7 +110,7 @@ def test_an_edge_that_passes_a_small_goal_ends_in_it() -> None:
 def test_the_cost_to_go_of_poses_knows_turning_and_reversing() -> None:
     room = Workspace(((0.0, 3.0), (0.0, 3.0)))
     goal = Goal((1.5, 1.5), 0.03, 0.0, math.radians(3))
-    found = pose_cost_to_go_of(ROVER, room, goal, 0.01)
+    found = pose_cost_to_go_of(ROVER, room, goal, Settings(cell=0.01))
 
     def seconds(x: float, y: float, theta: float) -> float:
         path = found.path_from(x, y, theta)
@@ -125,9 +125,12 @@ def test_the_cost_to_go_of_poses_knows_turning_and_reversing() -> None:
     assert seconds(1.5, 2.2, 0.0) > 0.7 + 0.3  # a rover does not move sideways
 
 
-def test_ways_of_poses_avoid_a_gap_without_the_margin_and_take_it_if_there_is_no_other() -> None:
+@pytest.mark.parametrize(
+    "goal", [Goal((1.5, 2.5), 0.1), Goal((1.5, 2.5), 0.1, math.pi / 2, 0.2), Goal((1.5, 2.5), 0.1, math.pi, 0.2)]
+)
+def test_ways_of_poses_avoid_a_gap_without_the_margin_and_take_it_if_there_is_no_other(goal: Goal) -> None:
     gap, wide = 0.5 * ROVER.footprint.width + 0.02, Settings(pose_cost_to_go=True, way_margin=0.05)
-    goal, start = Goal((1.5, 2.5), 0.1), np.array([1.5, 0.5, math.pi / 2, 0.0, 0.0])
+    start = np.array([1.5, 0.5, math.pi / 2, 0.0, 0.0])
 
     def seconds(settings: Settings, right_end: float) -> float:
         walls = [box((0.5 * (1.5 - gap), 1.5), (1.5 - gap, 0.1)),
