@@ -138,7 +138,7 @@ class Settings:
     pose_cost_to_go: bool | None = None
     """whether the cost-to-go knows the heading; by default it does if the goal has one"""
     way_margin: float = 0.0
-    """distance that the ways of that cost-to-go keep from obstacles where they can, but not close to a pose to reach (m)"""
+    """distance that ways of that cost-to-go keep from obstacles where they can, except close to a pose to reach (m)"""
     polish: bool | None = None
     """whether plans are improved by local optimisation; by default they are if the goal has a heading"""
 
