@@ -32,7 +32,7 @@ watchdog: {{give_up: {give_up}}}
 """
 Spoil = Callable[[str, Any], Any]
 REST_SPEED = 0.02  # up to which a car stands (m/s)
-CREEPING = 0.05  # up to which one stands that creeps to where it should stand (m/s)
+CREEPING = 0.05  # up to which one stands that still settles after a fault (m/s)
 
 
 def free_port() -> int:
