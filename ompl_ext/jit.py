@@ -10,10 +10,14 @@ removes the zero-division branch that would keep a loop from vectorising.
 the cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the
 vehicle's source): after any edit a new folder is used, and a stale kernel is impossible.  numba looks up a kernel by
 the path of its source file, so every copy of the package has folders of its own.
+
+*Garbage.*  While numba compiles, Python collects no cyclic garbage: the collections find little and take an eighth of
+the time.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import sys
@@ -26,7 +30,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba import types
-from numba.core import cgutils
+from numba.core import cgutils, event
 from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
@@ -37,7 +41,31 @@ _njit: Any = numba.njit  # numba's stubs lack `_nrt` and the configuration
 _config: Any = numba.config
 _codegen: Any = cgutils
 _intrinsic: Any = intrinsic
+_event: Any = event
 F = TypeVar("F", bound=Callable[..., object])
+
+
+class _NoCollections(event.Listener):
+    """Keeps Python from collecting cyclic garbage during compilations, which contain each other."""
+
+    def __init__(self) -> None:
+        self._running, self._enabled = 0, False
+
+    def on_start(self, event: object) -> None:
+        """Pause at the begin of the outermost compilation (called by numba, under its lock)."""
+        if self._running == 0:
+            self._enabled = gc.isenabled()
+            gc.disable()
+        self._running += 1
+
+    def on_end(self, event: object) -> None:
+        """Go on at its end, also of one that fails."""
+        self._running -= 1
+        if self._running == 0 and self._enabled:
+            gc.enable()
+
+
+_event.register("numba:compile", _NoCollections())
 
 
 def cache_root() -> Path:

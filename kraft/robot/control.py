@@ -8,7 +8,6 @@ brake guard (`kraft.robot.guard`) does so.
 
 from __future__ import annotations
 
-import gc
 import math
 import signal
 import sys
@@ -32,7 +31,7 @@ from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.poses import Clocks
-from kraft.robot.priority import name_this_process, prefer_this_process
+from kraft.robot.priority import name_this_process, prefer_this_process, shorten_collections
 from kraft.robot.protocol import (
     Beat,
     Begin,
@@ -182,8 +181,7 @@ class Control:
 
     def run(self) -> Ended:
         """Drive until the goal, the time limit, an order, or a fault that does not go away."""
-        gc.collect()
-        gc.freeze()  # so that a collection looks at little
+        shorten_collections()
         lead_in = round(1e9 * LEAD_IN)
         timebase = self._inputs.clock
         self._tracker.start(Clocks(timebase.stamp() + lead_in, timebase.now() + lead_in, self._inputs.latency))

@@ -29,7 +29,7 @@ from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
-from kraft.robot.priority import preferred_planner, process_context
+from kraft.robot.priority import preferred_planner, process_context, shorten_collections
 from kraft.robot.protocol import (
     Begin,
     Checked,
@@ -144,6 +144,7 @@ def drive(
     """
     check_transport(spec.robot)
     warm_up(spec)  # for all processes, where they are forks
+    shorten_collections()  # which would also copy memory that they share
     context = process_context()
     (here, there), (to_guard, to_control) = context.Pipe(), context.Pipe()
     guard = context.Process(target=run_guard, args=(spec, to_control, (here, there, to_guard)), name="kraft guard")
@@ -188,6 +189,7 @@ def _drive(
                 send(Stop("the check list failed"))
                 return DriveResult(checked, None)
             send(planner.begin(checked.pose, checked.map))
+            shorten_collections()
         elif isinstance(message, PlanRequest):
             answer, tree = planner.decide(message)
             send(answer)

@@ -20,7 +20,7 @@ from kraft.driving.messages import ReferenceKind
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
-from kraft.robot.priority import name_this_process, prefer_this_process
+from kraft.robot.priority import name_this_process, prefer_this_process, shorten_collections
 from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Mailbox, Ready, Released, Stop
 from kraft.robot.tracker import Tracker, warm_up
 
@@ -51,6 +51,7 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
         transport.advertise(spec.robot.command.topic, spec.robot.command.type)
         while not inputs.clock.is_running and not mailbox.closed:
             time.sleep(0.01)
+        shorten_collections()
         mailbox.send(Ready())
         headings = {"guard": ["time", *(f"estimate_{name}" for name in spec.vehicle.state),
                               *(f"command_{name}" for name in spec.vehicle.controls)]}  # fmt: skip

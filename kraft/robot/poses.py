@@ -72,18 +72,27 @@ class PoseGuard:
         self.refused: dict[str, int] = {}
         self.reason = ""
 
-    def observation(self, pose: Received, predicted: Pose, speed: float, age: float) -> Observation | None:
+    def observation(
+        self, pose: Received, predicted: Pose, reckoned: Pose, speed: float, age: float
+    ) -> Observation | None:
         """Observation of a pose; None if it is refused, and then `reason` says why.
+
+        A pose is believed near either of two: what has been learned may be wrong, and then `predicted` leads away from
+        a vehicle that stands unseen, where no true pose would be near it any more.
 
         Args:
             pose: the received pose.
-            predicted: pose that the model predicts now.
+            predicted: pose that the model with what has been learned predicts now.
+            reckoned: pose to which the commands lead by the vehicle's model from the newest observation, without
+                anything that has been learned.
             speed: speed that the commands lead to by the model, without any pose, m/s.
             age: age of the newest observation, s; the prediction is that much less certain.
         """
         arrival = self._clocks.of_arrival(pose.arrival)
         time = arrival if self._robot.pose.stamp == "arrival" else self._clocks.of_stamp(pose.stamp)
-        reason = self._doubt(pose, time, arrival, predicted, speed, age)
+        reason = self._doubt(pose, time, arrival, speed) or self._displaced(
+            pose.pose, (predicted, reckoned), speed, age
+        )
         self._last = pose.pose
         if reason:
             self.refused[reason.split(":")[0]] = self.refused.get(reason.split(":")[0], 0) + 1
@@ -92,8 +101,8 @@ class PoseGuard:
         self.reason = ""
         return Observation(min(time, arrival), arrival, *pose.pose)
 
-    def _doubt(self, pose: Received, time: float, arrival: float, predicted: Pose, speed: float, age: float) -> str:
-        """Why a pose cannot be true; empty if it can."""
+    def _doubt(self, pose: Received, time: float, arrival: float, speed: float) -> str:
+        """Why a pose cannot be true wherever the vehicle is; empty if it can."""
         watchdog, (x, y, theta) = self._robot.watchdog, pose.pose
         if not all(map(math.isfinite, pose.pose)):
             return f"the poses are no numbers: ({x:g}, {y:g}, {theta:g})"
@@ -106,15 +115,24 @@ class PoseGuard:
             self._frozen = pose.pose
         if pose.pose == self._frozen:  # also when the vehicle stands because of it
             return "the poses do not change: the vehicle should move"
+        return ""
+
+    def _displaced(self, pose: Pose, expected: tuple[Pose, ...], speed: float, age: float) -> str:
+        """Why a pose is near none of the expected ones; empty if it is near one."""
+        watchdog = self._robot.watchdog
         # a vehicle that was not seen may be farther off
         allowed = watchdog.jump + 0.5 * abs(speed) * min(max(age, 0.0), 2.0)
-        off = math.hypot(x - predicted[0], y - predicted[1])
-        turned = abs(math.remainder(theta - predicted[2], math.tau))
-        if off > allowed:
-            return f"the poses jumped: {off:.2f} m from the predicted position"
-        if turned > math.radians(watchdog.jump_deg):
-            return f"the poses turned: {math.degrees(turned):.0f} degrees from the predicted heading"
-        return ""
+        reasons = []
+        for x, y, theta in expected:
+            off = math.hypot(pose[0] - x, pose[1] - y)
+            turned = abs(math.remainder(pose[2] - theta, math.tau))
+            if off > allowed:
+                reasons.append(f"the poses jumped: {off:.2f} m from the predicted position")
+            elif turned > math.radians(watchdog.jump_deg):
+                reasons.append(f"the poses turned: {math.degrees(turned):.0f} degrees from the predicted heading")
+            else:
+                return ""
+        return reasons[0]
 
 
 def units_hint(pose: Pose, expected: Pose, near: float) -> str:

@@ -1,8 +1,9 @@
-"""Processes of a drive: how they start, and their names and priorities as far as the operating system permits them."""
+"""Processes of a drive: how they start, their names and priorities as far as permitted, and garbage collection."""
 
 from __future__ import annotations
 
 import contextlib
+import gc
 import multiprocessing
 import os
 import sys
@@ -45,6 +46,12 @@ def prefer_this_process() -> bool:
     except PermissionError:
         return False
     return True
+
+
+def shorten_collections() -> None:
+    """Collect garbage now, and leave what remains out of later collections, which would stop every thread for 0.1 s."""
+    gc.collect()
+    gc.freeze()
 
 
 @contextlib.contextmanager

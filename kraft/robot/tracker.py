@@ -51,7 +51,7 @@ class Tracker:
         self.on_board = OnBoard(self.settings, Safety(cycle=self.settings.cycle), self.model, begin.commitment)
         self.clocks = Clocks(0, 0)  # until the drive begins
         self.poses = PoseGuard(robot, self.clocks)
-        self._open_loop = np.array(begin.state, dtype=float)
+        self._open_loop = np.array(begin.state, dtype=float)  # where the commands lead from the newest observation
         self._last_command, self.last_sent = self.model.rest.copy(), 0.0
         self.arrived = 0
         self._stand = self._stands_after = begin.commitment.reference  # the stop after which the vehicle is kept there
@@ -84,9 +84,11 @@ class Tracker:
             estimate = self._estimator.estimate(now)
             predicted = pose_of(estimate.state, self.model.vehicle)
             since = min(estimate.age, max(now, 0.0) + 1.0)
-            observation = self.poses.observation(pose, predicted, float(self._open_loop[self.model.v]), since)
+            reckoned = pose_of(self._open_loop, self.model.vehicle)
+            speed = float(self._open_loop[self.model.v])
+            observation = self.poses.observation(pose, predicted, reckoned, speed, since)
             if observation is not None:
-                self._estimator.observe(observation)
+                self.observe(observation)
                 found.append(observation)
         return found
 
@@ -95,8 +97,10 @@ class Tracker:
         self._inputs.take_poses()
 
     def observe(self, observation: Observation) -> None:
-        """Observe a pose that another process has received."""
+        """Observe a pose, which another process may have received."""
         self._estimator.observe(observation)
+        for name in ("x", "y", "theta"):
+            self._open_loop[self.model.vehicle.index(name)] = getattr(observation, name)
 
     def learn(self, learned: Learned | None) -> bool:
         """Take over what another process has identified; whether it is new."""

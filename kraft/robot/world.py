@@ -33,6 +33,7 @@ from kraft.robot.messages import (
     stamp,
     transform,
 )
+from kraft.robot.priority import shorten_collections
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import Scenario
@@ -59,7 +60,7 @@ STANDS: Final = 0.02
 """Speed below which the car stands, m/s."""
 COASTING: Final = 3.0
 """Longest time for which the world goes on after the goal, s."""
-BEHIND: Final = 0.2
+BEHIND: Final = 1.0
 """Delay of the simulation behind the clock beyond which it gives up catching up, s."""
 
 
@@ -68,7 +69,8 @@ class WorldResult:
     """How a simulated drive ended; `time` is since the first command that moves the car, s.
 
     `mux_stops` counts the times that the multiplexer stopped the car, `commands` the commands that arrived, `lag` is
-    the largest delay of the simulation behind the clock (s), `standing` whether the car stands at the end.
+    the largest delay of the simulation behind the clock (s), `lost` the time that it did not catch up (s), `standing`
+    whether the car stands at the end.
     """
 
     scenario: str
@@ -80,6 +82,7 @@ class WorldResult:
     commands: int
     mux_stops: int
     lag: float
+    lost: float
     standing: bool
 
 
@@ -106,6 +109,7 @@ class RobotWorld:
         self._codec = CommandCodec(robot, vehicle)
         self._order = [list(vehicle.controls).index(name) for name in self.world.controls]
         self._arrived: queue.SimpleQueue[tuple[Floats, int]] = queue.SimpleQueue()
+        self._future: deque[tuple[Floats, int]] = deque()  # arrived later than the time that is simulated
         self._delayed: deque[tuple[int, Floats]] = deque()
         self._outgoing: deque[tuple[int, str, Any]] = deque()
         exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
@@ -114,7 +118,7 @@ class RobotWorld:
         self._last_command: int | None = None
         self._stopped = True
         self._commands = self.mux_stops = 0
-        self._lag = 0.0
+        self._behind = self._lag = self._lost = 0.0
         self._began = False
         self.cancelled = False
         transport.subscribe(robot.command.topic, robot.command.type, self._take)
@@ -156,6 +160,7 @@ class RobotWorld:
         rates = self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / speed
         self._frames, records, self._switch, self._times = (Ticks(rate, dt) for rate in rates)
         self._speed = speed
+        shorten_collections()
         self._opened = clock.monotonic_ns()
         steps, ended, outcome = 0, None, None
         while True:
@@ -182,7 +187,10 @@ class RobotWorld:
     def _exchange(self, steps: int) -> None:
         """Apply the commands and send the messages that are due after some physics steps."""
         dt = self.world.dt
-        self._stamp = EPOCH + round(1e9 * steps * dt) if self._robot.clock is not None else clock.time_ns()
+        if self._robot.clock is not None:
+            self._stamp = EPOCH + round(1e9 * steps * dt)
+        else:  # the time that is simulated, also by a simulation that is behind the clock
+            self._stamp = clock.time_ns() - round(1e9 * self._behind)
         if self._robot.clock is not None and steps >= self._times.due:
             self._times.number += 1
             self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
@@ -203,18 +211,21 @@ class RobotWorld:
         obstacle = world.collision.obstacle if world.collision and outcome is Outcome.COLLISION else None
         return WorldResult(
             self._scenario.name, self._seed, outcome, obstacle, time,
-            self._approach.least(), self._commands, self.mux_stops, self._lag, abs(world.speed) < STANDS,
+            self._approach.least(), self._commands, self.mux_stops, self._lag, self._lost, abs(world.speed) < STANDS,
         )  # fmt: skip
 
     def _wait(self, due: float) -> None:
-        """Sleep until a time of the simulation (s); a simulation that is far behind goes on from now."""
+        """Sleep until a time of the simulation (s); one that is behind catches up, one that is far behind does not."""
         left = due / self._speed - 1e-9 * (clock.monotonic_ns() - self._opened)
+        self._behind = max(0.0, -left)
         if left > 0.0:
             clock.sleep(left)
             return
-        self._lag = max(self._lag, -left)
-        if -left > BEHIND:
-            self._opened -= round(1e9 * left)
+        self._lag = max(self._lag, self._behind)
+        if self._behind > BEHIND:
+            self._lost += self._behind
+            self._opened += round(1e9 * self._behind)
+            self._behind = 0.0
 
     def _outcome(self) -> Outcome | None:
         if self.world.collision is not None:
@@ -227,7 +238,10 @@ class RobotWorld:
         """Apply the commands whose delay is over; without a recent one brake with the wheels as they are."""
         delay = steps_of(self._scenario.sensing.command_delay, self.world.dt)
         while not self._arrived.empty():
-            control, _ = self._arrived.get()
+            self._future.append(self._arrived.get())
+        simulated = clock.monotonic_ns() - round(1e9 * self._behind)
+        while self._future and self._future[0][1] <= simulated:
+            control, _ = self._future.popleft()
             self._commands += 1
             self._last_command, self._stopped = steps, False
             self._delayed.append((steps + delay, control))

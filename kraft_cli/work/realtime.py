@@ -23,7 +23,7 @@ from kraft.trial.result import Outcome, outcome_text
 from kraft_cli.work.drive import Driven, DriveRequest, drive_json, drive_robot, drive_table
 from kraft_cli.work.run import RunRequest
 from kraft_cli.work.verbose import discard_message
-from kraft_cli.work.world import WorldRequest, simulate
+from kraft_cli.work.world import WorldRequest, pace_text, simulate
 
 ROBOT: Final = "sim"
 """Bundled robot whose topics, units and rates are used."""
@@ -160,6 +160,7 @@ def realtime_json(run: RealtimeRun) -> dict[str, Any]:
         "controller": drive["controller"],
         "multiplexer_stops": world.mux_stops,
         "lag_ms": 1000 * world.lag,
+        "lost_s": world.lost,
         "checks": drive["checks"],
         "set": {each.key: each.value for each in parse_overrides(run.request.settings, "set")},
         "folder": drive["folder"],
@@ -175,5 +176,4 @@ def realtime_table(run: RealtimeRun) -> list[tuple[str, str]]:
         return rows
     at = next(i for i, (name, _) in enumerate(rows) if name == "result") + 1
     clearance = ("clearance", f"{metres(world.min_clearance, '-')} at least")
-    lag = ("simulation", f"{1000 * world.lag:.0f} ms behind the clock at most")
-    return [*rows[:at], ("in truth", true), clearance, *rows[at:], lag]
+    return [*rows[:at], ("in truth", true), clearance, *rows[at:], ("simulation", pace_text(world))]

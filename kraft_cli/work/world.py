@@ -147,6 +147,7 @@ def world_json(result: WorldResult) -> dict[str, Any]:
         "commands": result.commands,
         "multiplexer_stops": result.mux_stops,
         "lag_ms": 1000 * result.lag,
+        "lost_s": result.lost,
         "standing": result.standing,
     }
 
@@ -158,5 +159,11 @@ def world_table(result: WorldResult) -> list[tuple[str, str]]:
         ("result", outcome_text(result.outcome, result.obstacle, result.time)),
         ("clearance", f"{metres(result.min_clearance, '-')} at least"),
         ("commands", f"{result.commands}, {counted(result.mux_stops, 'stop')} by the multiplexer"),
-        ("simulation", f"{1000 * result.lag:.0f} ms behind the clock at most"),
+        ("simulation", pace_text(result)),
     ]
+
+
+def pace_text(result: WorldResult) -> str:
+    """How well a simulation kept to the clock."""
+    lost = f", {result.lost:.1f} s lost: the computer is overloaded" if result.lost > 0.0 else ""
+    return f"{1000 * result.lag:.0f} ms behind the clock at most{lost}"

@@ -124,7 +124,7 @@ def guard(**changed: Any) -> PoseGuard:
 
 
 def test_a_good_pose_becomes_an_observation_at_its_stamp() -> None:
-    found = guard().observation(received(3.0), HERE, 0.5, 0.03)
+    found = guard().observation(received(3.0), HERE, HERE, 0.5, 0.03)
     assert found is not None
     assert (found.time, found.arrival) == pytest.approx((3.0, 3.01))
     assert (found.x, found.y, found.theta) == HERE
@@ -132,7 +132,7 @@ def test_a_good_pose_becomes_an_observation_at_its_stamp() -> None:
 
 def test_a_pose_counts_from_its_arrival_where_the_clocks_cannot_be_set() -> None:
     pose = {"topic": "/pose", "type": "geometry_msgs/msg/PoseStamped", "stamp": "arrival"}
-    found = guard(pose=pose).observation(received(99.0, arrival=3.0), HERE, 0.5, 0.03)
+    found = guard(pose=pose).observation(received(99.0, arrival=3.0), HERE, HERE, 0.5, 0.03)
     assert found is not None
     assert found.time == pytest.approx(3.0)
 
@@ -151,28 +151,38 @@ def test_a_pose_counts_from_its_arrival_where_the_clocks_cannot_be_set() -> None
 )
 def test_a_pose_that_cannot_be_true_is_refused(pose: Received, why: str) -> None:
     refusing = guard()
-    assert refusing.observation(pose, HERE, 0.5, 0.03) is None
+    assert refusing.observation(pose, HERE, HERE, 0.5, 0.03) is None
     assert refusing.reason.startswith(why)
     assert refusing.refused == {why: 1}
-    assert refusing.observation(received(3.1, (1.01, 2.01, 0.5)), HERE, 0.5, 0.1) is not None
+    assert refusing.observation(received(3.1, (1.01, 2.01, 0.5)), HERE, HERE, 0.5, 0.1) is not None
     assert refusing.reason == ""
 
 
+def test_a_pose_where_the_commands_lead_is_believed_when_what_was_learned_leads_elsewhere() -> None:
+    drifted = (-0.5, 2.0, 0.5)
+    assert guard().observation(received(9.0), drifted, HERE, 0.0, 5.0)
+    refusing = guard()
+    assert refusing.observation(received(9.0, (3.0, 2.0, 0.5)), drifted, HERE, 0.0, 5.0) is None
+    assert refusing.reason == "the poses jumped: 3.50 m from the predicted position"
+    assert refusing.observation(received(9.1, (1.0, 2.0, 2.5)), drifted, HERE, 0.0, 5.0) is None
+
+
 def test_a_heading_across_the_seam_is_no_turn() -> None:
-    assert guard().observation(received(3.0, (1.0, 2.0, math.pi - 0.1)), (1.0, 2.0, -math.pi + 0.1), 0.5, 0.03)
+    expected = (1.0, 2.0, -math.pi + 0.1)
+    assert guard().observation(received(3.0, (1.0, 2.0, math.pi - 0.1)), expected, expected, 0.5, 0.03)
 
 
 def test_frozen_poses_are_refused_until_they_change_even_when_the_car_stands() -> None:
     refusing = guard()
-    assert refusing.observation(received(3.0), HERE, 0.5, 0.03)
-    assert refusing.observation(received(3.1), HERE, 0.5, 0.1) is None
-    assert refusing.observation(received(3.2), HERE, 0.0, 0.2) is None
-    assert refusing.observation(received(3.3, (1.001, 2.0, 0.5)), HERE, 0.0, 0.3)
+    assert refusing.observation(received(3.0), HERE, HERE, 0.5, 0.03)
+    assert refusing.observation(received(3.1), HERE, HERE, 0.5, 0.1) is None
+    assert refusing.observation(received(3.2), HERE, HERE, 0.0, 0.2) is None
+    assert refusing.observation(received(3.3, (1.001, 2.0, 0.5)), HERE, HERE, 0.0, 0.3)
 
 
 def test_equal_poses_of_a_car_that_stands_are_believed() -> None:
     believing = guard()
-    assert all(believing.observation(received(0.1 * k), HERE, 0.0, 0.1) for k in range(10))
+    assert all(believing.observation(received(0.1 * k), HERE, HERE, 0.0, 0.1) for k in range(10))
 
 
 def test_millimetres_are_recognised() -> None:
