@@ -19,6 +19,7 @@ TOPICS = (
     "planner",
     "peers",
     "peers_table",
+    "tuning",
     "scaling",
     "maps",
     "goals",

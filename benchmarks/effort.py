@@ -29,6 +29,7 @@ class Effort:
         endurance: duration of the long drive over topics, s.
         method: method that drives where one is chosen.
         peer_trials: seeds of each row of the peers in each entry of the suites.
+        peer_tuning: seeds of each setting of the peers in each entry in which they are tuned.
     """
 
     seeds: int
@@ -50,6 +51,7 @@ class Effort:
     endurance: float
     method: str = "adaptive-kraft"
     peer_trials: int = 1
+    peer_tuning: int = 1
 
 
 FULL = Effort(

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,7 @@ class Rig:
     speed: float = 1.0
     arguments: tuple[str, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
+    others: list[BaseProcess] = field(default_factory=list)  # that end with the drive
 
     def __enter__(self) -> Rig:
         self.url = f"ws://localhost:{free_port()}"
@@ -117,6 +119,8 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self.world.cancelled = True
+        for process in self.others:
+            process.kill()
         self._find_processes()
         for pid in (*self._pids.values(), self.process.pid):
             try:

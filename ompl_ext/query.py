@@ -382,7 +382,7 @@ def _pose_seconds(
         (*center, heading),
         radius,
         tolerance,
-        motion.extreme_twists(footprint.reach)[0],
+        motion.extreme_twists(near.reach)[0],  # which those who follow the ways number alike
         reversal,
         (cell if tolerance < math.pi else COARSEST * footprint.width, COARSEST * footprint.width),
         geodesic,

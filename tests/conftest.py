@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -62,6 +63,13 @@ def pytest_configure(config: pytest.Config) -> None:
         for stage in STAGES:  # otherwise each worker would compile all of it
             with ThreadPoolExecutor(len(stage)) as pool:
                 list(pool.map(_compile, stage))
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage less often, and not among the modules and tests: it took an eighth of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
 
 
 def pytest_xdist_auto_num_workers() -> int:

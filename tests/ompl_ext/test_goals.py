@@ -125,6 +125,15 @@ def test_the_cost_to_go_of_poses_knows_turning_and_reversing() -> None:
     assert seconds(1.5, 2.2, 0.0) > 0.7 + 0.3  # a rover does not move sideways
 
 
+def test_ways_number_the_twists_as_those_who_follow_them() -> None:
+    small = replace(ROVER, footprint=Footprint(0.2, 0.2))  # whose extreme twists depend on the length that counts
+    motion, wide = motion_of(small), small.footprint.with_margin(0.05)
+    twists, numbers = motion.extreme_twists(small.footprint.reach)
+    assert not np.array_equal(numbers, motion.extreme_twists(wide.reach)[1])
+    found = pose_cost_to_go_of(small, ROOM, GOAL, Settings(cell=0.02, way_margin=0.05))
+    assert np.array_equal(found.motions[:, :3], twists)
+
+
 @pytest.mark.parametrize(
     "goal", [Goal((1.5, 2.5), 0.1), Goal((1.5, 2.5), 0.1, math.pi / 2, 0.2), Goal((1.5, 2.5), 0.1, math.pi, 0.2)]
 )

@@ -32,6 +32,7 @@ from benchmarks import (
     startup,
     structures,
     sysid,
+    tuning,
     world,
     worlds,
 )
@@ -45,6 +46,7 @@ from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
+from kraft.driving.method import load_method
 from kraft.recording import experiment as design
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.plan import Plan
@@ -393,3 +395,17 @@ def test_the_rows_of_the_peers_load_and_their_claims_are_paired_by_entry_and_see
     (found,) = peers_table.rows_of([compared])
     assert found.quantity.startswith("long horizons, kraft-mppi against mppi: +50.0 points more successes")
     assert found.median == pytest.approx(100.0 * compared.success.interval[0])
+
+
+def test_peers_are_tuned_with_as_many_settings_each_and_ranked_by_successes_collisions_and_time() -> None:
+    assert set(tuning.CANDIDATES) == set(peers_table.METHODS)
+    assert {len(found) for found in tuning.CANDIDATES.values()} == {8}
+    for name, candidates in tuning.CANDIDATES.items():
+        methods = [tuning.changed(load_method(name), changes).model_dump_json() for changes in candidates]
+        assert len(set(methods)) == len(methods), "every setting is another one"
+    outcomes = {0: ("success", "timeout"), 1: ("success", "success"), 2: ("success", "collision")}
+    driven = [tuning.Driven("sst", k, outcome, 9.0 + k) for k, ended in outcomes.items() for outcome in ended]
+    driven += [tuning.Driven("sst", k, "success", 9.0 + k) for k in range(3, 8) for _ in range(2)]
+    order = tuning.ranking("sst", driven)
+    assert order == [1, 3, 4, 5, 6, 7, 0, 2]
+    assert tuning.table({"sst": order}, driven)[-1] == ["sst", "k_along 5.0", "1", "1", "0", "11"]
