@@ -29,7 +29,7 @@ from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
-from kraft.robot.priority import preferred_planner, process_context, shorten_collections
+from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Begin,
     Checked,
@@ -144,7 +144,12 @@ def drive(
     """
     check_transport(spec.robot)
     warm_up(spec)  # for all processes, where they are forks
-    shorten_collections()  # which would also copy memory that they share
+    with short_collections():  # which would also copy memory that they share
+        return _drive_in_processes(spec, (on_check, on_cycle, on_status, on_sense), keep_trees)
+
+
+def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep_trees: bool) -> DriveResult:
+    """Start controller and brake guard, and plan for them."""
     context = process_context()
     (here, there), (to_guard, to_control) = context.Pipe(), context.Pipe()
     guard = context.Process(target=run_guard, args=(spec, to_control, (here, there, to_guard)), name="kraft guard")
@@ -163,7 +168,7 @@ def drive(
 
     try:
         with preferred_planner(), _interrupts(lambda: send(Stop("interrupted")), process):
-            return _drive(spec, here, process, send, (on_check, on_cycle, on_status, on_sense), keep_trees)
+            return _drive(spec, here, process, send, report, keep_trees)
     finally:
         here.close()
         for each, patience in ((process, JOIN_TIME), (guard, GUARD_JOIN_TIME)):

@@ -55,6 +55,16 @@ def shorten_collections() -> None:
 
 
 @contextlib.contextmanager
+def short_collections() -> Iterator[None]:
+    """The same until the end of a context; then all of it can be collected again."""
+    shorten_collections()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+@contextlib.contextmanager
 def preferred_planner() -> Iterator[None]:
     """Run this process before ordinary ones, but not before those that keep to the clock, as far as it is permitted."""
     before = os.getpriority(os.PRIO_PROCESS, 0)

@@ -197,8 +197,7 @@ class Watchdog(StrictModel):
     pose_age: Annotated[float, Field(ge=0.05, le=5)] = 0.4
     """age of the newest believed pose at which the vehicle stops, s"""
     jump: Positive = 0.75
-    """distance beyond which a pose is not believed, from the prediction and from where the commands led since the last
-    believed pose, m"""
+    """distance from the prediction, and from where the commands led, beyond which a pose is not believed, m"""
     jump_deg: Annotated[float, Field(gt=0, le=180)] = 60.0
     """deviation from these two headings beyond which a pose is not believed, degrees"""
     clock: Annotated[float, Field(gt=0, le=60)] = 0.5

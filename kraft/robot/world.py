@@ -33,7 +33,7 @@ from kraft.robot.messages import (
     stamp,
     transform,
 )
-from kraft.robot.priority import shorten_collections
+from kraft.robot.priority import short_collections
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import Scenario
@@ -155,12 +155,15 @@ class RobotWorld:
             speed: seconds of the simulation in a second of the clock; others than 1 take a robot with a `clock`.
             stays: go on after the goal or the time limit until `cancelled` is set.
         """
-        world, dt = self.world, self.world.dt
         assert speed == 1.0 or self._robot.clock is not None, "others must know the time"
-        rates = self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / speed
-        self._frames, records, self._switch, self._times = (Ticks(rate, dt) for rate in rates)
         self._speed = speed
-        shorten_collections()
+        with short_collections():
+            return self._run(on_step, patience, stays)
+
+    def _run(self, on_step: Callable[[TrueWorld, Step], None] | None, patience: float, stays: bool) -> WorldResult:
+        world, dt = self.world, self.world.dt
+        rates = self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / self._speed
+        self._frames, records, self._switch, self._times = (Ticks(rate, dt) for rate in rates)
         self._opened = clock.monotonic_ns()
         steps, ended, outcome = 0, None, None
         while True:
