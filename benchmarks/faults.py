@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import random
 import signal
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -92,6 +93,8 @@ WATCHED: Final = 8.0
 """Time within which the car has to stand, s."""
 WHOLE: Final = 45.0
 """Time in which a drive has ended that nothing stops, s."""
+OTHER: Final = 1000
+"""What is added to the seed of a drive that was over before its fault."""
 PAUSE: Final = 1.0
 """Duration of a pause of processes, s."""
 
@@ -189,7 +192,7 @@ def run(effort: Effort) -> Report:
     table = [["fault", "drives", "collided", "stood", "said why", "kept", "way to standstill (m)"]]
     collisions: list[float] = []
     for fault in FAULTS:
-        seen = [one(fault, seed) for seed in range(effort.faults)]
+        seen = [_told(fault, seed) for seed in range(effort.faults)]
         counts = [sum(getattr(each, name) for each in seen) for name in ("collided", "stood", "said", "kept")]
         said = str(counts[2]) if fault.says else "-"
         ways = [each.way for each in seen if each.stood]
@@ -206,12 +209,33 @@ def run(effort: Effort) -> Report:
     return Report("faults", rows, {"what faults lead to": table}, notes)
 
 
+def _told(fault: Fault, seed: int) -> Seen:
+    """One drive with one fault, reported as it ends; one that was over before the fault is driven with another seed."""
+    try:
+        seen = one(fault, seed)
+    except DriveOverError:
+        print(f"  {fault.name}, seed {seed}: over before the fault", file=sys.stderr, flush=True)
+        return _told(fault, seed + OTHER)
+    print(f"  {fault.name}, seed {seed}: {seen}", file=sys.stderr, flush=True)
+    return seen
+
+
+class DriveOverError(Exception):
+    """A drive that was over before its fault."""
+
+
 def one(fault: Fault, seed: int) -> Seen:
-    """One drive with one fault."""
+    """One drive with one fault.
+
+    Raises:
+        DriveOverError: if the drive was over before.
+    """
     generator = random.Random(f"{fault.name} {seed}")
     with tempfile.TemporaryDirectory() as name, Rig(Path(name), SCENE, seed=seed, give_up=2.0) as rig:
         rig.drive_until(generator.uniform(1.0, 5.0))
         rig.until(lambda: abs(rig.world.world.speed) > FAST or rig.result is not None, 20.0)
+        if rig.result is not None or rig.process.poll() is not None:
+            raise DriveOverError
         began, last, place = rig.world.world.time, rig.rows("steps")[-1][0], rig.world.world.pose[:2]
         stands = rig.standstill(CREEPING)
         fault.cause(rig, generator)
