@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Target, row
-from benchmarks.rig import CREEPING, Rig, Spoil
+from benchmarks.rig import CREEPING, DriveOverError, Rig, Spoil
 from kraft.robot.messages import make, nanoseconds_of
 
 POSES: Final = "/pf/pose/odom"
@@ -213,15 +213,11 @@ def _told(fault: Fault, seed: int) -> Seen:
     """One drive with one fault, reported as it ends; one that was over before the fault is driven with another seed."""
     try:
         seen = one(fault, seed)
-    except DriveOverError:
-        print(f"  {fault.name}, seed {seed}: over before the fault", file=sys.stderr, flush=True)
+    except DriveOverError as over:
+        print(f"  {fault.name}, seed {seed}: over before the fault: {over}", file=sys.stderr, flush=True)
         return _told(fault, seed + OTHER)
     print(f"  {fault.name}, seed {seed}: {seen}", file=sys.stderr, flush=True)
     return seen
-
-
-class DriveOverError(Exception):
-    """A drive that was over before its fault."""
 
 
 def one(fault: Fault, seed: int) -> Seen:
@@ -235,7 +231,7 @@ def one(fault: Fault, seed: int) -> Seen:
         rig.drive_until(generator.uniform(1.0, 5.0))
         rig.until(lambda: abs(rig.world.world.speed) > FAST or rig.result is not None, 20.0)
         if rig.result is not None or rig.process.poll() is not None:
-            raise DriveOverError
+            raise DriveOverError(f"{rig.result}")
         began, last, place = rig.world.world.time, rig.rows("steps")[-1][0], rig.world.world.pose[:2]
         stands = rig.standstill(CREEPING)
         fault.cause(rig, generator)

@@ -82,6 +82,10 @@ class SpoiltTransport:
         self.inner.close()
 
 
+class DriveOverError(Exception):
+    """A drive that was over before what it was for."""
+
+
 @dataclass
 class Rig:
     """A drive of a scenario in the folder `folder`, `speed` times as fast as real time."""
@@ -167,12 +171,21 @@ class Rig:
         return condition()
 
     def drive_until(self, moment: float) -> None:
-        """Wait for a time of the drive (s) at which the car moves."""
-        begun = self.until(lambda: self.world.world.time >= moment or self.process.poll() is not None, 180.0)
+        """Wait for a time of the drive (s) at which the car moves.
+
+        Raises:
+            DriveOverError: if the drive ends before, as a drive on an overloaded computer may.
+        """
+        begun = self.until(lambda: self.world.world.time >= moment or self._is_over, 180.0)
         assert begun
-        assert self.process.poll() is None, self.process.communicate()
-        assert self.until(lambda: abs(self.world.world.speed) > 0.15 or self.result is not None, 150.0)
-        assert self.until(self._knows_processes, 10.0), (self._pids, self.process.poll(), self.result)
+        assert self.until(lambda: abs(self.world.world.speed) > 0.15 or self._is_over, 150.0)
+        assert self.until(lambda: self._knows_processes() or self._is_over, 10.0), self._pids
+        if self._is_over:
+            raise DriveOverError(f"{self.process.poll()}, {self.result}, {self.events[-2:]}")
+
+    @property
+    def _is_over(self) -> bool:
+        return self.result is not None or self.process.poll() is not None
 
     def stands(self, seconds: float) -> bool:
         """Whether the car stands for half a second within a time, without a collision."""
