@@ -31,7 +31,7 @@ from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.poses import Clocks
-from kraft.robot.priority import name_this_process, prefer_this_process, shorten_collections
+from kraft.robot.priority import lock_memory, name_this_process, prefer_this_process, shorten_collections
 from kraft.robot.protocol import (
     Beat,
     Begin,
@@ -101,6 +101,7 @@ def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others:
     name_this_process("kraft control")
     sys.setswitchinterval(0.0005)
     prefer_this_process()
+    lock_memory()
     mailbox, guard_mail = Mailbox(planner, "the planner's process"), Mailbox(guard, "the brake guard")
     try:
         transport = open_transport(spec.robot)

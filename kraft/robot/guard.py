@@ -20,7 +20,7 @@ from kraft.driving.messages import ReferenceKind
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
-from kraft.robot.priority import name_this_process, prefer_this_process, shorten_collections
+from kraft.robot.priority import lock_memory, name_this_process, prefer_this_process, shorten_collections
 from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Mailbox, Ready, Released, Stop
 from kraft.robot.tracker import Tracker, warm_up
 
@@ -40,6 +40,7 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     name_this_process("kraft guard")
     prefer_this_process()
+    lock_memory()
     mailbox = Mailbox(connection, "the controller")
     begin = mailbox.wait()
     if not isinstance(begin, Begin):

@@ -1,8 +1,13 @@
-"""Processes of a drive: how they start, their names and priorities as far as permitted, and garbage collection."""
+"""Processes of a drive: how they start, their names, and what keeps them from waiting, as far as it is permitted.
+
+A process that has to keep to the clock runs before all ordinary ones, its memory stays where it is, and garbage is
+collected in small parts.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import multiprocessing
 import os
@@ -16,6 +21,8 @@ REAL_TIME: Final = 20
 """Priority among real-time processes."""
 PLANNER: Final = -10
 """Niceness of the planner."""
+TOUCHED: Final = 1 | 2 | 4
+"""MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of mlockall(2): pages that were touched once."""
 
 
 def process_context() -> ForkContext | SpawnContext:
@@ -46,6 +53,17 @@ def prefer_this_process() -> bool:
     except PermissionError:
         return False
     return True
+
+
+def lock_memory() -> bool:
+    """Keep the memory that this process has touched from being moved to a disk, programs included; False if it is not.
+
+    Otherwise a process that waited may have to wait for the disk, for seconds if that is busy.  Linux permits it to
+    root, with the capability CAP_IPC_LOCK, or by `memlock` in /etc/security/limits.conf.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    return ctypes.CDLL(None).mlockall(TOUCHED) == 0
 
 
 def shorten_collections() -> None:

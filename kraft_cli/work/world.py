@@ -13,7 +13,7 @@ from kraft.driving.method import load_method
 from kraft.errors import Code, InputError, Problems
 from kraft.planning.workspace import vehicle_of_task
 from kraft.robot.connect import open_transport
-from kraft.robot.priority import prefer_this_process
+from kraft.robot.priority import lock_memory, prefer_this_process
 from kraft.robot.robot_file import Loopback, Robot, Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import Scenario, load_scenario
@@ -57,6 +57,7 @@ def simulate(
     robot, scenario, vehicle = _resolved(request, options)
     spec = TrialSpec(scenario, load_method("kraft"), vehicle, request.seed)
     prefer_this_process()  # a robot does not wait for other programs
+    lock_memory()
     transport = open_transport(robot, "robot")
     try:
         world = RobotWorld(scenario, vehicle, robot, transport, request.seed)
