@@ -63,7 +63,7 @@ def lock_memory() -> bool:
     """
     if not sys.platform.startswith("linux"):
         return False
-    return ctypes.CDLL(None).mlockall(TOUCHED) == 0
+    return bool(ctypes.CDLL(None).mlockall(TOUCHED) == 0)
 
 
 def shorten_collections() -> None:
