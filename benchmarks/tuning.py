@@ -47,16 +47,16 @@ CANDIDATES: Final[Mapping[str, tuple[Changes, ...]]] = {
     "adaptive-kraft": TRACKING,
     "sst": TRACKING,
     "mppi": (
-        BUNDLED, controller(hold=1, near=50.0), controller(hold=14), controller(goal=5.0), controller(margin=0.1),
+        BUNDLED, controller(hold=1, near=50.0), controller(hold=14), controller(goal=5.0), controller(margin=0.05),
         controller(temperature=0.1), controller(spread=0.4), POSES,
     ),
     "dwa": (
-        BUNDLED, controller(horizon=1.5), controller(horizon=3.0), controller(goal=10.0), controller(margin=0.05),
+        BUNDLED, controller(horizon=2.0), controller(horizon=3.0), controller(goal=10.0), controller(margin=0.05),
         controller(near=10.0), controller(samples=21), POSES,
     ),
     "nmpc": (
         BUNDLED, controller(steps=30), controller(cruise=1.0), controller(cruise=0.8), controller(position=0.2),
-        controller(margin=0.06), controller(change=0.5), POSES,
+        controller(margin=0.03), controller(change=0.5), POSES,
     ),
     "kraft-mppi": (
         BUNDLED, controller(hold=1), controller(hold=4), controller(spread=0.1), controller(spread=0.4),
