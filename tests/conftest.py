@@ -72,6 +72,11 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(50_000, 20, 50)
 
 
+def pytest_unconfigure() -> None:
+    """Let all of it be collected at the end, where OMPL's bindings count what is left."""
+    gc.unfreeze()
+
+
 def pytest_xdist_auto_num_workers() -> int:
     """One worker more than cores: drives on the wall clock, and tests of processes, wait most of their time."""
     return 1 + (os.cpu_count() or 1)
