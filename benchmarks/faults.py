@@ -101,7 +101,7 @@ PAUSE: Final = 1.0
 
 @dataclass(frozen=True)
 class Fault:
-    """What breaks, what the drive says about it (empty if nobody is left to say it), and when the car has to stand (s).
+    """What breaks, what the drive says about it (empty if nobody is left), and how long the car may take to stand (s).
 
     A car that drives in time whatever else its computer does may stand in the goal.  `mend` ends a fault after `PAUSE`.
     """
@@ -211,13 +211,15 @@ def run(effort: Effort) -> Report:
 
 def _told(fault: Fault, seed: int) -> Seen:
     """One drive with one fault, reported as it ends; one that was over before the fault is driven with another seed."""
-    try:
-        seen = one(fault, seed)
-    except DriveOverError as over:
-        print(f"  {fault.name}, seed {seed}: over before the fault: {over}", file=sys.stderr, flush=True)
-        return _told(fault, seed + OTHER)
-    print(f"  {fault.name}, seed {seed}: {seen}", file=sys.stderr, flush=True)
-    return seen
+    while True:
+        try:
+            seen = one(fault, seed)
+        except DriveOverError as over:
+            print(f"  {fault.name}, seed {seed}: over before the fault: {over}", file=sys.stderr, flush=True)
+            seed += OTHER
+        else:
+            print(f"  {fault.name}, seed {seed}: {seen}", file=sys.stderr, flush=True)
+            return seen
 
 
 def one(fault: Fault, seed: int) -> Seen:
@@ -229,9 +231,8 @@ def one(fault: Fault, seed: int) -> Seen:
     generator = random.Random(f"{fault.name} {seed}")
     with tempfile.TemporaryDirectory() as name, Rig(Path(name), SCENE, seed=seed, give_up=2.0) as rig:
         rig.drive_until(generator.uniform(1.0, 5.0))
-        rig.until(lambda: abs(rig.world.world.speed) > FAST or rig.result is not None, 20.0)
-        if rig.result is not None or rig.process.poll() is not None:
-            raise DriveOverError(f"{rig.result}")
+        rig.until(lambda: abs(rig.world.world.speed) > FAST or rig.is_over, 20.0)
+        rig.check_drive()
         began, last, place = rig.world.world.time, rig.rows("steps")[-1][0], rig.world.world.pose[:2]
         stands = rig.standstill(CREEPING)
         fault.cause(rig, generator)

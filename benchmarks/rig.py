@@ -176,15 +176,25 @@ class Rig:
         Raises:
             DriveOverError: if the drive ends before, as a drive on an overloaded computer may.
         """
-        begun = self.until(lambda: self.world.world.time >= moment or self._is_over, 180.0)
+        begun = self.until(lambda: self.world.world.time >= moment or self.is_over, 180.0)
         assert begun
-        assert self.until(lambda: abs(self.world.world.speed) > 0.15 or self._is_over, 150.0)
-        assert self.until(lambda: self._knows_processes() or self._is_over, 10.0), self._pids
-        if self._is_over:
-            raise DriveOverError(f"{self.process.poll()}, {self.result}, {self.events[-2:]}")
+        assert self.until(lambda: abs(self.world.world.speed) > 0.15 or self.is_over, 150.0)
+        assert self.until(lambda: self._knows_processes() or self.is_over, 10.0), self._pids
+        self.check_drive()
+
+    def check_drive(self) -> None:
+        """Check that the drive goes on.
+
+        Raises:
+            DriveOverError: if not, with what it said.
+        """
+        if self.is_over:
+            said = self.process.communicate() if self.process.poll() is not None else ""
+            raise DriveOverError(f"{said}, {self.result}, {self.events[-2:]}")
 
     @property
-    def _is_over(self) -> bool:
+    def is_over(self) -> bool:
+        """Whether the drive, or the simulation of the robot, has ended."""
         return self.result is not None or self.process.poll() is not None
 
     def stands(self, seconds: float) -> bool:

@@ -9,13 +9,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks import peers_table
 from benchmarks.effort import Effort
 from benchmarks.parallel import each
 from benchmarks.report import Report, number, row
-from kraft.driving.control import kernel_modules, needs_steps
 from kraft.driving.method import Method, load_method
-from kraft.evaluation.suite import Entry, load_suite
-from kraft.planning.compilation import ensure_compiled
+from kraft.evaluation.suite import Entry
 from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
@@ -81,10 +80,7 @@ class Driven:
 
 def run(effort: Effort) -> Report:
     """Drive every setting of every row in the entries, `peer_tuning` seeds each."""
-    for name in CANDIDATES:
-        method = load_method(name)
-        vehicle = load_vehicle(method.planner.vehicle or "mushr")
-        ensure_compiled(vehicle, print, steps=needs_steps(method, vehicle), modules=kernel_modules(method))
+    peers_table.compile_all()
     total = sum(map(len, CANDIDATES.values())) * len(ENTRIES) * effort.peer_tuning
     driven = each(partial(drive, seeds=effort.peer_tuning), range(total), effort.jobs)
     ranked = {name: ranking(name, driven) for name in CANDIDATES}
@@ -101,7 +97,7 @@ def run(effort: Effort) -> Report:
 @cache
 def entries() -> tuple[Entry, ...]:
     """The entries in which settings are driven."""
-    found = {entry.name: entry for suite in ("paper", "hard") for entry in load_suite(suite)}
+    found = {entry.name: entry for entry in peers_table.entries()}
     return tuple(found[name] for name in ENTRIES)
 
 
@@ -129,22 +125,21 @@ def ranking(name: str, driven: Sequence[Driven]) -> list[int]:
 
 
 def _merit(name: str, candidate: int, driven: Sequence[Driven]) -> tuple[float, ...]:
-    mine = [each for each in driven if (each.method, each.candidate) == (name, candidate)]
-    failed, collided = (sum(test(each.outcome) for each in mine) for test in (_failed, _collided))
-    return float(failed), float(collided), _mean_time(mine)
+    mine = _trials(name, candidate, driven)
+    return -_count(mine, Outcome.SUCCESS), _count(mine, Outcome.COLLISION), _mean_time(mine)
 
 
-def _failed(outcome: str) -> bool:
-    return outcome != Outcome.SUCCESS
+def _trials(name: str, candidate: int, driven: Sequence[Driven]) -> list[Driven]:
+    return [each for each in driven if (each.method, each.candidate) == (name, candidate)]
 
 
-def _collided(outcome: str) -> bool:
-    return outcome == Outcome.COLLISION
+def _count(driven: Sequence[Driven], outcome: Outcome) -> int:
+    return sum(each.outcome == outcome for each in driven)
 
 
 def _mean_time(driven: Sequence[Driven]) -> float:
-    """Mean time of the successes, s."""
-    times = [each.time for each in driven if not _failed(each.outcome)]
+    """Mean time of the successes, s; infinite without any."""
+    times = [each.time for each in driven if each.outcome == Outcome.SUCCESS]
     return float(np.mean(times)) if times else np.inf
 
 
@@ -153,9 +148,8 @@ def table(ranked: Mapping[str, Sequence[int]], driven: Sequence[Driven]) -> list
     found = [["row", "setting", "success", "collision", "timeout", "mean time, s"]]
     for name, order in ranked.items():
         for candidate in order:
-            mine = [each for each in driven if (each.method, each.candidate) == (name, candidate)]
-            counts = [sum(each.outcome == outcome for each in mine)
-                      for outcome in (Outcome.SUCCESS, Outcome.COLLISION, Outcome.TIMEOUT)]  # fmt: skip
+            mine = _trials(name, candidate, driven)
+            counts = [_count(mine, outcome) for outcome in (Outcome.SUCCESS, Outcome.COLLISION, Outcome.TIMEOUT)]
             time = _mean_time(mine)
             shown = number(time) if np.isfinite(time) else "-"
             found.append([name, described(CANDIDATES[name][candidate]), *map(str, counts), shown])

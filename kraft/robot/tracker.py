@@ -99,8 +99,7 @@ class Tracker:
     def observe(self, observation: Observation) -> None:
         """Observe a pose, which another process may have received."""
         self._estimator.observe(observation)
-        for name in ("x", "y", "theta"):
-            self._open_loop[self.model.vehicle.index(name)] = getattr(observation, name)
+        self._open_loop[self.model.pose] = observation.x, observation.y, observation.theta
 
     def learn(self, learned: Learned | None) -> bool:
         """Take over what another process has identified; whether it is new."""

@@ -189,14 +189,13 @@ class RobotWorld:
 
     def _exchange(self, steps: int) -> None:
         """Apply the commands and send the messages that are due after some physics steps."""
-        dt = self.world.dt
-        if self._robot.clock is not None:
-            self._stamp = EPOCH + round(1e9 * steps * dt)
-        else:  # the time that is simulated, also by a simulation that is behind the clock
+        if self._robot.clock is None:  # the time that is simulated, also by a simulation that is behind the clock
             self._stamp = clock.time_ns() - round(1e9 * self._behind)
-        if self._robot.clock is not None and steps >= self._times.due:
-            self._times.number += 1
-            self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
+        else:
+            self._stamp = EPOCH + round(1e9 * steps * self.world.dt)
+            if steps >= self._times.due:
+                self._times.number += 1
+                self._transport.publish(self._robot.clock.topic, clock_message(self._stamp))
         self._mux(steps)
         if steps >= self._frames.due:
             self._frames.number += 1

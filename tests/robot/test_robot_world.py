@@ -52,8 +52,8 @@ class Wire:
         return None
 
 
-def driven(at_one_second: Callable[[Wire, Any], None]) -> tuple[Wire, WorldResult, list[tuple[float, float]]]:
-    """A drive straight on; `at_one_second` is called once, then, in the thread that simulates."""
+def driven(at_one_second: Callable[[Callable[[], None]], None]) -> tuple[Wire, WorldResult, list[tuple[float, float]]]:
+    """A drive straight on; `at_one_second` is called once, in the thread that simulates, with what stops the car."""
     scenario, robot, wire = load_scenario("boxes"), load_robot("sim").model_copy(update={"clock": None}), Wire()
     vehicle = vehicle_of_task(scenario)
     codec = CommandCodec(robot, vehicle)
@@ -75,7 +75,7 @@ def driven(at_one_second: Callable[[Wire, Any], None]) -> tuple[Wire, WorldResul
             send(control)
         if not called and true.time >= 1.0:
             called = True
-            at_one_second(wire, lambda: send(0.0 * control))
+            at_one_second(lambda: send(0.0 * control))
         if true.time >= DRIVEN:
             world.cancelled = True
 
@@ -84,7 +84,7 @@ def driven(at_one_second: Callable[[Wire, Any], None]) -> tuple[Wire, WorldResul
 
 
 def test_a_stalled_simulation_catches_up_and_its_poses_are_those_of_a_robot_that_did_not_stall() -> None:
-    wire, result, _ = driven(lambda wire, stop: time.sleep(STALL))
+    wire, result, _ = driven(lambda stop: time.sleep(STALL))
     gaps = 1e-9 * np.diff(wire.stamps)
     assert result.lag >= 0.9 * STALL
     assert result.lost == 0.0
@@ -93,7 +93,7 @@ def test_a_stalled_simulation_catches_up_and_its_poses_are_those_of_a_robot_that
 
 
 def test_a_command_that_arrives_during_a_stall_acts_at_its_arrival() -> None:
-    def stall(wire: Wire, stop: Callable[[], None]) -> None:
+    def stall(stop: Callable[[], None]) -> None:
         time.sleep(STALL)
         stop()
 
@@ -104,6 +104,5 @@ def test_a_command_that_arrives_during_a_stall_acts_at_its_arrival() -> None:
 
 def test_a_simulation_that_cannot_keep_up_says_how_much_it_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_world, "BEHIND", 0.2)
-    _, result, _ = driven(lambda wire, stop: time.sleep(STALL))
-    assert result.lost == pytest.approx(result.lag)
-    assert result.lost >= 0.9 * STALL
+    _, result, _ = driven(lambda stop: time.sleep(STALL))
+    assert result.lost >= result.lag >= 0.9 * STALL

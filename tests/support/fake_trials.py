@@ -76,11 +76,10 @@ def slow(spec: TrialSpec) -> TrialResult:
 
 
 def uneven(spec: TrialSpec) -> TrialResult:
-    """The same; seed 0 ends after seed 1, which another worker has to run."""
-    if spec.seed == 1:
-        leave(spec, "ended")
+    """The same; seed 0 ends after seed 2 has begun, which another worker begins after the result of seed 1 is received."""
+    leave(spec, "begun")
     limit = time.monotonic() + 60
-    while spec.seed == 0 and not list(Path(os.environ[LEFT]).glob("*-1-ended-*")):
+    while spec.seed == 0 and not list(Path(os.environ[LEFT]).glob("*-2-begun-*")):
         assert time.monotonic() < limit
         time.sleep(0.02)
     return quick(spec)
