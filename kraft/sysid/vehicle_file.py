@@ -30,13 +30,17 @@ from kraft.vehicles.config import (
     Parameter,
     PoseNoise,
     Prediction,
+    Robot,
     SpeedPrediction,
     VehicleConfig,
+    with_files,
 )
 from kraft.vehicles.reference import split_file
 
 if TYPE_CHECKING:
+    from kraft.config.yaml_reader import Source
     from kraft.logs.log import Log
+    from ompl_ext.vehicle import Vehicle
 
 
 DIGITS: Final = 6
@@ -118,6 +122,7 @@ def vehicle_text(
         "",
         f"footprint: {{length: {_number(shape.length)}, width: {_number(shape.width)}{offset}}}",
         f"top_speed: {base.top_speed if isinstance(base.top_speed, str) else _number(base.top_speed)}",
+        *_kept(base.definition, folder),
         "",
         "identification:",
         *_mapping(record.model_dump(mode="json", exclude_none=True), "  "),
@@ -170,13 +175,41 @@ def _controls(base: BaseVehicle) -> Iterator[str]:
         yield f"controls: {{{limits}}}"
 
 
+def _kept(definition: VehicleConfig | Vehicle, folder: Path) -> Iterator[str]:
+    """What a vehicle file states beside the model, which is true of the identified vehicle too."""
+    if not isinstance(definition, VehicleConfig):
+        return
+    if definition.gravity_share is not None:
+        yield f"gravity_share: {_number(definition.gravity_share)}"
+    if definition.delay is not None:
+        yield f"delay: {_flow(definition.delay.model_dump())}"
+    if definition.truth is not None:
+        yield f"truth: {_flow(_robot(definition.truth, definition.source, folder))}"
+
+
+def _robot(robot: Robot, source: Source, folder: Path) -> dict[str, Any]:
+    """A `truth` section for a file in `folder`; files by their paths relative to the folder."""
+    content = robot.model_dump(mode="json", exclude_defaults=True)
+    files, _ = with_files(robot, Path(source.file).parent, source)  # they were there when the file was loaded
+    if "model" in files:
+        content["model"] = _relative(files["model"], folder)
+    if "mjcf" in files:
+        content["mjcf"] = os.path.relpath(files["mjcf"], folder.absolute())
+    return content
+
+
 def _model(reference: str, folder: Path) -> str:
     """Reference to the model for a file in `folder`; code in a file by its path relative to the folder."""
-    code = split_file(reference)
-    if code is None:
+    relative = _relative(reference, folder)
+    return relative if relative == reference else _text(relative)
+
+
+def _relative(reference: str, folder: Path) -> str:
+    """Reference to a vehicle; a file by its path relative to `folder`."""
+    path, attribute = split_file(reference) or (reference, "")
+    if not os.path.isabs(path):  # a name, or a module
         return reference
-    path, attribute = code
-    return _text(os.path.relpath(path, folder.absolute()) + (f":{attribute}" if attribute else ""))
+    return os.path.relpath(path, folder.absolute()) + (f":{attribute}" if attribute else "")
 
 
 # Written by hand: a Dumper of PyYAML that keeps this layout needs the same rules for quotes, flow style and digits, and

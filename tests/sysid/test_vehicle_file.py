@@ -28,7 +28,7 @@ from kraft.sysid.vehicle_file import (
     write_vehicle,
 )
 from kraft.vehicles.config import Parameter, SpeedPrediction, VehicleConfig, load_vehicle_config
-from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft_cli.main import main
 
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))
@@ -146,6 +146,30 @@ def test_a_bundled_file_written_anew_keeps_its_head_and_its_priors() -> None:
     assert [line for line in old if line.startswith(("model", "top_speed"))] == [
         line for line in lines if line.startswith(("model", "top_speed"))
     ]
+
+
+@pytest.mark.parametrize("name", ["jackal", "mushr-force", "f1tenth"])
+def test_the_true_robot_and_what_else_the_vehicle_states_is_kept(name: str, tmp_path: Path) -> None:
+    before = load_vehicle_config(name)
+    known = {symbol: estimated(p.value, 0.1, unit=p.unit) for symbol, p in before.parameters.items()}
+    after = written(tmp_path / "mine.yaml", name, known)
+    assert (after.gravity_share, after.delay) == (before.gravity_share, before.delay)
+    robots = [natural_robot(load_vehicle(each))[0] for each in (name, str(tmp_path / "mine.yaml"))]
+    assert robots[0] == robots[1]
+    assert name == "mushr-force" or after.truth is not None
+
+
+def test_a_true_robot_that_is_a_vehicle_file_is_found_from_the_new_file(tmp_path: Path) -> None:
+    (tmp_path / "true.yaml").write_text((bundled.folder("vehicle") / "mushr.yaml").read_text())
+    text = (bundled.folder("vehicle") / "mushr.yaml").read_text()
+    (tmp_path / "base.yaml").write_text(
+        text + "truth: {model: true.yaml, parameters: {L: 0.3}, process_noise: {v: 0.01}}\n"
+    )
+    (tmp_path / "deeper").mkdir()
+    known = dict(RESULT.parameters)
+    found = written(tmp_path / "deeper" / "mine.yaml", str(tmp_path / "base.yaml"), known).truth
+    assert found is not None
+    assert (found.model, dict(found.parameters), dict(found.process_noise)) == ("../true.yaml", {"L": 0.3}, {"v": 0.01})
 
 
 def test_code_becomes_a_file_that_finds_it_from_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
