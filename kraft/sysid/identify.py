@@ -41,7 +41,7 @@ from kraft.sysid.selection import (
     selection_note,
 )
 from kraft.sysid.smoothing import measured_noise
-from kraft.sysid.structure import HORIZON_SHARES, Structure, StructureSearch, as_good, best_of, chosen
+from kraft.sysid.structure import HORIZON_SHARES, NEGLIGIBLE, Structure, StructureSearch, best_of, chosen, is_near
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -153,7 +153,7 @@ def identify_terms(
         alike = other.alike(best)
         search.iterations += other.iterations
         trials.append(alike)
-        if as_good(alike, best_of(path)):
+        if is_near(alike, best_of(path), NEGLIGIBLE):
             vehicle, best = simpler, alike
     identification = _identified(best, search, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)

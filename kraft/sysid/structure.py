@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 AUXILIARY: Final = ("delay", "lever", "yaw_offset")
 """Auxiliary parameters beside the terms of the model; lags, dead bands and friction are terms of it."""
+OFFSETS: Final = ("lever", "yaw_offset")
+"""Those of the poses alone, which no effect of discrete steps looks like."""
 WINDOW_MIN: Final = 0.5
 """Least length of a window, s."""
 FIRST_GROWTH: Final = (0.2, 0.2, 0.3)
@@ -57,9 +59,15 @@ FOLDS_MIN: Final = 5
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
 """Most iterations of a fit whose weights are not final, and the relative decrease of its cost below which it ends."""
 WORSE_MAX: Final = 3
-"""Structures in a row that are not as good as the best, after which the search ends."""
-NEGLIGIBLE: Final = 0.02
-"""Share by which a simpler structure may predict worse."""
+"""Structures in a row that are clearly worse than the best, after which the search ends."""
+CLEARLY_WORSE: Final = 0.1
+"""Share by which a structure predicts worse that lacks something; without a needed term it is a multiple."""
+BESIDE: Final = 3
+"""Terms that cost least to switch off, of which each is tried in the structure to be taken."""
+NEGLIGIBLE: Final = 0.04
+"""Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
+NEGLIGIBLE_OFFSET: Final = 0.02
+"""The same for a structure that lacks an offset of the poses."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
 DIVERGED: Final = 1e6
@@ -226,13 +234,18 @@ class StructureSearch:
         return replace(self._judged(structure.terms, structure.graph, optimum), without=structure.without)
 
     def _judged(self, terms: tuple[str, ...], graph: MultiStep, optimum: Optimum) -> Structure:
-        """Errors of each fold with the parameters that the other folds give, to first order about the optimum."""
+        """Errors of each fold with the parameters that the other folds give, to first order about the optimum.
+
+        The parameters differ from those of the fit by the influence of the fold alone: what a fit of few iterations
+        has left, all folds have in common.
+        """
         p, point, windows = graph.problem.parameters, optimum.point, self.windows
         low, high = p.low - point.rho, p.high - point.rho
-        rhos = [
-            p.within_bounds(point.rho + bounded_step(_without_fold(optimum.factors, fold), 0.0, low, high, p.free))
-            for fold in range(windows.folds)
+        left = bounded_step(optimum.factors, 0.0, low, high, p.free)  # far too long where the fit is not at its end
+        steps = [
+            bounded_step(_without_fold(optimum.factors, fold), 0.0, low, high, p.free) for fold in range(windows.folds)
         ]
+        rhos = [p.within_bounds(point.rho + step - left) for step in steps]
         errors = np.full((windows.folds, len(HORIZON_SHARES)), np.nan)
         predictors = self._predictors_of_folds()
         predicted = in_parallel(lambda fold: predictors[fold].poses(rhos[fold]), range(windows.folds))
@@ -277,13 +290,28 @@ class StructureSearch:
         if idle:
             found.append(self.without(found[0], *idle))
         while found[-1].terms and not self._too_few(found):
-            found.append(self.without(found[-1], _cheapest(found[-1])))
-        return found
+            found.append(self.without(found[-1], _by_cost(found[-1])[0]))
+        return [*found, *self._beside(found)]
+
+    def _beside(self, path: Sequence[Structure]) -> list[Structure]:
+        """Structures beside a path: the one to be taken, without another term than the path switched off next.
+
+        The cost of switching off is linearised, and of two terms for the same effect the path may switch off the right
+        one first.
+        """
+        found: list[Structure] = []
+        while True:
+            taken = chosen([*path, *found])
+            tried = {each.terms for each in (*path, *found)}
+            others = [name for name in _by_cost(taken)[:BESIDE] if _less(taken, name) not in tried]
+            if not others:
+                return found
+            found += [self.without(taken, name) for name in others]
 
     @staticmethod
     def _too_few(path: Sequence[Structure]) -> bool:
         best = best_of(path)
-        return len(path) > WORSE_MAX and not any(as_good(s, best) for s in path[-WORSE_MAX:])
+        return len(path) > WORSE_MAX and not any(is_near(s, best, CLEARLY_WORSE) for s in path[-WORSE_MAX:])
 
     def alike(self, other: Structure) -> Structure:
         """The structure with the terms of one of another model, as far as this model has them."""
@@ -304,18 +332,28 @@ def best_of(path: Sequence[Structure]) -> Structure:
 def chosen(path: Sequence[Structure]) -> Structure:
     """The simplest structure that is as good as the best."""
     best = best_of(path)
-    near = [s for s in path if as_good(s, best)]
-    return min(near, key=lambda s: (len(s.terms), float(s.scores.mean())))
+    strict = _simplest([s for s in path if is_near(s, best, NEGLIGIBLE_OFFSET)])
+    needed = set(OFFSETS) & set(strict.terms)
+    return _simplest([s for s in path if needed <= set(s.terms) and is_near(s, best, NEGLIGIBLE)])
 
 
-def as_good(structure: Structure, best: Structure) -> bool:
-    """Whether the mean error is within one standard error of the best one, or nearly the same."""
-    difference, nearly = structure.scores - best.scores, NEGLIGIBLE * float(best.scores.mean())
+def _simplest(structures: Sequence[Structure]) -> Structure:
+    """The structure with the fewest terms, and among those the one with the least mean error."""
+    return min(structures, key=lambda s: (len(s.terms), float(s.scores.mean())))
+
+
+def is_near(structure: Structure, best: Structure, share: float) -> bool:
+    """Whether the mean error is within one standard error, or a share, of the best one."""
+    difference, nearly = structure.scores - best.scores, share * float(best.scores.mean())
     return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
 
 
-def _cheapest(structure: Structure) -> str:
-    """Term whose switching off raises the linearised cost least."""
+def _less(structure: Structure, name: str) -> tuple[str, ...]:
+    return tuple(term for term in structure.terms if term != name)
+
+
+def _by_cost(structure: Structure) -> list[str]:
+    """Terms of a structure in the order of how much switching one off raises the linearised cost."""
     p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
     held = held_at_bounds(factors, p.low - rho, p.high - rho)
     cost = {}
@@ -331,7 +369,7 @@ def _cheapest(structure: Structure) -> str:
             - total[k, others] @ np.linalg.lstsq(total[np.ix_(others, others)], total[others, k], rcond=None)[0]
         )
         cost[name] = schur * move**2
-    return min(cost, key=lambda name: cost[name])
+    return sorted(cost, key=lambda name: cost[name])
 
 
 def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, chosen: Bools) -> Floats:

@@ -1,0 +1,58 @@
+"""Which of several fitted structures is taken."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kraft.sysid.structure import Structure, StructureSearch, chosen
+
+FOLDS = 8
+UNUSED: Any = None
+
+
+def structure(terms: str, error: float, spread: float = 0.0) -> Structure:
+    """A structure whose mean error is `error`, and differs between folds by `spread`."""
+    errors = error + spread * np.linspace(-1.0, 1.0, FOLDS)[:, None] * np.ones((FOLDS, 3))
+    return Structure(tuple(terms.split()), UNUSED, UNUSED, errors, np.zeros((FOLDS, 1)))
+
+
+@pytest.mark.parametrize(
+    ("path", "taken"),
+    [
+        ([("drag slip", 1.0), ("slip", 1.03)], 1),
+        ([("drag slip", 1.0), ("slip", 1.05)], 0),
+        ([("drag slip", 1.0), ("slip", 1.3), ("", 1.03)], 2),
+        ([("slip yaw_offset", 1.0), ("slip", 1.03)], 0),
+        ([("slip yaw_offset", 1.0), ("slip", 1.01), ("", 1.03)], 2),
+        ([("delay slip", 1.0), ("slip", 1.03)], 1),
+    ],
+    ids=[
+        "hardly worse",
+        "worse",
+        "worse between",
+        "an offset of the poses matters",
+        "an idle one does not",
+        "a delay of a step",
+    ],
+)
+def test_the_simplest_is_taken_that_is_hardly_worse(path: list[tuple[str, float]], taken: int) -> None:
+    structures = [structure(*each) for each in path]
+    assert chosen(structures) is structures[taken]
+
+
+def test_what_the_folds_do_not_show_is_not_worse() -> None:
+    best, simpler = structure("drag slip", 1.0), structure("slip", 1.1, spread=0.6)
+    assert chosen([best, simpler]) is simpler
+
+
+@pytest.mark.parametrize(
+    ("errors", "ended"),
+    [((1.0, 1.05, 1.06, 1.07), False), ((1.0, 2.0, 3.0), False), ((1.0, 2.0, 3.0, 4.0), True)],
+    ids=["slightly worse", "two that are worse", "three that are worse"],
+)
+def test_the_search_ends_when_needed_terms_are_off(errors: tuple[float, ...], ended: bool) -> None:
+    path = [structure("a " * (len(errors) - k), error) for k, error in enumerate(errors)]
+    assert StructureSearch._too_few(path) is ended
