@@ -214,7 +214,7 @@ class StructureSearch:
 
     def without(self, structure: Structure, *off: str) -> Structure:
         """The structure with fewer terms, fitted again."""
-        terms = tuple(name for name in structure.terms if name not in off)
+        terms = _less(structure, *off)
         graph, before = self.graph(terms), structure.optimum.point
         p = graph.problem.parameters
         chosen = np.isin(p.names, off)
@@ -348,8 +348,9 @@ def is_near(structure: Structure, best: Structure, share: float) -> bool:
     return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
 
 
-def _less(structure: Structure, name: str) -> tuple[str, ...]:
-    return tuple(term for term in structure.terms if term != name)
+def _less(structure: Structure, *off: str) -> tuple[str, ...]:
+    """Terms of a structure without some."""
+    return tuple(name for name in structure.terms if name not in off)
 
 
 def _by_cost(structure: Structure) -> list[str]:
