@@ -75,6 +75,7 @@ SIDE: Final = 3.1  # width of the parts at the left and at the right
 MATRIX: Final = 2.1
 GAP: Final = 0.75
 ROWS: Final = (2.9, 3.3, 2.7)
+"""Heights of data and parameters (at least), fit, and prediction."""
 CHOICE: Final = 1.7
 """Height of the choice of the model; below it are the names of terms."""
 NAMES: Final = 0.8
@@ -111,7 +112,8 @@ def compose(
     """The page."""
     rows = note_rows_of(_notes(split, result, evaluation), WIDTH - LEFT - RIGHT)
     tops, top = [], HEADING + NOTES * len(rows) + 0.32
-    for height in ROWS:
+    heights = (max(ROWS[0], _table_height(result.parameters)), *ROWS[1:])
+    for height in heights:
         tops.append(top)
         top += height + GAP
     if result.trials or result.models:
@@ -158,7 +160,8 @@ def _draw_data(
     labels = max((text_width(name, SMALL) for name in result.names), default=0.0) / 72 + 0.1
     matrix = Rectangle(WIDTH - RIGHT - MATRIX, top, MATRIX, MATRIX)
     left = floor.left + floor.width + 0.3
-    table = Rectangle(left, top, matrix.left - labels - 0.25 - left, ROWS[0] + 0.2)
+    height = max(ROWS[0] + 0.2, _table_height(result.parameters))
+    table = Rectangle(left, top, matrix.left - labels - 0.25 - left, height)
     draw_parameters(figure, page, table, result.parameters, result.warnings)
     caption(figure, page, table, (("Parameters", INK), ("identified", IDENTIFIED), ("initial", INITIAL)))
     draw_correlation(page.axes(figure, matrix), result.names, result.correlation)
@@ -247,6 +250,8 @@ def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: Predict
 
 
 ROW: Final = 0.215
+LINE, LINES_BELOW = 0.145, 8
+"""Height of a small line; those for which there is room below the table."""
 BAR: Final = 0.75
 """Least width of the bars in the table: the width of their heading."""
 BETWEEN: Final = 0.12
@@ -260,8 +265,12 @@ BIN: Final = 0.1
 def draw_parameters(
     figure: Figure, page: Page, part: Rectangle, parameters: Mapping[str, ParameterEstimate], warnings: Sequence[str]
 ) -> None:
-    """Draw a table of parameters, with estimate and initial value between the bounds, and warnings below it."""
-    rows = [("", "value", "95 % interval", "initial"), *(_cells(name, each) for name, each in parameters.items())]
+    """Draw a table of parameters, with estimate and initial value between the bounds.
+
+    Below it are the parameters that were not estimated, in as few lines as they need, and warnings.
+    """
+    estimated = {name: each for name, each in parameters.items() if not each.frozen}
+    rows = [("", "value", "95 % interval", "initial"), *(_cells(name, each) for name, each in estimated.items())]
     widths = [
         max(text_width(cell, LABEL, bold=column == 0) for cell in cells) / 72
         for column, cells in enumerate(zip(*rows, strict=True))
@@ -276,11 +285,34 @@ def draw_parameters(
             page.text(figure, left, part.top + 0.12 + ROW * k, cell, size, colour, weight=weight)
         left += shrunk * widths[column] + BETWEEN
     page.text(figure, left, part.top + 0.12, "in its bounds", size, GREY)
-    for k, estimate in enumerate(parameters.values(), 1):
+    for k, estimate in enumerate(estimated.values(), 1):
         bar = Rectangle(left, part.top + ROW * k - 0.01, part.left + part.width - left, 0.16)
         _draw_bar(page.axes(figure, bar), estimate)
     below = part.top + 0.12 + ROW * len(rows)
+    for line in _frozen_lines(parameters, part.width):
+        page.text(figure, part.left, below, line, SMALL, GREY)
+        below += LINE
     _draw_warnings(figure, page, Rectangle(part.left, below, part.width, part.bottom - below), warnings)
+
+
+def _table_height(parameters: Mapping[str, ParameterEstimate]) -> float:
+    """Height of the table of estimated parameters, with room for a few lines below it, in."""
+    return ROW * (1 + sum(not each.frozen for each in parameters.values())) + LINES_BELOW * LINE
+
+
+def _frozen_lines(parameters: Mapping[str, ParameterEstimate], width: float) -> list[str]:
+    """Lines that name the parameters that were not estimated, with their values."""
+    frozen = [f"{name} {_number(each.value)}" for name, each in parameters.items() if each.frozen]
+    return textwrap.wrap(f"frozen: {', '.join(frozen)}", _columns(width), break_on_hyphens=False) if frozen else []
+
+
+def _columns(width: float) -> int:
+    """Letters of a small line."""
+    return int(width * 72 / (0.5 * SMALL))  # the mean width of a letter is about half its height
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:
@@ -290,20 +322,18 @@ def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:
     values = (estimate.value, *estimate.ci95, estimate.initial)
     value, low, high, initial = (f"{number:.{digits}f}".replace("-", "\N{MINUS SIGN}") for number in values)
     unit = "" if estimate.unit in ("", "1") else f", {estimate.unit}"
-    interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.interval_note}"
-    return f"{name}{unit}", value, interval, initial
+    return f"{name}{unit}", value, f"{low} to {high}{estimate.interval_note}", initial
 
 
 def _draw_warnings(figure: Figure, page: Page, part: Rectangle, warnings: Sequence[str]) -> None:
     """As many lines as there is room for."""
-    line = 0.145
-    columns = int(part.width * 72 / (0.5 * SMALL))  # the mean width of a letter is about half its height
+    columns = _columns(part.width)
     lines = [text for warning in warnings for text in textwrap.wrap(f"Warning: {warning}", columns)]
-    room = max(int(part.height / line), 0)
+    room = max(int(part.height / LINE), 0)
     if len(lines) > room > 0:
         lines = [*lines[: room - 1], "..."]
     for k, text in enumerate(lines[:room]):
-        page.text(figure, part.left, part.top + line * (k + 1), text, SMALL, WARNING)
+        page.text(figure, part.left, part.top + LINE * (k + 1), text, SMALL, WARNING)
 
 
 def _draw_bar(axes: Axes, estimate: ParameterEstimate) -> None:

@@ -62,8 +62,6 @@ WORSE_MAX: Final = 3
 """Structures in a row that are clearly worse than the best, after which the search ends."""
 CLEARLY_WORSE: Final = 0.1
 """Share by which a structure predicts worse that lacks something; without a needed term it is a multiple."""
-BESIDE: Final = 3
-"""Terms that cost least to switch off, of which each is tried in the structure to be taken."""
 NEGLIGIBLE: Final = 0.04
 """Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
 NEGLIGIBLE_OFFSET: Final = 0.02
@@ -214,7 +212,7 @@ class StructureSearch:
 
     def without(self, structure: Structure, *off: str) -> Structure:
         """The structure with fewer terms, fitted again."""
-        terms = _less(structure, *off)
+        terms = tuple(name for name in structure.terms if name not in off)
         graph, before = self.graph(terms), structure.optimum.point
         p = graph.problem.parameters
         chosen = np.isin(p.names, off)
@@ -290,23 +288,8 @@ class StructureSearch:
         if idle:
             found.append(self.without(found[0], *idle))
         while found[-1].terms and not self._too_few(found):
-            found.append(self.without(found[-1], _by_cost(found[-1])[0]))
-        return [*found, *self._beside(found)]
-
-    def _beside(self, path: Sequence[Structure]) -> list[Structure]:
-        """Structures beside a path: the one to be taken, without another term than the path switched off next.
-
-        The cost of switching off is linearised, and of two terms for the same effect the path may switch off the right
-        one first.
-        """
-        found: list[Structure] = []
-        while True:
-            taken = chosen([*path, *found])
-            tried = {each.terms for each in (*path, *found)}
-            others = [name for name in _by_cost(taken)[:BESIDE] if _less(taken, name) not in tried]
-            if not others:
-                return found
-            found += [self.without(taken, name) for name in others]
+            found.append(self.without(found[-1], _cheapest(found[-1])))
+        return found
 
     @staticmethod
     def _too_few(path: Sequence[Structure]) -> bool:
@@ -348,13 +331,8 @@ def is_near(structure: Structure, best: Structure, share: float) -> bool:
     return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
 
 
-def _less(structure: Structure, *off: str) -> tuple[str, ...]:
-    """Terms of a structure without some."""
-    return tuple(name for name in structure.terms if name not in off)
-
-
-def _by_cost(structure: Structure) -> list[str]:
-    """Terms of a structure in the order of how much switching one off raises the linearised cost."""
+def _cheapest(structure: Structure) -> str:
+    """Term whose switching off raises the linearised cost least."""
     p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
     held = held_at_bounds(factors, p.low - rho, p.high - rho)
     cost = {}
@@ -370,7 +348,7 @@ def _by_cost(structure: Structure) -> list[str]:
             - total[k, others] @ np.linalg.lstsq(total[np.ix_(others, others)], total[others, k], rcond=None)[0]
         )
         cost[name] = schur * move**2
-    return sorted(cost, key=lambda name: cost[name])
+    return min(cost, key=lambda name: cost[name])
 
 
 def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, chosen: Bools) -> Floats:

@@ -129,6 +129,28 @@ def test_long_names_and_remarks_leave_the_table_beside_the_matrix() -> None:
     assert heading.get_window_extent().x1 < labels
 
 
+def test_the_fit_is_below_a_long_table_and_what_is_frozen_is_in_its_last_lines() -> None:
+    names = tuple(f"term_{k}" for k in range(24))
+    parameters = {name: estimated(0.2, 0.01, min=0.0) for name in names}
+    parameters |= {f"off_{k}": replace(estimated(0.0, 0.0, min=0.0), frozen=True) for k in range(12)}
+    covariance = np.eye(len(names))
+    result = replace(
+        RESULT,
+        parameters=parameters,
+        names=names,
+        auxiliary=(),
+        covariance=covariance,
+        graph_covariance=covariance,
+        warnings=("one", "two"),
+    )
+    figure = page(SPLIT, result)
+    figure.canvas.draw()
+    lowest = {text.get_text(): text.get_window_extent().y0 for text in figure.texts}
+    (frozen,) = (y for said, y in lowest.items() if said.startswith("frozen: off_0 0, "))
+    (fit,) = (y for said, y in lowest.items() if said.startswith("Fit of "))
+    assert lowest["term_23, m"] > frozen > lowest["Warning: one"] > lowest["Warning: two"] > fit
+
+
 def test_everything_frozen_leaves_a_page() -> None:
     frozen = {name: replace(each, frozen=True, std=0.0) for name, each in RESULT.parameters.items()}
     is_zero = np.zeros((0, 0))
