@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from kraft.plot.frame import Frame, PoseTrajectory, outlines
-from kraft.plot.page import Curve, LegendEntry, Panel, draw_legend, draw_panel, draw_title, lay_out, quantity
+from kraft.plot.page import Curve, Frame, LegendEntry, Panel, draw_legend, draw_panel, draw_title, lay_out, quantity
 from kraft.plot.scene import (
     Label,
+    PoseTrajectory,
     draw_contingency,
     draw_goal,
     draw_labels,
@@ -25,6 +25,7 @@ from kraft.plot.scene import (
     draw_start,
     draw_workspace,
     footprint_interval,
+    outlines,
     tree_lines,
     widest_place,
 )

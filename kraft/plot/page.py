@@ -1,7 +1,11 @@
-"""Layout of a page: size, map, panels, heading, notes and legend; and the legend itself.  Lengths in inches."""
+"""Layout of a page: size, map and what it shows, panels, heading, notes and legend; and the legend itself.
+
+Lengths are inches, but for those in the world.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
@@ -14,7 +18,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle as Box
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from kraft.plot.frame import Frame
 from kraft.plot.style import (
     DASHED,
     GREY,
@@ -30,6 +33,7 @@ from kraft.plot.style import (
     shortened,
     text_width,
 )
+from kraft.scenario import Bounds
 from ompl_ext.arrays import Floats
 
 WIDTH = 9.0
@@ -45,6 +49,50 @@ NOTE_GAP = 20.0  # between notes, pt
 
 SAMPLE, OUTLINE, GAP = 0.28, 0.2, 0.18  # inches: samples of a line and of a footprint, space between entries
 BAR, BAR_HEIGHT = 1.2, 0.09
+TALL = 1.2  # a scene higher than this many widths is turned by a quarter, so that it fills the page's width
+MARGIN = 0.02  # of the longer side, so that walls on the bounds are visible
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The visible part of the world, m, and whether the page shows it turned clockwise by a quarter.
+
+    Page coordinates are metres too: (x, y), or (y, -x) when turned.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    turned: bool
+
+    @classmethod
+    def around(cls, bounds: Bounds) -> Frame:
+        """Frame of the bounds with a margin; never flatter than 1 : 8, so that there is room for labels."""
+        width, height = (high - low for low, high in (bounds.x, bounds.y))
+        longest = max(width, height)
+        spans = []
+        for (low, high), size in ((bounds.x, width), (bounds.y, height)):
+            margin = max(MARGIN * longest, (longest / 8 - size) / 2)
+            spans.append((low - margin, high + margin))
+        return cls(spans[0], spans[1], height > TALL * width)
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Horizontal and vertical limits of the page, m."""
+        return (self.y, (-self.x[1], -self.x[0])) if self.turned else (self.x, self.y)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height on the page, m."""
+        (left, right), (low, high) = self.limits
+        return right - left, high - low
+
+    def points(self, world: Floats) -> Floats:
+        """Page coordinates of points in the world, both of shape (..., 2), m."""
+        return np.stack([world[..., 1], -world[..., 0]], axis=-1) if self.turned else world
+
+    def heading(self, theta: float) -> float:
+        """Direction on the page, rad, of a heading in the world."""
+        return theta - math.pi / 2 if self.turned else theta
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,29 @@ from matplotlib.ticker import MaxNLocator
 
 from kraft.driving.messages import Cycle, ReferenceKind, as_driven
 from kraft.planning.workspace import workspace_of
-from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
-from kraft.plot.page import HELD, Curve, LegendEntry, Panel, draw_legend, draw_panel, draw_title, lay_out, quantity
-from kraft.plot.scene import Label, draw_goal, draw_labels, draw_obstacle, draw_start, draw_workspace
+from kraft.plot.page import (
+    HELD,
+    Curve,
+    Frame,
+    LegendEntry,
+    Panel,
+    draw_legend,
+    draw_panel,
+    draw_title,
+    lay_out,
+    quantity,
+)
+from kraft.plot.scene import (
+    Label,
+    PoseTrajectory,
+    arrowheads,
+    draw_goal,
+    draw_labels,
+    draw_obstacle,
+    draw_start,
+    draw_workspace,
+    outlines,
+)
 from kraft.plot.style import (
     CYCLE,
     DASHED,

@@ -1,4 +1,4 @@
-"""Scene on the map: workspace, obstacles, tree and goal; the plan with its footprints, its contingency, and labels.
+"""Scene on the map: workspace, obstacles, tree and goal; plans with their poses and footprints, contingency, labels.
 
 Each label is placed where it covers least.
 """
@@ -21,7 +21,8 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 from matplotlib.transforms import Affine2D
 
-from kraft.plot.frame import Frame, PoseTrajectory, arrowheads, outlines
+from kraft.planning.workspace import poses_of
+from kraft.plot.page import Frame
 from kraft.plot.style import (
     CYCLE,
     CYCLE_PALE,
@@ -46,11 +47,65 @@ from kraft.plot.style import (
 from kraft.scenario import Bounds, Box, Circle, Goal, Obstacle, OccupancyMap, Polygon
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import TreeView
-from ompl_ext.vehicle import Vehicle
+from ompl_ext.vehicle import Footprint, Vehicle
 
 EDGES_MAX = 30_000  # more edges cannot be distinguished
 EDGES_AS_LINES = 2_000  # more would make vector pictures too large: they become pixels
 TICK_SPACING = 0.5  # at least, inches
+
+
+@dataclass(frozen=True)
+class PoseTrajectory:
+    """Poses (m, 3), x, y in m and theta in rad, at increasing `times` (m,) in s."""
+
+    times: Floats
+    poses: Matrix
+
+    @classmethod
+    def of(cls, times: Floats, states: Matrix, vehicle: Vehicle) -> PoseTrajectory:
+        """The poses of states (m, nx); a vehicle without theta never turns."""
+        poses = poses_of(states, vehicle)
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return cls(times, poses)
+
+    @property
+    def end(self) -> float:
+        """Time of the last pose, s."""
+        return float(self.times[-1])
+
+    def at(self, times: Floats) -> Matrix:
+        """Poses (k, 3) at `times` (k,), s, by linear interpolation."""
+        return np.column_stack([np.interp(times, self.times, column) for column in self.poses.T])
+
+    def between(self, begin: float, end: float) -> Matrix:
+        """Poses from `begin` to `end`, s, including the interpolated poses at both."""
+        inside = self.times[(self.times > begin) & (self.times < end)]
+        return self.at(np.concatenate([[begin], inside, [end]]))
+
+    @property
+    def length(self) -> float:
+        """Distance travelled, m."""
+        return float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+
+
+def outlines(footprint: Footprint, poses: Matrix) -> Floats:
+    """The footprint at each pose (k, 3): corners in the world, shape (k, 4, 2), m."""
+    return _placed(footprint.corners(), poses)
+
+
+def arrowheads(footprint: Footprint, poses: Matrix) -> Floats:
+    """Mark at the front of each footprint that shows the heading: shape (k, 3, 2), m."""
+    front, half = footprint.offset + footprint.length / 2, footprint.width / 2
+    tip, back = front - 0.08 * footprint.length, front - 0.25 * footprint.length
+    return _placed(np.array([[back, 0.5 * half], [tip, 0.0], [back, -0.5 * half]]), poses)
+
+
+def _placed(points: Floats, poses: Matrix) -> Floats:
+    """Points (n, 2) of the body frame in the world, at each pose (k, 3): shape (k, n, 2)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    turn = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    placed: Floats = np.einsum("kij,nj->kni", turn, points) + poses[:, None, :2]
+    return placed
 
 
 def draw_workspace(axes: Axes, frame: Frame, bounds: Bounds, scale: float) -> None:

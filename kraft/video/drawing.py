@@ -16,7 +16,7 @@ from matplotlib.colors import to_rgb
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind, as_driven
 from kraft.planning.workspace import poses_of, workspace_of
-from kraft.plot.frame import outlines
+from kraft.plot.scene import outlines
 from kraft.plot.style import CYCLE, GOAL, WARNING
 from kraft.simulation.floor_frame import Surface
 from kraft.simulation.true_world import TrueWorld

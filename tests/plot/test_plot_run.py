@@ -12,7 +12,7 @@ from PIL import Image
 
 from kraft.driving.method import load_method
 from kraft.errors import InputError
-from kraft.plot.frame import Frame
+from kraft.plot.page import Frame
 from kraft.plot.run import (
     OBSERVATION,
     DrivenTrajectory,
