@@ -162,13 +162,14 @@ class ClosedLoopPredictor:
         ticks = max(0, math.ceil((end - begin) / self.period - 1e-9))
         times = np.minimum(begin + self.period * np.arange(ticks + 1), end)
         states, slack = [np.asarray(state, dtype=float)], math.inf
-        for now, after in itertools.pairwise(times):
+        controls = np.zeros((ticks, len(self.dirt.vehicle.controls)))
+        for tick, (now, after) in enumerate(itertools.pairwise(times)):
             estimate = Estimate(float(now), states[-1], 0.0)
-            control = controller.command(estimate, commitment.reference_at(estimate.time))
+            control = controls[tick] = controller.command(estimate, commitment.reference_at(estimate.time))
             trajectory, step_slack = self.dirt.edge(states[-1], control, float(after - now), float(now - begin))
             states.append(trajectory[-1])
             slack = min(slack, step_slack)
-        return PredictedMotion(times, np.array(states), slack)
+        return PredictedMotion(times, np.array(states), slack, controls=controls)
 
     def until_rest(self, state: Floats, begin: float, contingency: Reference) -> PredictedMotion:
         """Track a contingency from `state` at `begin` s until standstill, with SAFETY's clearance all the way.

@@ -181,12 +181,14 @@ class PredictedMotion:
 
     `slack` is a lower bound of the clearance minus the required clearance (m), negative if the motion may violate it.
     `delta` (n + 1,) is the clearance delta(v) that the method asks of each state (m); None if it asks for none.
+    `controls` (n, nu) are those between the states, if they are known.
     """
 
     times: Floats
     states: Matrix
     slack: float
     delta: Floats | None = None
+    controls: Matrix | None = None
 
     @property
     def final_state(self) -> Floats:

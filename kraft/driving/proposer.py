@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kraft.driving.clearance import MIN_GOAL_RADIUS, DeviationBound, Levels, Solvers
+from kraft.driving.command_loss import CommandLoss
 from kraft.driving.contingencies import least_slack
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import PlanLoss
@@ -40,6 +41,7 @@ STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if t
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
 PROBES = 2  # attempts at retaining a rest at another level
+LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
 LEVEL_TIME = 0.15  # share of the remaining time in which a search finds a way at a level, by the clock
 RESERVED_TIME = 0.2  # share of the time of a cycle that is left for other levels, by the clock
 
@@ -91,9 +93,11 @@ class Proposer:
         *,
         realtime: bool = False,
         keep_trees: bool = False,
+        command_timeout: float | None = None,
     ) -> None:
         self._settings, self._seed, self._realtime, self._keep_trees = settings, seed, realtime, keep_trees
         self._solvers, self.dirt = solvers, solvers.checking
+        self._loss = None if command_timeout is None else CommandLoss(self.dirt, command_timeout)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         assert self.dirt.goal is not None, "a task has a goal"
         self._goal = self.dirt.goal
@@ -295,6 +299,8 @@ class Proposer:
         kept = None if rest is None or self._settings.switch_gain == 0.0 else retained_plan(dirt, rest)
         progress = self._grow(dirt, query, share, is_last)
         plan, refused = self._choose(dirt, kept)
+        if plan is not None and self._loss is not None:
+            plan = self._with_room_for_loss(dirt, plan, self._loss)
         if plan is not None:
             self._verify(query.number, dirt, plan)
         reason = "" if plan is not None else _failure_reason(progress)
@@ -317,6 +323,17 @@ class Proposer:
             if goes_same_way(dirt, plan, kept):
                 return plan, True
         return kept, True
+
+    def _with_room_for_loss(self, dirt: DirtSolver, plan: Plan, loss: CommandLoss) -> Plan:
+        """The plan, or the next best one of the tree on which the vehicle stops in time if commands are lost.
+
+        If there is none, whether the plan may be executed is decided when its cycle begins.
+        """
+        cycle = self._settings.cycle
+        if loss.keeps(plan, cycle):
+            return plan
+        others = (dirt.plan_to(int(node)) for node in dirt.goal_nodes()[1 : LOSS_CANDIDATES + 1])
+        return next((each for each in others if loss.keeps(each, cycle)), plan)
 
     def _grow(self, dirt: DirtSolver, query: _Query, share: float, is_last: bool) -> Progress:
         """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan."""

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from kraft.driving.clearance import BoundCalibration, DeviationBound, Solvers
+from kraft.driving.command_loss import CommandLoss
 from kraft.driving.contingencies import (  # fmt: skip
     ClosedLoopPredictor,
     ContingencyRanking,
@@ -80,6 +81,8 @@ class Replanner:
         delay: communication delay from the replanner to the controller, s.
         realtime: limit planning by wall-clock time instead of iterations.
         keep_trees: keep a copy of the tree in each cycle.
+        command_timeout: time after the last command when the robot stops itself (s); plans leave room for that.  None
+            for a robot that loses no commands.
     """
 
     def __init__(
@@ -93,10 +96,15 @@ class Replanner:
         delay: float = 0.0,
         realtime: bool = False,
         keep_trees: bool = False,
+        command_timeout: float | None = None,
     ) -> None:
         self._settings, self._solvers, self.dirt = settings, solvers, solvers.checking
-        self._propose_with = partial(Proposer, settings=settings, seed=seed, realtime=realtime, keep_trees=keep_trees)
+        self._propose_with = partial(
+            Proposer, settings=settings, seed=seed, realtime=realtime, keep_trees=keep_trees,
+            command_timeout=command_timeout,
+        )  # fmt: skip
         self._proposer = self._propose_with(solvers)
+        self._loss = None if command_timeout is None else CommandLoss(self.dirt, command_timeout)
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
         self._model: VehicleModel | None = None
@@ -152,6 +160,8 @@ class Replanner:
         self._solvers, self.dirt = solvers, solvers.checking
         self._proposer = self._propose_with(solvers)
         self._predict = replace(self._predict, dirt=self.dirt)
+        if self._loss is not None:
+            self._loss = replace(self._loss, dirt=self.dirt)
         if self._ranking is not None:
             assert self._model is not None, "a ranking has a model"
             self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
@@ -260,6 +270,9 @@ class Replanner:
             return self._choose_contingency(root, cycle_start, current, reason)
         if not self.dirt.safety.enabled:
             return Decision(reference, predicted, "", plan)
+        if self._loss is not None and self._loss.slack(predicted) < 0.0:
+            reason = "from the latest estimate the plan leaves no room for a stop without commands"
+            return self._choose_contingency(root, cycle_start, current, reason)
         stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_end)
         if stop is None:
             return self._choose_contingency(

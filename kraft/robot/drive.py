@@ -274,6 +274,7 @@ class Planner:
         return Replanner(
             self._solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
             period=spec.period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
+            command_timeout=spec.robot.command.timeout,
         )  # fmt: skip
 
     def decide(self, request: PlanRequest) -> tuple[Planned, Any]:

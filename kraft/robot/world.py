@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from kraft.driving.vehicle_model import stop_control
+from kraft.driving.command_loss import braking_control
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.display import occupancy_grid
@@ -268,11 +268,7 @@ class RobotWorld:
         """Control with which the motor's controller holds the speed 0, with the steering that is held."""
         state = start_state(self._scenario.task(), self._vehicle)
         state[self._vehicle.rest_indices[0]] = self.world.speed if abs(self.world.speed) > STANDS else 0.0
-        control = stop_control(self._vehicle, state, 0)
-        for k, name in enumerate(self._vehicle.controls):
-            if name == "steering":
-                control[k] = self._held[k]
-        return control
+        return braking_control(self._vehicle, state, self._held)
 
     def _expose(self, steps: int) -> None:
         """Take a frame; its pose is sent after the camera's latency."""

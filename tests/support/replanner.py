@@ -42,6 +42,7 @@ def replanner(
     tracking: bool = False,
     model: str = "mushr",
     delay: float = 0.0,
+    command_timeout: float | None = None,
     **settings: object,
 ) -> Replanner:
     planner = PlannerSettings(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
@@ -49,8 +50,9 @@ def replanner(
     vehicle = load_vehicle(model)
     controller = make_controller(kind, CarModel(vehicle))
     return Replanner(
-        Solvers.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay
-    )
+        Solvers.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay,
+        command_timeout=command_timeout,
+    )  # fmt: skip
 
 
 def start() -> Floats:

@@ -1,0 +1,75 @@
+"""Loss of commands: the way of a robot that its multiplexer stops, and the clearance on it.
+
+Without commands a robot holds the last one for the multiplexer's timeout.  Then it brakes with its wheels as they are.
+No controller tracks anything meanwhile, so the contingency on board does not help: a plan has to leave room for this.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from kraft.driving.contingencies import is_resting, plan_reference
+from kraft.driving.messages import PredictedMotion
+from kraft.driving.vehicle_model import stop_control
+from ompl_ext.arrays import Floats
+from ompl_ext.plan import Plan
+from ompl_ext.solver import DirtSolver
+from ompl_ext.vehicle import Vehicle
+
+MOMENTS: Final = 0.1
+"""Time between two moments at which the loss of commands is examined, s."""
+STEP: Final = 0.05
+"""Time for which a control of the braking robot is held in the prediction, s."""
+
+
+def braking_control(vehicle: Vehicle, state: Floats, held: Floats) -> Floats:
+    """Control (nu,) of a multiplexer that brakes in a state (nx,), with the steering of the `held` control (nu,)."""
+    control = stop_control(vehicle, state, 0)
+    kept = [k for k, name in enumerate(vehicle.controls) if name == "steering"]
+    control[kept] = held[kept]
+    return control
+
+
+@dataclass(frozen=True)
+class CommandLoss:
+    """Predicts where a robot stops without commands; `dirt` has the model and the obstacles, `timeout` is in s."""
+
+    dirt: DirtSolver
+    timeout: float
+
+    def slack(self, motion: PredictedMotion) -> float:
+        """Least slack (m) if commands are lost in a cycle; not all of it is examined once it is negative."""
+        assert motion.controls is not None, "the motion of a cycle is predicted with its controls"
+        begin = due = float(motion.times[0])
+        worst = math.inf
+        for time, state, control in zip(motion.times[:-1], motion.states[:-1], motion.controls, strict=True):
+            if time < due - 1e-9:
+                continue
+            due = float(time) + MOMENTS
+            worst = min(worst, self._slack_after(state, control, float(time) - begin))
+            if worst < 0.0:
+                break
+        return worst
+
+    def _slack_after(self, state: Floats, held: Floats, since: float) -> float:
+        """Slack from the last command to standstill, negative if the robot does not stand within SAFETY's horizon."""
+        dirt, safety = self.dirt, self.dirt.safety
+        trajectory, slack = dirt.edge(state, held, self.timeout, since)
+        for _ in range(math.ceil(safety.horizon / STEP)):
+            if slack < 0.0 or is_resting(dirt, trajectory[-1]):
+                return slack
+            control = braking_control(dirt.vehicle, trajectory[-1], held)
+            trajectory, step_slack = dirt.edge(trajectory[-1], control, STEP, since)
+            slack = min(slack, step_slack)
+        return -1.0
+
+    def keeps(self, plan: Plan, cycle: float) -> bool:
+        """Whether a robot on a plan stops with clearance if commands are lost within its first `cycle` s."""
+        reference = plan_reference(self.dirt.vehicle, plan, 0.0)
+        last = min(int(np.searchsorted(reference.times, cycle - 1e-9)), len(reference.controls))
+        times, states = reference.times[: last + 1], reference.states[: last + 1]
+        return self.slack(PredictedMotion(times, states, 0.0, controls=reference.controls[:last])) >= 0.0

@@ -1,0 +1,124 @@
+"""Loss of commands: where the robot's multiplexer stops it, and plans that leave room for that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from support.replanner import replanner, start, turns
+
+from kraft.driving.clearance import Solvers
+from kraft.driving.command_loss import CommandLoss, braking_control
+from kraft.driving.messages import Estimate, PredictedMotion, ReferenceKind
+from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.proposer import Proposer
+from kraft.planning.workspace import poses_of
+from kraft.vehicles.load import load_vehicle
+from ompl_ext.plan import Plan
+
+PLANNER = PlannerSettings(
+    mode="replanning", iterations=600, safety=Clearance(delta=0.01), on_board="contingency", contingencies="tracked"
+)
+SOLVERS = Solvers.of(turns(), load_vehicle("mushr-drive"), PLANNER)
+DIRT = SOLVERS.checking
+SPEED = 0.6
+WALL = 5.95
+"""Near side of the far wall of Turns, m."""
+REASON = "no room for a stop without commands"
+
+
+def on_the_way(y: float) -> PredictedMotion:
+    """A tick of a car that drives straight on to the far wall at SPEED."""
+    state = np.array([1.2, y, math.pi / 2, SPEED])
+    control = np.array([0.9, 0.0])
+    trajectory, slack = DIRT.edge(state, control, 1 / 30)
+    return PredictedMotion(np.array([0.0, 1 / 30]), trajectory[[0, -1]], slack, controls=control[None, :])
+
+
+def test_a_multiplexer_brakes_with_the_wheels_as_they_are() -> None:
+    control = braking_control(DIRT.vehicle, np.array([0.0, 0.0, 0.0, SPEED]), np.array([0.9, 0.3]))
+    assert control[0] < 0.0
+    assert control[1] == 0.3
+
+
+def nearest(slack: Callable[[float], float]) -> float:
+    """Largest y at which the slack is not negative, by bisection."""
+    near, far = 4.6, WALL
+    while far - near > 1e-4:
+        middle = 0.5 * (near + far)
+        near, far = (middle, far) if slack(middle) >= 0.0 else (near, middle)
+    return near
+
+
+@pytest.mark.parametrize("timeout", [0.1, 0.2, 0.5])
+def test_the_way_without_commands_is_that_of_the_timeout_and_of_braking(timeout: float) -> None:
+    """A moving car needs that way more before the wall than one that stands."""
+    loss, zero = CommandLoss(DIRT, timeout), np.zeros(2)
+    standing = nearest(lambda y: DIRT.edge(np.array([1.2, y, math.pi / 2, 0.0]), zero, 0.0, 0.0)[1])
+    held = np.array([0.9, 0.0])
+    state = DIRT.edge(on_the_way(4.6).states[0], held, timeout)[0][-1]
+    while state[3] > DIRT.safety.rest_speed:
+        state = DIRT.edge(state, braking_control(DIRT.vehicle, state, held), 0.05)[0][-1]
+    way = float(state[1]) - 4.6
+    assert way > SPEED * timeout
+    assert standing - nearest(lambda y: loss.slack(on_the_way(y))) == pytest.approx(way, abs=0.02)
+
+
+def test_a_later_moment_of_the_cycle_counts_as_well() -> None:
+    loss = CommandLoss(DIRT, 0.2)
+    control = np.array([0.9, 0.0])
+    state, states = on_the_way(5.0).states[0], [on_the_way(5.0).states[0]]
+    for _ in range(24):
+        state = DIRT.edge(state, control, 1 / 30)[0][-1]
+        states.append(state)
+    times = np.arange(25) / 30
+    whole = PredictedMotion(times, np.array(states), 0.0, controls=np.tile(control, (24, 1)))
+    begin = replace(whole, times=times[:2], states=whole.states[:2], controls=control[None, :])
+    assert loss.slack(begin) >= 0.0
+    assert loss.slack(whole) < 0.0
+
+
+def test_a_plan_that_leaves_no_room_is_not_committed() -> None:
+    """With a timeout of seconds hardly any plan does; the plan's own clearance is the same."""
+    settings = {"safety": Clearance(delta=0.01), "on_board": "contingency", "contingencies": "tracked"}
+    cycles = {}
+    for timeout in (None, 6.0):
+        subject = replanner(model="mushr-drive", tracking=True, command_timeout=timeout, **settings)
+        state, found = start(), []
+        current = subject.begin(state)
+        for number in range(4):
+            cycle = subject.step(Estimate(max(0.0, number - 0.1), state, 0.0), current)
+            current, state = cycle.commitment, cycle.predicted.final_state
+            found.append(cycle)
+        cycles[timeout] = found
+    refused = {timeout: [cycle for cycle in found if REASON in cycle.reason] for timeout, found in cycles.items()}
+    assert cycles[None][1].kind is ReferenceKind.PLAN
+    assert refused[None] == []
+    assert refused[6.0]
+    assert all(cycle.kind is ReferenceKind.CONTINGENCY for cycle in refused[6.0])
+
+
+@dataclass(frozen=True)
+class _Refusing(CommandLoss):
+    """Refuses the first plan that it is asked about."""
+
+    seen: list[Plan]
+
+    def keeps(self, plan: Plan, cycle: float) -> bool:
+        self.seen.append(plan)
+        return len(self.seen) > 1
+
+
+def test_another_plan_of_the_tree_is_proposed_if_the_best_one_leaves_no_room() -> None:
+    proposer = Proposer(SOLVERS, PLANNER, 0, command_timeout=0.2)
+    refusing = _Refusing(DIRT, 0.2, [])
+    proposer._loss = refusing
+    proposal = proposer.propose(0, start(), None)
+    best, other = refusing.seen
+    assert proposal.plan is other
+    assert other.reaches_goal
+    assert other.cost >= best.cost
+    assert (poses_of(other.trajectory[:1], DIRT.vehicle) == poses_of(best.trajectory[:1], DIRT.vehicle)).all()
