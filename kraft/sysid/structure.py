@@ -58,6 +58,8 @@ FOLDS_MIN: Final = 5
 """Least number of folds: fewer logs are cut into blocks of windows."""
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
 """Most iterations of a fit whose weights are not final, and the relative decrease of its cost below which it ends."""
+VARIATION_ROUNDS, VARIATION_CHANGE = 3, 0.3
+"""Most estimates of the variation with the chosen terms, and the relative change below which one is the last."""
 WORSE_MAX: Final = 3
 """Structures in a row that are clearly worse than the best, after which the search ends."""
 CLEARLY_WORSE: Final = 0.1
@@ -227,9 +229,18 @@ class StructureSearch:
         return replace(fitted, without=", ".join(off))
 
     def converged(self, structure: Structure) -> Structure:
-        """The structure after a fit to the end."""
-        optimum = self._optimise(structure.graph, structure.optimum.point)
-        return replace(self._judged(structure.terms, structure.graph, optimum), without=structure.without)
+        """The structure after a fit to the end, with the variation of parameters estimated again.
+
+        The first estimate was made with terms that are off now; too large a variation makes predictions follow noise.
+        """
+        graph, optimum = structure.graph, self._optimise(structure.graph, structure.optimum.point)
+        for _ in range(VARIATION_ROUNDS):
+            before, self.variation = self.variation, graph.found_variation(optimum.point.states)
+            graph = self.graph(structure.terms)
+            optimum = self._optimise(graph, optimum.point)
+            if np.allclose(self.variation.between, before.between, rtol=VARIATION_CHANGE):
+                break
+        return replace(self._judged(structure.terms, graph, optimum), without=structure.without)
 
     def _judged(self, terms: tuple[str, ...], graph: MultiStep, optimum: Optimum) -> Structure:
         """Errors of each fold with the parameters that the other folds give, to first order about the optimum.
