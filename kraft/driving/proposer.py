@@ -83,7 +83,7 @@ class _Query:
 
 
 class Proposer:
-    """Searches the plan for the next cycle; `dirt` is the solver without margin."""
+    """Searches the plan for the next cycle; `dirt` is the solver without margin, `loss` predicts a loss of commands."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class Proposer:
     ) -> None:
         self._settings, self._seed, self._realtime, self._keep_trees = settings, seed, realtime, keep_trees
         self._solvers, self.dirt = solvers, solvers.checking
-        self._loss = None if command_timeout is None else CommandLoss(self.dirt, command_timeout)
+        self.loss = None if command_timeout is None else CommandLoss(self.dirt, command_timeout)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         assert self.dirt.goal is not None, "a task has a goal"
         self._goal = self.dirt.goal
@@ -299,8 +299,8 @@ class Proposer:
         kept = None if rest is None or self._settings.switch_gain == 0.0 else retained_plan(dirt, rest)
         progress = self._grow(dirt, query, share, is_last)
         plan, refused = self._choose(dirt, kept)
-        if plan is not None and self._loss is not None:
-            plan = self._with_room_for_loss(dirt, plan, self._loss)
+        if plan is not None and self.loss is not None:
+            plan = self._with_room_for_loss(dirt, plan, self.loss)
         if plan is not None:
             self._verify(query.number, dirt, plan)
         reason = "" if plan is not None else _failure_reason(progress)

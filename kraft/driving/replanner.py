@@ -15,7 +15,6 @@ from functools import partial
 import numpy as np
 
 from kraft.driving.clearance import BoundCalibration, DeviationBound, Solvers
-from kraft.driving.command_loss import CommandLoss
 from kraft.driving.contingencies import (  # fmt: skip
     ClosedLoopPredictor,
     ContingencyRanking,
@@ -104,7 +103,6 @@ class Replanner:
             command_timeout=command_timeout,
         )  # fmt: skip
         self._proposer = self._propose_with(solvers)
-        self._loss = None if command_timeout is None else CommandLoss(self.dirt, command_timeout)
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
         self._model: VehicleModel | None = None
@@ -160,8 +158,6 @@ class Replanner:
         self._solvers, self.dirt = solvers, solvers.checking
         self._proposer = self._propose_with(solvers)
         self._predict = replace(self._predict, dirt=self.dirt)
-        if self._loss is not None:
-            self._loss = replace(self._loss, dirt=self.dirt)
         if self._ranking is not None:
             assert self._model is not None, "a ranking has a model"
             self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
@@ -270,7 +266,7 @@ class Replanner:
             return self._choose_contingency(root, cycle_start, current, reason)
         if not self.dirt.safety.enabled:
             return Decision(reference, predicted, "", plan)
-        if self._loss is not None and self._loss.slack(predicted) < 0.0:
+        if self._proposer.loss is not None and self._proposer.loss.slack(predicted) < 0.0:
             reason = "from the latest estimate the plan leaves no room for a stop without commands"
             return self._choose_contingency(root, cycle_start, current, reason)
         stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_end)

@@ -124,7 +124,7 @@ def compose(
     figure = Figure(figsize=(page.width, page.height))
     warning = f"not identified: {objections[0]}" if objections else None
     page.heading(figure, f"{vehicle.name}, identified from {counted(len(split.fitted), 'log')}", warning)
-    _draw_data(figure, page, floor, split, result, tops[0])
+    _draw_data(figure, page, floor, split, result, heights[0])
     _draw_fit(figure, page, tops[1], vehicle, split, result)
     _draw_prediction(figure, page, tops[2], evaluation)
     if result.trials or result.models:
@@ -148,7 +148,7 @@ def _notes(split: LogSplit, result: Identification, evaluation: PredictionEvalua
 
 
 def _draw_data(
-    figure: Figure, page: Page, floor: Rectangle, split: LogSplit, result: Identification, top: float
+    figure: Figure, page: Page, floor: Rectangle, split: LogSplit, result: Identification, height: float
 ) -> None:
     axes = page.axes(figure, floor)
     paths = {FITTED: _paths(split.fitted), HELD_OUT: _paths(split.held_out)}
@@ -158,10 +158,10 @@ def _draw_data(
     words: list[ColouredText] = [("Data", INK), ("fitted", FITTED)]
     caption(figure, page, floor, words + ([("held out", HELD_OUT)] if split.held_out else []))
     labels = max((text_width(name, SMALL) for name in result.names), default=0.0) / 72 + 0.1
+    top = floor.top
     matrix = Rectangle(WIDTH - RIGHT - MATRIX, top, MATRIX, MATRIX)
     left = floor.left + floor.width + 0.3
-    height = max(ROWS[0] + 0.2, _table_height(result.parameters))
-    table = Rectangle(left, top, matrix.left - labels - 0.25 - left, height)
+    table = Rectangle(left, top, matrix.left - labels - 0.25 - left, height + 0.2)
     draw_parameters(figure, page, table, result.parameters, result.warnings)
     caption(figure, page, table, (("Parameters", INK), ("identified", IDENTIFIED), ("initial", INITIAL)))
     draw_correlation(page.axes(figure, matrix), result.names, result.correlation)
@@ -302,17 +302,13 @@ def _table_height(parameters: Mapping[str, ParameterEstimate]) -> float:
 
 def _frozen_lines(parameters: Mapping[str, ParameterEstimate], width: float) -> list[str]:
     """Lines that name the parameters that were not estimated, with their values."""
-    frozen = [f"{name} {_number(each.value)}" for name, each in parameters.items() if each.frozen]
+    frozen = [f"{name} {plain_number(each.value)}" for name, each in parameters.items() if each.frozen]
     return textwrap.wrap(f"frozen: {', '.join(frozen)}", _columns(width), break_on_hyphens=False) if frozen else []
 
 
 def _columns(width: float) -> int:
     """Letters of a small line."""
     return int(width * 72 / (0.5 * SMALL))  # the mean width of a letter is about half its height
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:

@@ -115,7 +115,7 @@ class _Refusing(CommandLoss):
 def test_another_plan_of_the_tree_is_proposed_if_the_best_one_leaves_no_room() -> None:
     proposer = Proposer(SOLVERS, PLANNER, 0, command_timeout=0.2)
     refusing = _Refusing(DIRT, 0.2, [])
-    proposer._loss = refusing
+    proposer.loss = refusing
     proposal = proposer.propose(0, start(), None)
     best, other = refusing.seen
     assert proposal.plan is other
