@@ -41,10 +41,10 @@ for name in sys.argv[1:]:
     if name not in ("benchmark", "rover") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """
-STAGES = (  # of two processes each, which take about the same time and compile nothing twice
-    (("mushr",), ("shared",)),
-    (("mushr-force", "mushr-drive", "mushr-lag", "benchmark"), ("rover", "jackal", "unicycle2", "f1tenth")),
-)
+FIRST = (("mushr",), ("shared",))
+"""What a process each compiles first: the others use the kernels that the first one shares with them."""
+OTHERS = (("mushr-drive", "mushr-force", "f1tenth"), ("benchmark", "rover", "jackal", "unicycle2", "mushr-lag"))
+"""Takes about the same time in two processes that compile nothing twice."""
 LONG = (
     "test_interrupts", "test_quality", "test_cli_sysid", "test_evaluation_workers", "test_examples", "test_theorem",
     "test_example_identify", "test_evaluation_cluster", "test_benchmarks", "test_docs_python", "test_ompl_planner",
@@ -60,8 +60,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a hundred processes of the tests would compile every module
     in_a_worker = hasattr(config, "workerinput")
     if not in_a_worker and config.getoption("numprocesses", None):
-        for stage in STAGES:  # otherwise each worker would compile all of it
-            with ThreadPoolExecutor(len(stage)) as pool:
+        with ThreadPoolExecutor(len(FIRST)) as pool:  # otherwise each worker would compile all of it
+            for stage in FIRST, OTHERS:
                 list(pool.map(_compile, stage))
 
 

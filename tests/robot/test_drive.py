@@ -108,7 +108,7 @@ def test_goal_map_and_other_publishers_change_while_the_car_drives(tmp_path: Pat
             return [(each.pose.position.x, each.pose.position.y) for each in plans[-1]] if plans else []
 
         rig.drive_until(0.5)
-        goal = (0.0, 4.5)
+        goal = (0.2, 3.2)
         rig.link.publish("/goal", stamped_pose(time.time_ns(), "map", (*goal, 0.0)))
         assert rig.until(lambda: bool(newest_plan()) and math.dist(newest_plan()[-1], goal) < 0.35, 60.0), (
             newest_plan()[-1:]
