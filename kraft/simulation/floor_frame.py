@@ -47,6 +47,12 @@ class FloorFrame:
             return cls(np.eye(3), np.zeros(3))
         return cls(_tilt_rotation(tilt.slope, tilt.uphill), np.zeros(3))
 
+    @classmethod
+    def rising(cls, slope: Floats, point: Floats) -> FloorFrame:
+        """Floor that rises by `slope` (2,), at most 1, per metre along its x and y; `point` (3,) of it stays there, m."""
+        rotation = _tilt_rotation(math.asin(float(np.linalg.norm(slope))), math.atan2(slope[1], slope[0]))
+        return cls(rotation, point - rotation @ point)
+
     @cached_property
     def _rows(self) -> list[list[float]]:
         rows: list[list[float]] = self.rotation.tolist()

@@ -23,13 +23,13 @@ from kraft.scenario.truth import Truth, VehicleGap
 from kraft.simulation import contacts
 from kraft.simulation.car import CAR, MARKER_HEIGHT, design_of
 from kraft.simulation.contacts import Collision
-from kraft.simulation.floor_frame import FloorFrame, yaw_quaternion, yaw_rotation
+from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_rotation
 from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
 from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, World, is_in_goal
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
-from kraft.vehicles.config import CarDimensions, Robot
+from kraft.vehicles.config import FORCE, GRAVITY, CarDimensions, Robot
 from kraft.vehicles.load import load_vehicle, natural_robot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
@@ -37,6 +37,8 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
+STEEPEST: Final = math.sin(math.radians(40.0))
+"""Largest slope of a floor that a force stands for, that of `truth.tilt`."""
 SUNK_MAX: Final = 0.005
 """Largest depth to which a robot may be in the floor at its start, m."""
 
@@ -236,7 +238,12 @@ def _with_true_parameters(vehicle: Vehicle, true: TrueRobot) -> Vehicle:
     ]
     if problems:
         raise InputError(problems)
-    return base.with_parameters(robot.parameters)
+    model = base.with_parameters(robot.parameters)
+    if model.gravity_share is not None and np.linalg.norm(_slope_of(model, model.gravity_share)) > STEEPEST:
+        force = " and ".join(f"{name} {model.parameters[name]:g}" for name in FORCE)
+        problem = f"{force} is the force of gravity on a floor that is steeper than any"
+        raise InputError([true.problem("parameters", problem, "expected a slope of at most 40 degrees", Code.VALUE)])
+    return model
 
 
 def _unknown_to_a_model(scenario: Scenario) -> list[Diagnostic]:
@@ -253,6 +260,22 @@ def _without_effect(scenario: Scenario, key: str, robot: str) -> Diagnostic:
     problem = f"has no effect on {robot}"
     expected = "expected a simulated car" if key == "vehicle" else "expected a simulated robot: `car` or `mjcf`"
     return scenario.source.diagnostic(("truth", key), problem, expected, code=Code.CONFLICT)
+
+
+def _floor_of(vehicle: Vehicle, start: Start) -> FloorFrame:
+    """Floor on which the force of the vehicle's model is that of gravity, if the model states what share it feels.
+
+    The floor has the height 0 at the start.
+    """
+    if vehicle.gravity_share is None:
+        return FloorFrame.of(None)
+    slope = _slope_of(vehicle, vehicle.gravity_share)
+    return FloorFrame.rising(slope, np.array([start.x, start.y, 0.0]))
+
+
+def _slope_of(vehicle: Vehicle, share: float) -> Floats:
+    """Slope (2,), rise per metre along x and y, by which gravity drives the vehicle with the force of its model."""
+    return -np.array([vehicle.parameters[name] for name in FORCE]) / (share * GRAVITY)
 
 
 STANDSTILL: Final = 0.01
@@ -280,7 +303,7 @@ class ModelWorld:
         """
         self.truth, self.controls = vehicle, tuple(vehicle.controls)
         self.gap: Final = VehicleGap()
-        self.frame: Final = FloorFrame.of(None)
+        self.frame: Final = _floor_of(vehicle, scenario.start)
         self.movable_poses: Final[Matrix] = np.zeros((0, 3))
         self._scenario, self._seed = scenario, seed
         self._advance, self._parameters = kernels(vehicle).advance, vehicle.parameter_array
@@ -355,7 +378,8 @@ class ModelWorld:
     def marker(self) -> tuple[Floats, Matrix]:
         """Position (3,), m, and rotation (3, 3) of the marker on the roof."""
         x, y, theta = self._state[self._pose].tolist()
-        return np.array([x, y, MARKER_HEIGHT]), yaw_rotation(theta)
+        frame = self.frame
+        return frame.to_world(np.array([x, y, MARKER_HEIGHT])), frame.rotation @ yaw_rotation(theta)
 
     @property
     def collision(self) -> Collision | None:
@@ -377,7 +401,8 @@ class ModelWorld:
     def data(self) -> Any:
         """MuJoCo's data of the present pose, for drawing."""
         x, y, theta = self._state[self._pose].tolist()
-        self._drawn.qpos[:] = x, y, 0.0, *yaw_quaternion(theta)
+        rotation = self.frame.rotation @ yaw_rotation(theta)
+        self._drawn.qpos[:] = *self.frame.to_world(np.array([x, y, 0.0])), *quaternion(rotation)
         mujoco.mj_forward(self.model, self._drawn)
         return self._drawn
 

@@ -12,6 +12,7 @@ from support.diagnostics import located, raised
 from support.paths import ROOT
 
 from kraft.driving.vehicle_model import model_of
+from kraft.errors import Code
 from kraft.planning.workspace import workspace_of
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.car import F1TENTH, MUSHR, design_of
@@ -120,6 +121,30 @@ def test_a_model_can_be_drawn() -> None:
     world = drive(world_of(hall(), vehicle("unicycle2"), 0), (1.0, 0.0), 1.0)
     place = world.data.body("car").xpos
     assert place[:2] == pytest.approx(world.pose[:2])
+
+
+def test_the_force_of_a_model_that_states_its_share_of_gravity_is_that_of_a_floor_with_a_slope() -> None:
+    """The camera sees such a vehicle higher or lower than at the start, and the slope drives it as gravity does."""
+    force, share = (-0.3, -0.2), 0.25
+    scene = hall("model: mushr-force, parameters: {a_x: -0.3, a_y: -0.2, u_0: 0.0}")
+    world = world_of(scene, vehicle("mushr-force"), 0)
+    height = world.marker[0][2]
+    drive(world, (1.0, 0.0), 4.0)
+    x, y, _ = world.pose
+    place = world.frame.to_world(np.array([x, y, 0.0]))
+    assert place[2] == pytest.approx(-(force[0] * (x - 1.0) + force[1] * (y - 2.0)) / (share * 9.81))
+    assert world.marker[0] - place == pytest.approx(height * world.frame.normal, abs=0.01)
+    assert world.data.body("car").xpos == pytest.approx(place, abs=1e-6)
+    pulls = share * np.array(world.frame.along_floor(np.array([0.0, 0.0, -9.81])))
+    assert pulls == pytest.approx(force)
+    level = world_of(hall("parameters: {a_max: 0.4}"), vehicle("unicycle2"), 0)
+    assert level.frame.normal.tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_force_that_no_floor_causes_is_refused() -> None:
+    scene = hall("model: mushr-force, parameters: {a_x: 1.7}")
+    (problem,) = raised(lambda: world_of(scene, vehicle("mushr-force"), 0))
+    assert (problem.code, problem.path) == (Code.VALUE, "truth.parameters")
 
 
 def test_obstacles_that_bound_the_room_are_the_scenarios_alone() -> None:
