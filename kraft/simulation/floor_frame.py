@@ -49,7 +49,7 @@ class FloorFrame:
 
     @classmethod
     def rising(cls, slope: Floats, point: Floats) -> FloorFrame:
-        """Floor that rises by `slope` (2,), at most 1, per metre along its x and y; `point` (3,) of it stays there, m."""
+        """Floor that rises by `slope` (2,), at most 1, per metre along its x and y about its `point` (3,), m."""
         rotation = _tilt_rotation(math.asin(float(np.linalg.norm(slope))), math.atan2(slope[1], slope[0]))
         return cls(rotation, point - rotation @ point)
 
