@@ -105,6 +105,7 @@ def test_a_parameter_that_changes_is_followed_while_most_of_the_window_is_older(
     own, change = vehicle().parameters[name], value - vehicle().parameters[name]
     assert before.rho[k] == pytest.approx(own, abs=0.15 * abs(change))
     assert abs(subject.rho[k] - value) > 0.4 * abs(change)  # rho of the whole window
+    assert found.constant == pytest.approx(subject.rho)
     assert abs(found.rho[k] - value) < 0.25 * abs(change)
     assert found.covariance[k, k] > before.covariance[k, k]
 

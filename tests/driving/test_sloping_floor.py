@@ -11,7 +11,7 @@ from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehic
 from support.driving import RATE
 
 from kraft.driving.estimation import LevelCamera
-from kraft.driving.estimation.adaptive import AdaptiveEstimator
+from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_parameters
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing
@@ -108,6 +108,18 @@ def test_the_identified_force_corrects_what_the_camera_measures(slope: Floats) -
 def test_on_a_level_floor_the_correction_is_small() -> None:
     true, estimated = uphill(subject(camera()), np.zeros(2))
     assert np.linalg.norm(estimated[:2] - true[:2]) < 0.05
+
+
+def test_a_force_that_changes_during_the_drive_does_not_tilt_the_floor() -> None:
+    """As that of a box which the vehicle pushes."""
+    estimator = subject(camera())
+    uphill(estimator, np.zeros(2))
+    assert estimator.learned is not None
+    identified, floor = estimator.learned.identified, estimator.floor
+    rho = identified.rho.copy()
+    rho[online_parameters(vehicle(), Adaptive(kind="adaptive")).index("a_y")] = -1.0
+    estimator.learn(replace(estimator.learned, identified=replace(identified, rho=rho)))
+    assert estimator.floor == pytest.approx(floor, abs=1e-9)
 
 
 def test_poses_alone_tell_nothing_about_the_floor() -> None:

@@ -193,13 +193,16 @@ class AdaptiveEstimator:
         return identified.covariance[:size, :size]
 
     def _set_slope(self, identified: Identified) -> None:
-        """Take the identified force as the effect of the floor's slope."""
+        """Take the identified force as the effect of the floor's slope.
+
+        The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes.
+        """
         if self._camera is None or not self._settings.identify:
             return
         felt, names = felt_gravity(self._model.vehicle), self._window.parameters.names
         force = [names.index(name) for name in FORCE]
-        slope = _possible(-identified.rho[force] / felt)
-        covariance = identified.covariance[np.ix_(force, force)] / felt**2
+        slope = _possible(-identified.constant[force] / felt)
+        covariance = identified.constant_covariance[np.ix_(force, force)] / felt**2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
 

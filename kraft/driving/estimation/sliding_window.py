@@ -71,12 +71,17 @@ class Drive:
 
 @dataclass(frozen=True)
 class Identified:
-    """Posterior of rho: mean (np,) and covariance (np, np); `residuals` (n, 3) of the poses at `times` (n,) s."""
+    """Posterior of rho: mean (np,) and covariance (np, np); `residuals` (n, 3) of the poses at `times` (n,) s.
+
+    `constant` (np,) with `constant_covariance` (np, np) is the posterior if no parameter has changed in the window.
+    """
 
     rho: Floats
     covariance: Matrix
     times: Floats
     residuals: Matrix
+    constant: Floats
+    constant_covariance: Matrix
 
 
 class SlidingWindow:
@@ -128,10 +133,11 @@ class SlidingWindow:
         covariance = np.zeros((len(free), len(free)))
         covariance[np.ix_(free, free)] = np.linalg.inv(optimum.factors.total_information[np.ix_(free, free)])
         times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
-        rho = self.rho.copy()
+        found = self.rho.copy(), covariance
         if sum(end - begin for begin, end in moving) >= RECENT + EARLIER:
-            rho, covariance = self._changed(drive, self._segments(drive, moving, RECENT), model, covariance)
-        return Identified(rho, covariance, times, -problem.pose_residuals(optimum.point))
+            found = self._changed(drive, self._segments(drive, moving, RECENT), model, covariance)
+        residuals = -problem.pose_residuals(optimum.point)
+        return Identified(*found, times, residuals, self.rho.copy(), covariance)
 
     def _changed(
         self, drive: Drive, segments: list[Segment], noise: NoiseModel, covariance: Matrix
