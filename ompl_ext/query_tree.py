@@ -203,12 +203,18 @@ class QueryTree(EdgeChecker):
         """Copy of the tree."""
         return tree_view(self._tree, self._tree.state[: self._tree.count[at.SIZE]].copy())
 
-    def set_goal_radius(self, radius: float) -> None:
-        """Set the radius of the goal region, m; the cost-to-go stays that of the initial radius."""
+    def set_goal_region(self, radius: float, tolerance: float | None = None) -> None:
+        """Set the radius of the goal region (m) and, if it has a heading, the tolerance of that (rad).
+
+        The cost-to-go stays that of the initial region.
+        """
         if self.goal is None:
             raise ValueError("there is no goal to aim for")
         self.goal = replace(self.goal, radius=radius)
         self._problem.scalar[at.GOAL_RADIUS] = radius
+        if tolerance is not None and self.goal.has_heading:
+            self.goal = replace(self.goal, tolerance=tolerance)
+            self._problem.scalar[at.GOAL_TOLERANCE] = math.cos(tolerance)
 
     def goal_nodes(self) -> Ints:
         """Nodes in the goal region (n,), the one with the lowest cost first."""

@@ -97,7 +97,7 @@ class BoundCalibration:
 
 
 WAY_MARGIN = 0.05  # distance that the ways of the cost-to-go of poses keep from obstacles where they can (m)
-MIN_GOAL_RADIUS = 0.01  # of the region that the planner aims for (m)
+MIN_GOAL_RADIUS, MIN_GOAL_TOLERANCE = 0.01, math.radians(1.0)  # of the region that the planner aims for (m, rad)
 
 
 @dataclass(frozen=True)

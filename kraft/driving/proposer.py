@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kraft.driving.clearance import MIN_GOAL_RADIUS, DeviationBound, Levels, Solvers
+from kraft.driving.clearance import MIN_GOAL_RADIUS, MIN_GOAL_TOLERANCE, DeviationBound, Levels, Solvers
 from kraft.driving.command_loss import CommandLoss
 from kraft.driving.contingencies import least_slack
 from kraft.driving.geodesic import geodesic_plan
@@ -122,9 +122,9 @@ class Proposer:
         began, settings = clock.perf_counter(), self._settings
         if settings.type == "geodesic":
             return self._propose_geodesic(root, previous is not None, began)
-        radius = self._goal_radius(root)
+        region = self._goal_region(root)
         for dirt in (self._solvers.planning, self._solvers.checking):
-            dirt.set_goal_radius(radius)
+            dirt.set_goal_region(*region)
         query = _Query(number, root, self._rest(previous), began)
         proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
         seconds = clock.perf_counter() - began
@@ -205,7 +205,7 @@ class Proposer:
         Whether the controller finds a safe way is known only when the replanner predicts it.
         """
         dirt = self.dirt
-        dirt.set_goal_radius(self._goal_radius(root))
+        dirt.set_goal_region(*self._goal_region(root))
         if self._settings.bound is not None:
             self._levels.drive_on(drives)
             self._levels.require()
@@ -213,14 +213,23 @@ class Proposer:
         reason = "" if plan is not None else "no path leads to the goal from the predicted start of the cycle"
         return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=self._levels.share)
 
-    def _goal_radius(self, root: Floats) -> float:
-        """Radius of the region to aim for (m), at most half the distance of the vehicle to the goal's centre.
+    def _goal_region(self, root: Floats) -> tuple[float, float]:
+        """Radius (m) and tolerance of the heading (rad) to aim for: smaller ones for a vehicle in the goal already.
 
-        Otherwise a vehicle that is in the goal by its estimate, but not in truth, would wait there.
+        A vehicle that is in the goal by its estimate, but not in truth, would wait there.  It aims for half of its
+        distance to the centre, or of its deviation from the heading if that is the one closer to its limit.
         """
         goal, vehicle = self._goal, self.dirt.vehicle
+        if (goal.has_heading or goal.limits) and not goal.contains(vehicle, root):
+            return goal.radius, goal.tolerance  # it has to turn or to stop on the way to the centre
         away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
-        return max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
+        radius = max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
+        if not goal.has_heading:
+            return radius, goal.tolerance
+        off = abs(math.remainder(root[vehicle.index("theta")] - goal.heading, math.tau))
+        if off / goal.tolerance <= away / goal.radius:
+            return radius, goal.tolerance
+        return goal.radius, max(MIN_GOAL_TOLERANCE, 0.5 * off)
 
     def _may_keep_more(self, found: Proposal, rest: Rest | None, tolerance: float) -> bool:
         """Whether a plan that keeps more than the last one did leads to the goal and costs hardly more."""

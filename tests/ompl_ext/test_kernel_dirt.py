@@ -201,14 +201,14 @@ def test_a_smaller_goal_can_be_aimed_for_and_the_first_one_again() -> None:
     dirt = DirtSolver(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=10_000)
     planned(dirt, start=CORNER)
     first = tree_bytes(dirt)
-    dirt.set_goal_radius(0.03)
+    dirt.set_goal_region(0.03)
     assert dirt.goal == replace(ACROSS, radius=0.03)
     plan = planned(dirt, iterations=3000, start=CORNER)
     assert plan.reaches_goal
     check_plan(dirt, plan)
     inside = np.array([3.4, 3.4, 0.8, 0.0])  # 0.14 m from the centre
     assert len(planned(dirt, start=inside).durations) > 0
-    dirt.set_goal_radius(ACROSS.radius)
+    dirt.set_goal_region(ACROSS.radius)
     assert len(planned(dirt, start=inside).durations) == 0
     planned(dirt, start=CORNER)
     assert tree_bytes(dirt) == first
@@ -216,7 +216,7 @@ def test_a_smaller_goal_can_be_aimed_for_and_the_first_one_again() -> None:
 
 def test_without_a_goal_there_is_none_whose_radius_can_be_set() -> None:
     with pytest.raises(ValueError, match="no goal to aim for"):
-        DirtSolver(BENCHMARK, Workspace(ROOM), None, capacity=10).set_goal_radius(0.1)
+        DirtSolver(BENCHMARK, Workspace(ROOM), None, capacity=10).set_goal_region(0.1)
 
 
 def test_a_start_inside_the_goal_is_the_solution() -> None:
