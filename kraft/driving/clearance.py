@@ -97,6 +97,7 @@ class BoundCalibration:
 
 
 WAY_MARGIN = 0.05  # distance that the ways of the cost-to-go of poses keep from obstacles where they can (m)
+LEAST_GOAL = 0.5  # share of a small goal's radius that is aimed for, however large the margin
 MIN_GOAL_RADIUS, MIN_GOAL_TOLERANCE = 0.01, math.radians(1.0)  # of the region that the planner aims for (m, rad)
 
 
@@ -114,7 +115,7 @@ class Solvers:
     def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings) -> Solvers:
         """Make the solvers for a method's settings; without a clearance in the settings, SAFETY is disabled."""
         goal = goal_of(task)
-        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, MIN_GOAL_RADIUS))
+        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, LEAST_GOAL * goal.radius))
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
         planner = "sst" if settings.type == "sst" else "dirt"
         search = replace(settings_of(task, vehicle), polish=settings.polish, planner=planner)

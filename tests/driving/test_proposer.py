@@ -61,10 +61,10 @@ def test_the_cost_to_go_of_poses_leads_a_car_that_faces_away_round_and_not_aster
     assert all(seconds["pose"][k] >= seconds["position"][k] for k in range(2))
 
 
-def test_a_goal_is_not_shrunk_to_nothing() -> None:
+def test_a_margin_leaves_at_least_half_of_a_goals_radius() -> None:
     goal = solvers(goal_margin=0.4).checking.goal
     assert goal is not None
-    assert goal.radius == MIN_GOAL_RADIUS
+    assert goal.radius == 0.5 * load_scenario("turns").goal.radius
 
 
 def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresight_reaches() -> None:
