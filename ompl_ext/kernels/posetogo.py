@@ -64,6 +64,7 @@ HEADINGS = (36, 240)  # fewest and most bins of the heading
 ALLOWED = 0.4  # share of a cell by which a pose may lack clearance, because another one in the cell may not
 LEADS_ON = 0.03  # share of the cells that a search must reach, else another one is tried
 EASE = 0.9  # share of the curvature that motions have where possible, so that errors can be corrected
+GAIN = 0.05  # share by which another search must reach more cells to be preferred
 LACKING = 4.0  # factor of the time of motions to poses that lack clearance
 INSIDE = 0.8  # share of the goal's tolerances that the fine search around it aims for
 
@@ -118,11 +119,17 @@ def pose_cost_to_go(
     if goal_tolerance < math.pi:  # a goal that any heading reaches is not narrow
         nearby = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
         attempts = [(nearby, EASE), (nearby, 1.0), (None, 1.0)]
-    for near, ease in attempts:
-        motions = motions_of(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists), cell, headings, STRIDE)
-        table = _searched(count, frame, motions, reversal, region, maps, near)
-        if np.count_nonzero(table.seconds < UNKNOWN) >= LEADS_ON * count:
+    one_way = bool(np.all(twists[:, 0] >= 0.0) or np.all(twists[:, 0] <= 0.0))
+    most, table, motions, near = -1.0, None, twists, None
+    for poses, ease in attempts:
+        eased = motions_of(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists), cell, headings, STRIDE)
+        found = _searched(count, frame, eased, reversal, region, maps, poses)
+        reached = np.count_nonzero(found.seconds < UNKNOWN)
+        if reached > (1.0 + GAIN) * most:
+            most, table, motions, near = reached, found, eased, poses
+        if most >= LEADS_ON * count and not (one_way and ease < 1.0):
             break
+    assert table is not None, "the first attempt was taken"
     filled = np.empty_like(table.seconds)
     shape = headings, rows, columns
     _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
