@@ -38,6 +38,7 @@ TOPICS = (
     "disturbances",
     "structures",
     "experiment",
+    "open_loop",
     "sensing",
     "robot",
     "faults",

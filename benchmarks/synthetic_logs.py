@@ -155,9 +155,10 @@ def _seen(
     times = np.arange(FIRST_POSE, seconds, 1.0 / rate)
     grid = FINE * np.arange(len(states))
     x, y, theta = (np.interp(times, grid, states[:, model.index(name)]) for name in ("x", "y", "theta"))
-    lever, side = truth.get("lever", 0.0), truth.get("side", 0.0)
+    beside = {name: value for name, value in truth.items() if name not in model.parameters}
+    lever, side, offset = (beside.get(name, 0.0) for name in ("lever", "side", "yaw_offset"))
     c, s = np.cos(theta), np.sin(theta)
-    poses = np.column_stack([x + lever * c - side * s, y + lever * s + side * c, theta + truth.get("yaw_offset", 0.0)])
+    poses = np.column_stack([x + lever * c - side * s, y + lever * s + side * c, theta + offset])
     poses += rng.normal(size=poses.shape) * np.array([noise[0], noise[0], noise[1]])
     bad, angle = rng.random(len(poses)) < outliers, rng.uniform(0.0, 2.0 * np.pi, len(poses))
     poses[:, 0] += np.where(bad, OUTLIER * np.cos(angle), 0.0)

@@ -5,7 +5,7 @@ The folder of a run has these files:
 LOGS/run_01/commands.csv    t, throttle, steering, or other controls: t is the time at which the command was sent
 LOGS/run_01/poses.csv       t, x, y, yaw: t is the time at which the frame was taken, by the camera's clock
 LOGS/run_01/truth.csv       t, x, y, yaw, speed: for comparison; identification never opens it
-LOGS/run_01/manifest.json   manoeuvre, start, scenario, seed, versions
+LOGS/run_01/manifest.json   manoeuvre, start, vehicle, scenario, seed, versions
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from kraft.planning.workspace import workspace_of
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.recording.manoeuvres import COMMAND_RATE, NAMES, Manoeuvre, manoeuvre
 from kraft.scenario import Box, Scenario, Start
-from kraft.simulation.true_world import world_of
+from kraft.simulation.true_world import true_robot, world_of
 from kraft.trial.plant import Plant
+from kraft.vehicles.load import RecordedVehicle
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
@@ -124,7 +125,8 @@ class Recording:
         number: number of the run, from 1.
         manoeuvre: commanded manoeuvre.
         place: start of the run.
-        controls: names of the vehicle's controls.
+        vehicle: what is known of the vehicle that drove.
+        controls: names of its controls.
         commands: time of sending (s) and control, (m, 1 + nu).
         poses: time of the frame (s) and measured x, y (m) and yaw (rad), (n, 4).
         truth: time (s) and true x, y (m), yaw (rad) and speed (m/s) at every frame of the camera, (k, 5).
@@ -135,6 +137,7 @@ class Recording:
     number: int
     manoeuvre: Manoeuvre
     place: Place
+    vehicle: RecordedVehicle
     controls: tuple[str, ...]
     commands: Matrix
     poses: Matrix
@@ -161,6 +164,7 @@ class Recorder:
         self._model = model_of(vehicle)
         self._free_space = FreeSpace(scenario, vehicle)
         self._world = world_of(scenario, vehicle, seed)
+        self._vehicle = RecordedVehicle.of(vehicle, true_robot(scenario, vehicle).robot)
 
     def place(self, number: int, path: Matrix) -> Place:
         """Start of run `number` if it is to drive a path of poses (m, 3) from the origin, `STEP` apart."""
@@ -193,15 +197,17 @@ class Recorder:
         self._world.reset(place.start)
         seed = int(generator.integers(2**62))
         plant = Plant(self._world, self._scenario, self._model.vehicle.controls, seed, COMMAND_RATE)
-        return _Run(plant, self._free_space, commanded, place).drive(number)
+        return _Run(plant, self._free_space, commanded, place, self._vehicle).drive(number)
 
 
 class _Run:
     """Run in progress."""
 
-    def __init__(self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place) -> None:
+    def __init__(
+        self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place, vehicle: RecordedVehicle
+    ) -> None:
         self._plant, self._world, self._free_space = plant, plant.world, free_space
-        self._manoeuvre, self._place = commanded, place
+        self._manoeuvre, self._place, self._vehicle = commanded, place, vehicle
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
         self._truth: list[tuple[float, ...]] = []
@@ -218,9 +224,8 @@ class _Run:
             self._plant.advance(end)
             note = self._stop_reason()
         return Recording(
-            number, self._manoeuvre, self._place, self._plant.controls, np.array(self._commands),
-            np.array(self._poses).reshape(-1, 4),
-            np.array(self._truth), world.time, note,
+            number, self._manoeuvre, self._place, self._vehicle, self._plant.controls,
+            np.array(self._commands), np.array(self._poses).reshape(-1, 4), np.array(self._truth), world.time, note,
         )  # fmt: skip
 
     def _observe(self) -> None:
@@ -299,6 +304,7 @@ def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recor
         "start": {"x": start.x, "y": start.y, "heading": start.heading},
         "end": recording.end,
         "note": recording.note,
+        "vehicle": recording.vehicle.model_dump(mode="json", exclude_none=True),
         "commands": len(recording.commands),
         "poses": len(recording.poses),
         "units": UNITS,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kraft.config.yaml_reader import Source
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
 from kraft.sysid.smoothing import high_speed
@@ -17,8 +19,16 @@ from kraft.vehicles.config import (
     Footprint,
     Parameter,
     VehicleConfig,
+    with_files,
 )
-from kraft.vehicles.load import configured, read_vehicle_file, resolved_reference, units_of
+from kraft.vehicles.load import (
+    RecordedVehicle,
+    configured,
+    natural_robot,
+    read_vehicle_file,
+    resolved_reference,
+    units_of,
+)
 from kraft.vehicles.reference import is_code, resolve_vehicle, split_file
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
@@ -40,12 +50,14 @@ class BaseVehicle:
         definition: the vehicle file, with bounds and priors, or the vehicle from code.
         vehicle: the same vehicle as the planner uses it.
         model: reference to the code; the path of a file is absolute.
+        recorded: what the logs state of the vehicle that drove, in place of what is stated here; None if they do not.
     """
 
     reference: str
     definition: VehicleConfig | Vehicle
     vehicle: Vehicle
     model: str
+    recorded: RecordedVehicle | None = None
 
     @property
     def name(self) -> str:
@@ -102,6 +114,39 @@ def load_base_vehicle(reference: str) -> BaseVehicle:
     return base
 
 
+MANIFEST = "manifest.json"
+"""File beside a log that `kraft record` wrote."""
+
+
+def with_recorded(base: BaseVehicle, logs: Sequence[Log]) -> tuple[BaseVehicle, str]:
+    """The vehicle with what the manifests of all logs state of the one that drove, and what there is to say about it.
+
+    Nothing is taken over if that is the robot that the vehicle itself states.
+    """
+    stated = [_recorded(Path(log.sources[0].file).parent / MANIFEST) if log.sources else None for log in logs]
+    known = next((vehicle for vehicle in stated if vehicle is not None), None)
+    if known is None or RecordedVehicle.of(base.vehicle, natural_robot(base.vehicle)[0]).located().truth == known.truth:
+        return base, ""
+    if any(vehicle != known for vehicle in stated):
+        names = ", ".join(dict.fromkeys(vehicle.name if vehicle else "not stated" for vehicle in stated))
+        return base, f"the logs do not agree about the vehicle that drove ({names}): nothing is taken over from them"
+    missing = with_files(known.truth, Path(), Source(""))[1] if known.truth else []
+    if missing:
+        return base, f"nothing is taken over from the recorded {known.name}: {missing[0].problem}"
+    taken = ["footprint", *(["delay"] if known.delay else []), *(["true robot"] if known.truth else [])]
+    return replace(base, recorded=known), f"taken over from the recorded {known.name}: {', '.join(taken)}"
+
+
+def _recorded(manifest: Path) -> RecordedVehicle | None:
+    """The vehicle that a manifest states; None if there is no such file, or if another program wrote it."""
+    try:
+        content = json.loads(manifest.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    stated = content.get("vehicle") if isinstance(content, dict) else None
+    return RecordedVehicle.read(stated, manifest) if isinstance(stated, dict) else None
+
+
 COMMANDS_OF = {"throttle": "full_throttle", "steering": "full_steering"}
 """Parameters of `kraft.vehicles.car` that state what command counts as full."""
 
@@ -150,17 +195,25 @@ def with_recorded_commands(
     return car, replace(identification, parameters=parameters, logs=logs)
 
 
+STEERING_SHARES = (-1.0, -0.5, 0.0, 0.5, 1.0)
+"""Steering for which the top speed is computed, as shares of the full one: a tracked point ahead of the rear axle is
+faster than it in a turn."""
+
+
 def with_speed(base: BaseVehicle, identification: Identification, logs: Sequence[Log]) -> BaseVehicle:
     """The car with a top speed: that which full throttle leads to, or the highest in the logs if it is higher."""
     model, values = base.vehicle, identification.values
     car = model.with_parameters({name: values[name] for name in model.parameters})
-    steps = round(SPEED_SETTLING / SPEED_STEP)
-    controls = np.zeros((steps, 1, len(model.controls)))
-    controls[:, 0, list(model.controls).index("throttle")] = model.controls["throttle"][1]
+    steps, ways = round(SPEED_SETTLING / SPEED_STEP), len(STEERING_SHARES)
+    controls = np.zeros((steps, ways, len(model.controls)))
+    for name, shares in (("throttle", np.ones(ways)), ("steering", np.array(STEERING_SHARES))):
+        controls[:, :, list(model.controls).index(name)] = shares * model.controls[name][1]
     states = DiscreteModel(car).simulate(
-        np.zeros((1, len(model.state))), controls, car.parameter_array[None], np.array([SPEED_STEP])
-    )
-    steady = float(np.abs(states[:, 0, model.index("v")]).max())
+        np.zeros((ways, len(model.state))), controls, np.tile(car.parameter_array, (ways, 1)),
+        np.full(ways, SPEED_STEP),
+    )  # fmt: skip
+    moved = np.diff(states[..., [model.index("x"), model.index("y")]], axis=0)
+    steady = float(np.hypot(moved[..., 0], moved[..., 1]).max()) / SPEED_STEP
     seen = max(high_speed(part) for log in logs for part in log.parts)
     config = base.definition
     assert isinstance(config, VehicleConfig)

@@ -320,6 +320,15 @@ class _Estimator:
         return PaperGraph(problem)
 
 
+def tracked_ahead_of_axle(parameters: Parameters, discrete_model: DiscreteModel, rho: Floats) -> float | None:
+    """Distance of the tracked point ahead of the rear axle, m; None for a vehicle without steering."""
+    lever = float(rho[k]) if (k := parameters.index("lever")) >= 0 else 0.0
+    if "lever" in parameters.vehicle.parameters:  # of the models with terms; that of a car is from its rear axle
+        return lever if "steering" in parameters.vehicle.controls else None
+    axle = ahead_of_axle(parameters, discrete_model, rho)
+    return None if axle is None else axle + lever
+
+
 def ahead_of_axle(parameters: Parameters, discrete_model: DiscreteModel, rho: Floats) -> float | None:
     """Distance of the model's point ahead of its rear axle, m; None for a vehicle without steering.
 
@@ -348,9 +357,6 @@ def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes
     """The result of an identification."""
     p, noise = solution.problem.parameters, solution.problem.noise
     vehicle, rho = p.vehicle, solution.optimum.point.rho
-    terms = any(spec.neutral is not None for spec in p.specs[: p.model_size])  # its point is that of the rear axle
-    axle = 0.0 if terms else ahead_of_axle(p, solution.problem.dynamics.discrete_model, rho)
-    lever = float(rho[k]) if (k := p.auxiliary_index("lever")) >= 0 else 0.0
     return Identification(
         model=vehicle.name,
         parameters=_estimated(solution),
@@ -369,7 +375,7 @@ def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes
         warnings=warnings,
         notes=notes,
         logs=_log_fits(solution),
-        rear_axle=None if axle is None else axle + lever,
+        rear_axle=tracked_ahead_of_axle(p, solution.problem.dynamics.discrete_model, rho),
         without_log=_without_log(solution),
     )
 

@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log, Part
 
 
-AUXILIARY: Final = ("delay", "lever", "yaw_offset")
-"""Auxiliary parameters beside the terms of the model; lags, dead bands and friction are terms of it."""
+AUXILIARY: Final = ("delay",)
+"""Auxiliary parameters beside the terms of the model; all others are terms of it."""
 OFFSETS: Final = ("lever", "yaw_offset")
-"""Those of the poses alone, which no effect of discrete steps looks like."""
+"""Terms of the poses alone, which no effect of discrete steps looks like."""
 WINDOW_MIN: Final = 0.5
 """Least length of a window, s."""
 FIRST_GROWTH: Final = (0.2, 0.2, 0.3)

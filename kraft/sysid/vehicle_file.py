@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from kraft.config.schema import NAME, check
-from kraft.config.yaml_reader import read_document
+from kraft.config.yaml_reader import Source, read_document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions
@@ -24,7 +24,9 @@ from kraft.text import counted
 from kraft.vehicles.config import (
     CommandScale,
     Covariance,
+    Delay,
     Extra,
+    Footprint,
     IdentificationRecord,
     Logged,
     Parameter,
@@ -38,9 +40,7 @@ from kraft.vehicles.config import (
 from kraft.vehicles.reference import split_file
 
 if TYPE_CHECKING:
-    from kraft.config.yaml_reader import Source
     from kraft.logs.log import Log
-    from ompl_ext.vehicle import Vehicle
 
 
 DIGITS: Final = 6
@@ -49,6 +49,8 @@ STD_FACTOR: Final = 3.0
 """Standard deviation in the file over that of the estimate ..."""
 STD_SHARE_MIN: Final = 0.1
 """... but at least this share of the one before: the car changes a little from day to day."""
+DELAY_STD_MIN: Final = 0.01
+"""Least standard deviation of an identified delay in the file, s: it changes from day to day."""
 HEADER: Final = ("# Identified by kraft sysid; the record of the identification is at the end.",)
 
 
@@ -109,7 +111,7 @@ def vehicle_text(
         record: the section `identification`.
         tighten: whether to reduce the standard deviations to the uncertainty of the estimates.
     """
-    shape = base.footprint
+    shape = base.recorded.footprint if base.recorded else _about_tracked_point(base, estimated)
     offset = f", offset: {_number(shape.offset)}" if shape.offset else ""
     lines = [
         *header,
@@ -122,7 +124,7 @@ def vehicle_text(
         "",
         f"footprint: {{length: {_number(shape.length)}, width: {_number(shape.width)}{offset}}}",
         f"top_speed: {base.top_speed if isinstance(base.top_speed, str) else _number(base.top_speed)}",
-        *_kept(base.definition, folder),
+        *_kept(base, estimated, folder),
         "",
         "identification:",
         *_mapping(record.model_dump(mode="json", exclude_none=True), "  "),
@@ -175,16 +177,36 @@ def _controls(base: BaseVehicle) -> Iterator[str]:
         yield f"controls: {{{limits}}}"
 
 
-def _kept(definition: VehicleConfig | Vehicle, folder: Path) -> Iterator[str]:
-    """What a vehicle file states beside the model, which is true of the identified vehicle too."""
-    if not isinstance(definition, VehicleConfig):
-        return
-    if definition.gravity_share is not None:
-        yield f"gravity_share: {_number(definition.gravity_share)}"
-    if definition.delay is not None:
-        yield f"delay: {_flow(definition.delay.model_dump())}"
-    if definition.truth is not None:
-        yield f"truth: {_flow(_robot(definition.truth, definition.source, folder))}"
+def _about_tracked_point(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate]) -> Footprint:
+    """Footprint of the initial vehicle about the point whose poses are observed, if that is a parameter."""
+    shape, before = base.footprint, base.parameters
+    if "lever" not in before:
+        return shape
+    moved = estimated["lever"].value - before["lever"].value
+    return shape.model_copy(update={"offset": shape.offset - moved})
+
+
+def _kept(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], folder: Path) -> Iterator[str]:
+    """What is true of the robot beside its model, as the logs or the initial vehicle state it; its identified delay."""
+    definition, recorded = base.definition, base.recorded
+    stated = definition if isinstance(definition, VehicleConfig) else None
+    if stated is not None and stated.gravity_share is not None:
+        yield f"gravity_share: {_number(stated.gravity_share)}"
+    delay = _delay(estimated) or (recorded and recorded.delay) or (stated and stated.delay)
+    if delay is not None:
+        yield f"delay: {_flow(delay.model_dump())}"
+    if recorded is not None and recorded.truth is not None:
+        yield f"truth: {_flow(_robot(recorded.truth, Source(''), folder))}"
+    elif stated is not None and stated.truth is not None:
+        yield f"truth: {_flow(_robot(stated.truth, stated.source, folder))}"
+
+
+def _delay(estimated: Mapping[str, ParameterEstimate]) -> Delay | None:
+    """The delay that was identified, if commands take effect later."""
+    found = estimated.get("delay")
+    if found is None or found.value <= 0.0:
+        return None
+    return Delay(value=float(f"{found.value:.3g}"), std=float(f"{max(found.std, DELAY_STD_MIN):.2g}"))
 
 
 def _robot(robot: Robot, source: Source, folder: Path) -> dict[str, Any]:
@@ -193,6 +215,8 @@ def _robot(robot: Robot, source: Source, folder: Path) -> dict[str, Any]:
     files, _ = with_files(robot, Path(source.file).parent, source)  # they were there when the file was loaded
     if "model" in files:
         content["model"] = _relative(files["model"], folder)
+    if robot.car is not None:
+        content["car"] = {"preset": robot.car.preset, **content["car"]}
     if "mjcf" in files:
         content["mjcf"] = os.path.relpath(files["mjcf"], folder.absolute())
     return content

@@ -1,8 +1,9 @@
 """Car whose drive, steering and tyres are described by terms that identification can switch off.
 
-State [x, y, theta, v] of the point between the rear wheels (m, rad, m/s), for the car with lags also the wheels' angle
-delta (rad) and the yaw rate r (rad/s); controls [throttle, steering] in any unit, forward and left positive.  The
-commands are divided by `full_throttle` and `full_steering` first.
+State [x, y, theta, v]: the pose that is observed (m, rad), of a point `lever` ahead of the middle between the rear
+wheels, with a yaw that is `yaw_offset` more than the car's; and the speed of that middle (m/s).  The car with lags also
+has the wheels' angle delta (rad) and the yaw rate r (rad/s).  Controls [throttle, steering] are in any unit, forward
+and left positive; they are divided by `full_throttle` and `full_steering` first.
 
 A term is off at the neutral value of its parameter (`neutral` in the vehicle file, 0 except for `brake`, which is 1):
 
@@ -10,6 +11,7 @@ A term is off at the neutral value of its parameter (`neutral` in the vehicle fi
     losses    (damping + back_emf |u|) v + drag v |v|, friction against the motion, scrub of turned wheels
     steering  phi_diff + steer (1 +- asymmetry) n / sqrt(1 + (saturation n)^2), n the steering
     tyres     curvature tan(delta) / (L (1 + understeer v^2)); lateral acceleration at most 1 / slide; slip of the body
+    pose      lever and yaw_offset of what is tracked
     lags      tau_steer and rate_limit (its inverse) of the wheels, tau_yaw of the yaw rate
 
 At standstill friction holds the car as long as the drive does not exceed it (stiction).
@@ -80,15 +82,23 @@ def curvature(v: float, turned: float, p: Values) -> float:
 
 
 @derivative
+def velocity(theta: float, v: float, r: float, p: Values) -> Values:
+    """Velocity of the tracked point (m/s), observed with the yaw `theta`, at the speed `v` and the yaw rate `r`."""
+    yaw = theta - p[22]
+    heading, round_axle = yaw - p[19] * v * r, p[21] * r
+    return v * cos(heading) - round_axle * sin(yaw), v * sin(heading) + round_axle * cos(yaw)
+
+
+@derivative
 def prompt(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car whose wheels and yaw rate follow without lag."""
     _, _, theta, v = x
     turned = tan(u[1])
     bend = curvature(v, turned, p)
     turning = v * bend
-    beta = -p[19] * v * turning
     sliding = v * turning * (turned - p[3] * bend)
-    return v * cos(theta + beta), v * sin(theta + beta), turning, acceleration(v, u[0], v * turning, turned, sliding, p)
+    vx, vy = velocity(theta, v, turning, p)
+    return vx, vy, turning, acceleration(v, u[0], v * turning, turned, sliding, p)
 
 
 @derivative
@@ -96,19 +106,12 @@ def lagging(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car whose wheels and yaw rate follow with a lag."""
     _, _, theta, v, delta, r = x
     turned = tan(delta)
-    beta = -p[19] * v * r
-    rate = (u[1] - delta) / p[21]
-    limited = rate / sqrt(1.0 + rate * rate * p[23] * p[23])
+    rate = (u[1] - delta) / p[23]
+    limited = rate / sqrt(1.0 + rate * rate * p[25] * p[25])
     bend = curvature(v, turned, p)
     sliding = v * r * (turned - p[3] * bend)
-    return (
-        v * cos(theta + beta),
-        v * sin(theta + beta),
-        r,
-        acceleration(v, u[0], v * r, turned, sliding, p),
-        limited,
-        (v * bend - r) / p[22],
-    )
+    vx, vy = velocity(theta, v, r, p)
+    return vx, vy, r, acceleration(v, u[0], v * r, turned, sliding, p), limited, (v * bend - r) / p[24]
 
 
 @derivative
@@ -150,6 +153,8 @@ CAR = Vehicle(
         "slide": 0.0,
         "slip": 0.0,
         "skid": 0.0,
+        "lever": 0.0,
+        "yaw_offset": 0.0,
     },
     footprint=Footprint(0.45, 0.28, 0.13),
     top_speed=5.0,

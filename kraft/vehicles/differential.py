@@ -1,13 +1,15 @@
 """Robot with two driven sides, whose wheels, drive and grip are described by terms that identification can switch off.
 
-State [x, y, theta, v, omega] of the point between the sides (m, rad, m/s, rad/s); controls [left, right], the commanded
-speeds of the sides in any unit.
+State [x, y, theta, v, omega]: the pose that is observed (m, rad), of a point `lever` ahead of the middle between the
+sides, with a yaw that is `yaw_offset` more than the robot's; the speed of that middle (m/s) and the turning rate
+(rad/s).  Controls [left, right] are the commanded speeds of the sides in any unit.
 
 A term is off at the neutral value of its parameter (`neutral` in the vehicle file):
 
     wheels    speed of a side gain (1 -+ imbalance) times its command less its dead zone (m/s)
     turning   omega (right - left) / track, less by slip v^2; lateral acceleration at most 1 / slide
     losses    scrub: turning on the spot and in curves costs speed
+    pose      lever and yaw_offset of what is tracked
     lags      tau of the speed, tau_turn of the turning rate; effort and effort_turn are the inverse of the largest
               acceleration and angular acceleration
 """
@@ -53,7 +55,8 @@ def motion(x: Values, u: Values, p: Values) -> Values:
     rate, turn = (speed - v) / p[7], (turning - omega) / p[8]
     dv = rate / sqrt(1.0 + rate * rate * p[9] * p[9])
     domega = turn / sqrt(1.0 + turn * turn * p[10] * p[10])
-    return v * cos(theta), v * sin(theta), omega, dv, domega
+    yaw, sideways = theta - p[12], p[11] * omega
+    return v * cos(yaw) - sideways * sin(yaw), v * sin(yaw) + sideways * cos(yaw), omega, dv, domega
 
 
 @derivative
@@ -85,6 +88,8 @@ DIFFERENTIAL = Vehicle(
         "tau_turn": 0.2,
         "effort": 0.0,
         "effort_turn": 0.0,
+        "lever": 0.0,
+        "yaw_offset": 0.0,
     },
     footprint=Footprint(0.51, 0.43),
     top_speed=SPEED_MAX,

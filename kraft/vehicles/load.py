@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from kraft.config import bundled
-from kraft.config.yaml_reader import Source, read_document
+from kraft.config.schema import Name, StrictModel, check
+from kraft.config.yaml_reader import Document, Source, read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car
@@ -19,12 +21,14 @@ from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import (
     SPEED_EXPECTED,
     CarDimensions,
+    Delay,
     Parameter,
     Robot,
     VehicleConfig,
     load_vehicle_config,
     with_files,
 )
+from kraft.vehicles.config import Footprint as StatedFootprint
 from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle, split_file
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -132,6 +136,58 @@ def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:
             files, _ = with_files(config.truth, Path(vehicle.file).parent, config.source)
             return config.truth.model_copy(update=files), config.source
     return Robot(car=CarDimensions()) if is_car(vehicle) else Robot(), Source(vehicle.file or vehicle.name)
+
+
+class RecordedVehicle(StrictModel):
+    """What a recording states of the vehicle that drove: true of that robot, whatever model is identified from it."""
+
+    name: Name
+    """name of the vehicle"""
+    footprint: StatedFootprint
+    """{length, width, offset}, about the point whose poses were recorded"""
+    delay: Delay | None = None
+    """delay of commands {value, std}, if the vehicle states it"""
+    truth: Robot | None = None
+    """the true robot; an `mjcf` by its absolute path, or relative to the folder of the bundled vehicles"""
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, true: Robot) -> RecordedVehicle:
+        """A vehicle that was driven, and its true robot with absolute paths."""
+        shape, delay = vehicle.footprint, vehicle.delay
+        if true.kind is None:  # the vehicle's own model; that of code without a file has no name by which it is found
+            true = true.model_copy(update={"model": vehicle.file or None})
+        files = {"model": _bundled_name(true.model), "mjcf": _in_bundle(true.mjcf)}
+        return cls(
+            name=vehicle.name,
+            footprint=StatedFootprint(length=shape.length, width=shape.width, offset=shape.offset),
+            delay=None if delay is None else Delay(value=delay[0], std=delay[1]),
+            truth=None if true.kind is None else true.model_copy(update=files),
+        )
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], file: Path) -> RecordedVehicle | None:
+        """The vehicle that a section of a manifest states, with absolute paths; None if it is not valid."""
+        found, _ = check(cls, Document(dict(content), Source(str(file))))
+        return None if found is None else found.located()
+
+    def located(self) -> RecordedVehicle:
+        """The same with the absolute path of an MJCF file."""
+        if self.truth is None or self.truth.mjcf is None:
+            return self
+        robot = self.truth.model_copy(update={"mjcf": str(bundled.folder("vehicle") / self.truth.mjcf)})
+        return self.model_copy(update={"truth": robot})
+
+
+def _in_bundle(path: str | None) -> str | None:
+    """A path, relative to the folder of the bundled vehicles if it is in it: where they are differs by machine."""
+    folder = bundled.folder("vehicle")
+    return str(Path(path).relative_to(folder)) if path and Path(path).is_relative_to(folder) else path
+
+
+def _bundled_name(reference: str | None) -> str | None:
+    """A reference to a vehicle, by its name if it is the file of a bundled one."""
+    path = _in_bundle(reference)
+    return Path(path).stem if path and path != reference else reference
 
 
 def problem_of(vehicle: Vehicle, key: str, problem: str, expected: str, code: Code) -> Diagnostic:

@@ -23,7 +23,7 @@ from kraft.sysid.acceptance import (
     objections,
     replacement_objections,
 )
-from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded_commands
+from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded, with_recorded_commands
 from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
 from kraft.sysid.identify import has_terms, identify
@@ -34,14 +34,17 @@ from kraft.sysid.selection import check_free_parameters, check_settings, exclude
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion
+from kraft.vehicles import is_car
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.next_drives import NextDrives, NextRequest, check_next, next_drives
 from kraft_cli.work.parameters import parse_parameters
-from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
+from kraft_cli.work.sysid_logs import MessageSink, has_two_sides, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
 
 AUTO: Final = "auto"
 """Model whose terms are chosen by what they predict."""
+TWO_SIDES: Final = "differential"
+"""Model with terms of a robot with two driven sides."""
 HORIZON_MIN, HORIZON_MAX = 0.5, 10.0
 GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
 PROGRESS_INTERVAL: Final = 2.0
@@ -139,7 +142,7 @@ def run_sysid(
         NegativeResult: if there are logs, and none of them can be used.
     """
     base, settings = _checked(request)
-    auto = request.model == AUTO
+    auto = request.model == AUTO and is_car(base.vehicle)
     controls = tuple(base.vehicle.controls)
     logs = read_sysid_logs(request.logs, request.mapping, controls, info, warn, detail, any_command_unit=auto)
     split = split_logs(logs.logs, request.holdout)
@@ -167,10 +170,11 @@ def run_sysid(
         raise NegativeResult("the parameters cannot be identified from these logs") from None
     unknown = _unknown_to_planning(request, identification)
     excluded = () if has_terms(base.definition) else _excluded_note(base, settings)
+    base, taken_over = with_recorded(base, logs.logs) if request.out is not None else (base, "")
     identification = replace(
         identification,
         warnings=(*identification.warnings, *sign_warnings(units), *evaluation.warnings, *unknown),
-        notes=(*identification.notes, *unit_notes(units), *excluded),
+        notes=(*identification.notes, *unit_notes(units), *excluded, *((taken_over,) if taken_over else ())),
     )
     found = objections(identification, evaluation)
     if request.out is not None and request.out.exists() and not found:
@@ -236,7 +240,7 @@ def _checked(request: SysidRequest) -> tuple[BaseVehicle, Settings]:
         InputError: with the problems of all checks.
     """
     problems = Problems()
-    reference = models_of_cars()[0] if request.model == AUTO else request.model
+    reference = _reference(request)
     base = problems.of(lambda: load_base_vehicle(reference))
     settings = _parse_settings(request, base, problems.found)
     out, plot, mapping = request.out, request.plot, request.mapping
@@ -253,6 +257,16 @@ def _checked(request: SysidRequest) -> tuple[BaseVehicle, Settings]:
     problems.check()
     assert base is not None, "every problem was raised"
     return base, settings
+
+
+def _reference(request: SysidRequest) -> str:
+    """The initial vehicle; without a model the one with terms for the commands that the logs have."""
+    if request.model != AUTO:
+        return request.model
+    try:
+        return TWO_SIDES if has_two_sides(request.logs, request.mapping) else models_of_cars()[0]
+    except InputError:  # of the mapping file, which is checked beside the other options
+        return models_of_cars()[0]
 
 
 def _check_next(request: SysidRequest) -> None:

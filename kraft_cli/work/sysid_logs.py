@@ -11,9 +11,11 @@ from kraft.errors import InputError, NegativeResult
 from kraft.logs.discover import discover
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import MismatchError, read_logs
+from kraft.logs.reader import CONTROLS, MismatchError, read_logs
 from kraft.sysid.data import screen_logs
 
+SIDES: Final = ("left", "right")
+"""Controls of a robot with two driven sides."""
 MessageSink = Callable[[str], None]
 """Receives one message."""
 
@@ -70,6 +72,30 @@ def read_sysid_logs(
     if not long.logs:
         raise _none_usable(len(discover(paths, controls, mapping)[0]))
     return LogSet(long.logs, (*found.problems, *long.problems))
+
+
+def has_two_sides(paths: Sequence[Path], mapping_file: Path | None) -> bool:
+    """Whether the first log that can be read has the commands of a robot with two driven sides, and not of a car.
+
+    Raises:
+        InputError: if the mapping file cannot be read.
+    """
+    mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
+    for candidate in discover(paths, SIDES, mapping)[0]:
+        if _is_log_of(candidate.place, CONTROLS, mapping):
+            return False
+        if _is_log_of(candidate.place, SIDES, mapping):
+            return True
+    return False
+
+
+def _is_log_of(place: Path, controls: Sequence[str], mapping: Mapping) -> bool:
+    """Whether a log has these commands."""
+    try:
+        read_logs([place], controls, mapping, any_command_unit=True)
+    except InputError:  # what is wrong is reported when all logs are read
+        return False
+    return True
 
 
 def _none_usable(count: int) -> NegativeResult:
