@@ -417,8 +417,10 @@ def draw_trials(axes: Axes, trials: Sequence[ModelTrial]) -> list[ColouredText]:
         colour = (DATA, INK, IDENTIFIED)[min(share, 2)]
         errors = 100.0 * np.array([trial.errors[after] for trial in trials])
         for model in {trial.model: None for trial in trials}:
-            own = [k for k, trial in enumerate(trials) if trial.model == model]
+            own = [k for k, trial in enumerate(trials) if trial.model == model and not trial.added]
             axes.plot(at[own], errors[own], ".-", color=colour, linewidth=1.2, markersize=4.0)
+        again = [k for k, trial in enumerate(trials) if trial.added]  # beside the path
+        axes.plot(at[again], errors[again], ".", color=colour, markersize=4.0)
         chosen = [k for k, trial in enumerate(trials) if trial.chosen]
         axes.plot(at[chosen], errors[chosen], "o", color=colour, markersize=8.0, markerfacecolor="none")
         found.append((f"{after:g} s", colour))
@@ -448,6 +450,8 @@ def _tried(trials: Sequence[ModelTrial], k: int) -> str:
         return counted(len(trials[k].terms), "term")
     if trials[k].model != trials[0].model:
         return trials[k].model
+    if trials[k].added:
+        return f"+ {trials[k].added}"
     names = trials[k].without.split(", ")
     return names[0] if len(names) == 1 else f"{len(names)} idle ones"
 

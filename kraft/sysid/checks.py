@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -15,6 +16,10 @@ from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import Problem, residual_ratio
 from kraft.text import counted
 from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Log
 
 PRIOR_STD_RATIO = 0.7
 """Standard deviation by the stated noise over that of the prior, above which the data do not identify a parameter."""
@@ -30,6 +35,13 @@ MOVING_SPEED_SHARE = 0.3
 """Share of the highest speed below which curvature is not evaluated."""
 STEERING_STD_MIN = 0.02
 """Least standard deviation of a steering signal that identifies anything, rad."""
+STEERING_SPREAD_MIN, OTHER_SIDE = 0.03, 0.01
+"""Least standard deviation of the steering, and least steering to a side, as shares of the largest one; and the share
+of the poses that must have it."""
+STEERING_CHANGES_MIN = 5.0
+"""Least sum of all changes of the steering while the vehicle moves, over its range, that shows a lag of the wheels."""
+MOVING_SHARE = 0.1
+"""Share of the high speeds of a log above which the vehicle counts as moving."""
 _ARCS: Final = "arcs to the left and to the right, of several radii"
 _THROTTLE_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
 _THROTTLE_LEVELS: Final = "several constant throttles, low ones too, for some seconds each"
@@ -48,6 +60,49 @@ _MANOEUVRES: Final = {
     "side": _ARCS,
     "yaw_offset": _ARCS,
 }
+
+
+@dataclass(frozen=True)
+class SteeringInMotion:
+    """What logs show of the steering: its commands while the vehicle moves.
+
+    Attributes:
+        varies: whether there are several, and not one alone.
+        both_sides: whether they are to both sides.
+        changes: whether they change during the motion, so that lags of the steering show.
+    """
+
+    varies: bool = True
+    both_sides: bool = True
+    changes: bool = True
+
+    @classmethod
+    def of(cls, model: Vehicle, logs: Sequence[Log]) -> SteeringInMotion:
+        """Of a vehicle; for one without steering nothing is missing."""
+        if "steering" not in model.controls:
+            return cls()
+        commands, moved, turned = [], [], 0.0
+        for log in logs:
+            k = log.controls.index("steering")
+            for part in log.parts:
+                at = np.searchsorted(part.command_times, part.pose_times, side="right") - 1
+                own = part.commands[np.maximum(at, 0), k]
+                way = np.hypot(*np.diff(part.poses[:, :2], axis=0).T)
+                moving = way > MOVING_SHARE * np.quantile(way, 0.95)
+                turned += float(np.abs(np.diff(own))[moving].sum())
+                commands.append(own[1:][moving])
+                moved.append(way[moving])
+        given, weight = np.concatenate(commands), np.concatenate(moved)
+        if not weight.sum() > 0.0:
+            return cls()
+        full, mean = float(np.abs(given).max()), float(np.average(given, weights=weight))
+        spread = math.sqrt(float(np.average((given - mean) ** 2, weights=weight)))
+        low, high = np.quantile(given, [OTHER_SIDE, 1.0 - OTHER_SIDE])
+        return cls(
+            varies=spread > STEERING_SPREAD_MIN * full,
+            both_sides=bool(low < -STEERING_SPREAD_MIN * full and high > STEERING_SPREAD_MIN * full),
+            changes=turned > STEERING_CHANGES_MIN * float(high - low),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Log, LogSet
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.chains import whole_segment
-from kraft.sysid.checks import Solution, at_bound, unidentified, warnings_of
+from kraft.sysid.checks import Solution, SteeringInMotion, at_bound, unidentified, warnings_of
 from kraft.sysid.data import screen_logs, usable_logs
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.factor_graph import FastGraph, PaperGraph
@@ -50,6 +50,8 @@ RESIDUAL_SCALE_TOLERANCE = 1.5
 """Factor between residuals and their expectation from which the residuals set the threshold of the robust loss."""
 REFITS_MAX = 3
 """Most rounds of model selection, each of which removes auxiliary parameters and fits the others again."""
+BOTH_SIDES = ("phi_diff", "asymmetry", "yaw_offset")
+"""Parameters of a car that turns to one side do not tell from the steering curve and the slip."""
 TURN_SECONDS, TURN_STEP = 3.0, 0.02
 TURN_STEERING_SHARE = 0.1
 """Steering of the simulated turn, as a share of the full steering."""
@@ -141,23 +143,29 @@ def identify_terms(
     settings = settings or Settings()
     check_settings(vehicle, settings)
     usable = usable_logs(vehicle_of(vehicle), logs)
-    _check_controls(vehicle_of(vehicle), usable)
+    steered = SteeringInMotion.of(vehicle_of(vehicle), usable)
+    _check_controls(vehicle_of(vehicle), usable, steered)
     settings = _with_clock_offset(settings, usable)
+    held = _shown_by_both_sides(vehicle, steered)
+    settings = replace(settings, frozen=(*settings.frozen, *held))
     search = StructureSearch(vehicle, usable, settings, on_iteration)
     path = search.path()
-    best = search.converged(chosen(path))
-    trials = [*(best if s.terms == best.terms else s for s in path)]
-    if simpler is not None:
+    simplest = search.converged(chosen(path))
+    best = search.completed(simplest, path)
+    trials = [simplest if s.terms == simplest.terms else s for s in path]
+    trials += [] if best is simplest else [best]
+    if simpler is not None and steered.changes:
         other = StructureSearch(simpler, usable, settings, on_iteration)
         other.growth = search.growth
         alike = other.alike(best)
         search.iterations += other.iterations
         trials.append(alike)
-        if is_near(alike, best_of(path), NEGLIGIBLE):
+        if set(best.terms) <= set(alike.terms) and is_near(alike, best_of(path), NEGLIGIBLE):
             vehicle, best = simpler, alike
     identification = _identified(best, search, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
-    return ModelChoice(vehicle, replace(identification, trials=rows))
+    notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
+    return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
 
 
 def _with_clock_offset(settings: Settings, logs: Sequence[Log]) -> Settings:
@@ -167,14 +175,22 @@ def _with_clock_offset(settings: Settings, logs: Sequence[Log]) -> Settings:
     return replace(settings, clock_offset=-DELAY_MIN if turns_before_steered(logs) else 0.0)
 
 
-def _check_controls(model: Vehicle, logs: Sequence[Log]) -> None:
+def _shown_by_both_sides(vehicle: VehicleConfig, steered: SteeringInMotion) -> tuple[str, ...]:
+    """Parameters that are not identified because the logs show turns to one side only."""
+    return () if steered.both_sides else tuple(name for name in BOTH_SIDES if name in vehicle.parameters)
+
+
+def _check_controls(model: Vehicle, logs: Sequence[Log], steered: SteeringInMotion) -> None:
     """Refuse logs in which a control never changes: nothing shows what it does."""
     problems = []
     for k, name in enumerate(model.controls):
         values = np.concatenate([part.commands[:, k] for log in logs for part in log.parts])
+        expected = "expected drives in which it takes several values, left and right, or forward and coasting"
         if np.ptp(values) <= 0.0:
-            expected = "expected drives in which it takes several values, left and right, or forward and coasting"
             problems.append(Diagnostic("logs", f"{name} is always {values[0]:g}", expected, code=Code.DATA))
+        elif name == "steering" and not steered.varies:
+            problem = "steering hardly changes while the vehicle moves"
+            problems.append(Diagnostic("logs", problem, expected, code=Code.DATA))
     if problems:
         raise InputError(problems)
 
@@ -183,7 +199,7 @@ def _trial(structure: Structure, *, chosen: bool, horizon: float) -> ModelTrial:
     times = [share * horizon for share in HORIZON_SHARES]
     errors = {t: float(e * t) for t, e in zip(times, np.nanmean(structure.errors, axis=0), strict=True)}
     name = structure.graph.problem.parameters.vehicle.name
-    return ModelTrial(name, structure.terms, structure.without, errors, chosen)
+    return ModelTrial(name, structure.terms, structure.without, errors, chosen, structure.added)
 
 
 def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], settings: Settings) -> Identification:
@@ -207,8 +223,9 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
     off = tuple(
         spec.name for spec in p.specs[: p.model_size] if spec.neutral is not None and spec.name not in best.terms
     )
+    unneeded = [name for name in off if name not in settings.frozen]
     missing = [name for name in search.auxiliary if name not in best.terms]
-    notes = [f"terms that the logs do not need: {', '.join((*off, *missing))}"] if off or missing else []
+    notes = [f"terms that the logs do not need: {', '.join((*unneeded, *missing))}"] if unneeded or missing else []
     found = assemble_identification(solution, warnings_of(solution, windows=True), tuple(notes))
     found = replace(
         found,

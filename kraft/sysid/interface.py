@@ -151,6 +151,8 @@ class ModelTrial:
     errors: Mapping[float, float]
     """position error by time since the beginning of a window (s), m"""
     chosen: bool
+    added: str = ""
+    """terms that were switched on again at the end"""
 
 
 @dataclass(frozen=True)

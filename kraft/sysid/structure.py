@@ -9,6 +9,10 @@ judged on logs that it was not fitted to (cross-validation over logs, or over pa
 error is within one standard error of the best, the simplest is taken (Hastie, Tibshirani, Friedman: The Elements of
 Statistical Learning, 2009, Sec. 7.10).  So are those that are hardly worse: of many logs the standard error is so small
 that effects of the discrete steps would be taken for terms.
+
+Errors of predictions depend on the few windows with the largest ones, so that a term which acts in other windows does
+not show in them.  The likelihood of all poses shows it: a term that was switched off is switched on again if the cost
+falls by more than noise and differences between folds explain, and the predictions do not get worse.
 """
 
 from __future__ import annotations
@@ -26,7 +30,14 @@ from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
 from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit, in_parallel
-from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, held_at_bounds
+from kraft.sysid.optimiser import (
+    OnIteration,
+    Optimum,
+    RhoFactors,
+    bounded_step,
+    estimate_uncertainty,
+    held_at_bounds,
+)
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import NoiseModel, Point, noise_model
@@ -68,6 +79,10 @@ NEGLIGIBLE: Final = 0.04
 """Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
 NEGLIGIBLE_OFFSET: Final = 0.02
 """The same for a structure that lacks an offset of the poses."""
+GAIN_MIN: Final = 2.0
+"""Least decrease of the cost by a term that is switched on again: that of a term two standard deviations from none."""
+SIZE_MIN: Final = 0.1
+"""Least size of a term that is switched on again, over the standard deviation of what is known of cars."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
 DIVERGED: Final = 1e6
@@ -90,6 +105,8 @@ class Structure:
     """(folds, np) parameters that the other folds give, to first order"""
     without: str = ""
     """term that was switched off last"""
+    added: str = ""
+    """terms that were switched on again"""
 
     @cached_property
     def scores(self) -> Floats:
@@ -242,6 +259,33 @@ class StructureSearch:
                 break
         return replace(self._judged(structure.terms, graph, optimum), without=structure.without)
 
+    def completed(self, structure: Structure, path: Sequence[Structure]) -> Structure:
+        """The structure with those terms on again that the likelihood shows, and with which it predicts as well."""
+        lost = {
+            after.without: (after.optimum.cost - before.optimum.cost, before)
+            for before, after in itertools.pairwise(path)
+            if after.without in before.terms and after.without not in structure.terms
+        }
+        for name in sorted(lost, key=lambda name: -lost[name][0]):
+            cost, before = lost[name]
+            if cost <= 0.0 or _size(before, name) < SIZE_MIN:
+                continue
+            more = self._with(structure, name, before)
+            gain = structure.optimum.cost - more.optimum.cost
+            if _size(more, name) >= SIZE_MIN and _is_shown(more, name, gain) and is_near(more, structure, 0.0):
+                structure = replace(more, added=", ".join(filter(None, (structure.added, name))))
+        return structure
+
+    def _with(self, structure: Structure, name: str, other: Structure) -> Structure:
+        """The structure with one more term, which begins at its value in another structure."""
+        terms = tuple(term for term in self.candidates if term == name or term in structure.terms)
+        graph, before = self.graph(terms), structure.optimum.point
+        p = graph.problem.parameters
+        rho = before.rho.copy()
+        rho[p.index(name)] = other.optimum.point.rho[p.index(name)]
+        start = replace(before, states=graph.shifted(before.states, before.rho, rho), rho=rho)
+        return self._judged(terms, graph, self._optimise(graph, start))
+
     def _judged(self, terms: tuple[str, ...], graph: MultiStep, optimum: Optimum) -> Structure:
         """Errors of each fold with the parameters that the other folds give, to first order about the optimum.
 
@@ -340,6 +384,33 @@ def is_near(structure: Structure, best: Structure, share: float) -> bool:
     """Whether the mean error is within one standard error, or a share, of the best one."""
     difference, nearly = structure.scores - best.scores, share * float(best.scores.mean())
     return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
+
+
+def _size(structure: Structure, name: str) -> float:
+    """Distance of a term from its neutral value in standard deviations of its prior."""
+    p = structure.graph.problem.parameters
+    k = p.index(name)
+    neutral = p.specs[k].neutral
+    assert neutral is not None  # it is a term
+    return abs(float(structure.optimum.point.rho[k]) - neutral) / p.specs[k].std
+
+
+def _is_shown(structure: Structure, name: str, gain: float) -> bool:
+    """Whether a term is more probable than none, by Laplace's approximation of the likelihood of its size.
+
+    Where folds differ more than noise explains, the `gain`, the decrease of the cost by the term, counts as much less.
+    """
+    p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
+    held = held_at_bounds(factors, p.low - rho, p.high - rho)
+    if held[p.index(name)]:
+        return False
+    free = p.free & ~held
+    found = estimate_uncertainty(factors, free, np.zeros(len(rho), dtype=bool))
+    k = int(np.count_nonzero(free[: p.index(name)]))
+    variance = float(found.graph[k, k])
+    disagreement = max(1.0, float(found.covariance[k, k]) / variance)
+    narrowed = math.log(p.specs[p.index(name)].std / math.sqrt(disagreement * variance))
+    return gain / disagreement > max(narrowed, GAIN_MIN)
 
 
 def _cheapest(structure: Structure) -> str:

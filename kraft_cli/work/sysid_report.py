@@ -104,13 +104,20 @@ def model_table(trials: Sequence[ModelTrial]) -> Table:
     heading = ("MODEL", "TERMS", *(f"{after:g} s" for after in trials[0].errors), "")
     return heading, [
         (
-            f"{trial.model}{f' without {trial.without}' if trial.without else ''}",
+            f"{trial.model}{_changed(trial)}",
             str(len(trial.terms)),
             *(_cell(error, 100, " cm") for error in trial.errors.values()),
             "chosen" if trial.chosen else "",
         )
         for trial in trials
     ]
+
+
+def _changed(trial: ModelTrial) -> str:
+    """Terms that were switched off or on again, as words after the name of a model."""
+    if trial.added:
+        return f" with {trial.added} again"
+    return f" without {trial.without}" if trial.without else ""
 
 
 def summary_lines(result: SysidResult) -> list[str]:
@@ -151,6 +158,7 @@ def _trial(trial: ModelTrial) -> dict[str, Any]:
         "model": trial.model,
         "terms": list(trial.terms),
         "without": trial.without or None,
+        "added": trial.added or None,
         "position_m": {f"{after:g}": error for after, error in trial.errors.items()},
         "chosen": trial.chosen,
     }
