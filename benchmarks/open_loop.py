@@ -1,8 +1,8 @@
 """Plans with identified models, driven open loop by the true robot: how far off it is where they end.
 
-Each vehicle is recorded as `kraft record` does it, identified as `kraft sysid LOGS --out FILE` does it, and its plans are
-made with that file.  The true robot, in MuJoCo, gets the commands of the plan at their times and nothing else, on an empty
-floor, so that no wall ends the drive.
+Each vehicle is recorded as `kraft record` does it, identified as `kraft sysid LOGS --out FILE` does it, and its plans
+are made with that file.  The true robot, in MuJoCo, gets the commands of the plan at their times and nothing else, on
+an empty floor, so that no wall ends the drive.
 """
 
 from __future__ import annotations

@@ -81,6 +81,8 @@ NEGLIGIBLE_OFFSET: Final = 0.02
 """The same for a structure that lacks an offset of the poses."""
 GAIN_MIN: Final = 2.0
 """Least decrease of the cost by a term that is switched on again: that of a term two standard deviations from none."""
+PATH_COST: Final = 2.0
+"""Most by which the cost of a term may be larger than its increase on the path, whose fits are not at their ends."""
 SIZE_MIN: Final = 0.1
 """Least size of a term that is switched on again, over the standard deviation of what is known of cars."""
 REFIT_ITERATIONS: Final = 6
@@ -268,7 +270,7 @@ class StructureSearch:
         }
         for name in sorted(lost, key=lambda name: -lost[name][0]):
             cost, before = lost[name]
-            if cost <= 0.0 or _size(before, name) < SIZE_MIN:
+            if _size(before, name) < SIZE_MIN or not _is_shown(before, name, PATH_COST * cost):
                 continue
             more = self._with(structure, name, before)
             gain = structure.optimum.cost - more.optimum.cost

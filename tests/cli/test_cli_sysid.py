@@ -427,3 +427,21 @@ def test_bad_options_of_next_drives_are_explained(
     monkeypatch.setattr(experiment, "FIRST", 5)
     assert main(["sysid", *FOUR, "--model", "mushr-lag", "--extras", "none", "-q", *options]) == 2
     assert places(capsys.readouterr().err) == [place]
+
+
+@pytest.mark.parametrize(
+    ("columns", "model"), [("t,left,right", "differential"), ("t,throttle,steering", "car-lag"), ("t,a,b", "car-lag")]
+)
+def test_without_a_model_the_commands_in_the_logs_decide_between_a_car_and_a_robot_with_two_sides(
+    columns: str, model: str, tmp_path: Path
+) -> None:
+    times = 0.05 * np.arange(200)
+    yaw = 0.3 * times
+    commands = np.column_stack([times, 0.5 + 0.1 * np.sin(times), 0.6 + 0.1 * np.cos(times)])
+    poses = np.column_stack([times, np.sin(yaw) / 0.6, (1.0 - np.cos(yaw)) / 0.6, yaw])
+    run = tmp_path / "other" / "run_01"
+    run.mkdir(parents=True)
+    np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=columns, comments="")
+    np.savetxt(run / "poses.csv", poses, fmt="%.9g", delimiter=",", header="t,x,y,yaw", comments="")
+    base, _ = module._checked(module.SysidRequest(logs=(tmp_path / "other",)))
+    assert base.name == model

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import kraft
 from benchmarks import (
     arenas,
     callbacks,
@@ -22,6 +23,7 @@ from benchmarks import (
     experiment,
     goals,
     maps,
+    open_loop,
     peers,
     peers_table,
     planner,
@@ -48,6 +50,7 @@ from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
 from kraft.driving.method import load_method
 from kraft.recording import experiment as design
+from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
@@ -328,6 +331,17 @@ def test_trials_with_a_change_have_the_seeds_of_those_without_and_their_errors_s
     assert all(0.0 < error < 1.0 for _, error in drive.errors)
     offsets = [abs(value) for time, value in drive.estimates if time < 0.0]
     assert np.median(offsets) == pytest.approx(math.radians(4.0), abs=math.radians(2.0))
+
+
+def test_a_robot_that_is_its_model_ends_where_its_plan_does_and_another_one_does_not() -> None:
+    scenario, vehicle = load_scenario("turns"), load_vehicle("mushr-lag")
+    plan = kraft.plan(scenario.task(), vehicle=vehicle, iterations=2000).plan
+    assert plan is not None
+    own = replace(scenario, truth=scenario.truth.model_copy(update={"model": "mushr-lag"}))
+    off = [open_loop.deviation(each, vehicle, plan) for each in (own, scenario)]
+    assert off[0] < 0.02
+    assert off[1] > 0.05
+    assert open_loop.path_length(vehicle, plan) > 5.0
 
 
 def test_random_arenas_can_be_driven_and_are_the_same_every_time() -> None:

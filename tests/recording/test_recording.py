@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
-from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, ToControl, manoeuvre
-from kraft.recording.recorder import COMMAND_RATE, MARGIN, STEP, STOP, FreeSpace, Recorder, Recording, moved
+from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, ToControl, manoeuvre
+from kraft.recording.recorder import (
+    COMMAND_RATE,
+    MARGIN,
+    STEP,
+    STOP,
+    FreeSpace,
+    Recorder,
+    Recording,
+    moved,
+    write_recording,
+)
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
-from kraft.vehicles.load import load_vehicle
+from kraft.simulation.true_world import true_robot
+from kraft.vehicles.load import RecordedVehicle, load_vehicle
 from ompl_ext.exact import ExactClearance
 
 MUSHR = load_vehicle("mushr")
@@ -182,3 +195,15 @@ def test_a_scenario_without_room_is_refused() -> None:
 def test_a_path_is_moved_rigidly() -> None:
     path = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.5]])
     assert np.allclose(moved(path, Start(1.0, 2.0, np.pi / 2)), [[1, 2, np.pi / 2], [1, 3, np.pi / 2 + 0.5]])
+
+
+@pytest.mark.parametrize("name", ["f1tenth", "jackal", "mushr"])
+def test_a_manifest_states_the_vehicle_that_drove_and_its_true_robot(name: str, tmp_path: Path) -> None:
+    vehicle = load_vehicle(name)
+    recording = Recorder(TRAINING, vehicle, 0).record(1, Manoeuvre("rest", np.zeros(1), np.zeros((1, 2)), 2.5))
+    folder = write_recording(tmp_path / "logs", TRAINING, {}, recording)
+    stated = json.loads((folder / "manifest.json").read_text())["vehicle"]
+    found = RecordedVehicle.read(stated, folder / "manifest.json")
+    assert found is not None
+    assert (found.name, found.footprint.length) == (name, vehicle.footprint.length)
+    assert found.truth == true_robot(TRAINING, vehicle).robot

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from kraft.sysid.structure import Structure, StructureSearch, chosen
+from kraft.sysid.interface import Settings
+from kraft.sysid.optimiser import RhoFactors
+from kraft.sysid.parameters import parameters_of
+from kraft.sysid.structure import Structure, StructureSearch, _is_shown, chosen
+from kraft.vehicles.config import load_vehicle_config
 
 FOLDS = 8
 UNUSED: Any = None
@@ -56,3 +62,35 @@ def test_what_the_folds_do_not_show_is_not_worse() -> None:
 def test_the_search_ends_when_needed_terms_are_off(errors: tuple[float, ...], ended: bool) -> None:
     path = [structure("a " * (len(errors) - k), error) for k, error in enumerate(errors)]
     assert StructureSearch._too_few(path) is ended
+
+
+def with_slide(value: float, std: float, scatter: float = 0.0) -> Structure:
+    """A structure with `slide` at a value whose standard deviation by the noise, and scatter between folds, are given."""
+    p = parameters_of(load_vehicle_config("car"), Settings(), ())
+    p = replace(p, frozen=frozenset(p.names) - {"slide"})
+    k, size = p.index("slide"), len(p.names)
+    information, gradient = np.zeros((FOLDS, size, size)), np.zeros((FOLDS, size))
+    information[:, k, k] = std**-2.0 / FOLDS
+    gradient[:, k] = scatter * information[:, k, k] * np.where(np.arange(FOLDS) % 2, 1.0, -1.0)
+    rho = p.nominal.copy()
+    rho[k] = value
+    optimum: Any = SimpleNamespace(
+        point=SimpleNamespace(rho=rho), factors=RhoFactors(information, gradient, np.zeros(size), np.zeros(size))
+    )
+    graph: Any = SimpleNamespace(problem=SimpleNamespace(parameters=p))
+    return replace(structure("slide", 1.0), graph=graph, optimum=optimum)
+
+
+@pytest.mark.parametrize(
+    ("term", "gain", "shown"),
+    [
+        (with_slide(0.15, 0.02), 6.0, True),
+        (with_slide(0.15, 0.1), 1.0, False),
+        (with_slide(0.15, 0.02, scatter=0.3), 6.0, False),
+        (with_slide(0.0005, 0.0001), 6.0, False),
+        (with_slide(0.0, 0.1), 0.0, False),
+    ],
+    ids=["by all folds", "by chance", "folds that disagree", "far smaller than in cars", "at its bound"],
+)
+def test_the_likelihood_shows_a_term_that_is_more_probable_than_none(term: Structure, gain: float, shown: bool) -> None:
+    assert _is_shown(term, "slide", gain) is shown

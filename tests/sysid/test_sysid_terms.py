@@ -12,6 +12,7 @@ from kraft.logs.log import Log, Part
 from kraft.sysid import Settings, identify, prediction_errors
 from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
 from kraft.sysid.chains import whole_segment
+from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.dynamics import ActuatorModel, DiscreteModel
 from kraft.sysid.identify import identify_terms
 from kraft.sysid.parameters import parameters_of
@@ -210,6 +211,47 @@ def test_a_control_that_never_changes_is_refused() -> None:
     with pytest.raises(InputError) as refused:
         identify_terms(car_file(), [log])
     assert ["steering" in found.problem for found in refused.value.diagnostics] == [True]
+
+
+def test_steering_that_changes_only_at_rest_is_refused() -> None:
+    turning = drive(car(), 0)
+    (part,) = turning.parts
+    commands = part.commands.copy()
+    commands[:50] = 0.0
+    commands[50:, 1] = -0.5
+    poses = drive(car(), 0).parts[0].poses.copy()
+    poses[part.pose_times < 50 * STEP] = poses[0]
+    log = replace(turning, parts=(replace(part, commands=commands, poses=poses),))
+    with pytest.raises(InputError) as refused:
+        identify_terms(car_file(), [log])
+    assert ["steering hardly changes while" in found.problem for found in refused.value.diagnostics] == [True]
+
+
+def test_drives_to_one_side_do_not_bend_what_only_both_sides_show() -> None:
+    """A car whose wheels are straight at 0: logs to the left alone must not turn its saturation into an offset."""
+    model = car(saturation=1.0)
+    logs = [drive(model, seed, seconds=10.0, low=(0.15, 0.3)) for seed in range(5)]
+    choice = identify_terms(car_file(), logs)
+    held = {"phi_diff", "asymmetry", "yaw_offset"}
+    assert not held & set(choice.identification.names)
+    assert any("turns to both sides" in note for note in choice.identification.notes)
+    unseen = [drive(model, 90, low=(0.15, -1.0))]
+    errors = prediction_errors(choice.vehicle, unseen, choice.identification.values)
+    assert errors.position[3.0] < 0.1
+    both = identify_terms(car_file(), [drive(model, seed, seconds=10.0) for seed in range(3)])
+    assert "phi_diff" in both.identification.names
+
+
+@pytest.mark.parametrize(("hold", "changes"), [(40, True), (100_000, False)], ids=["levels", "one level"])
+def test_a_lag_of_the_steering_shows_where_it_changes_in_motion(hold: int, changes: bool) -> None:
+    model = car()
+    logs = []
+    for seed, log in enumerate(drive(model, seed) for seed in range(3)):
+        (part,) = log.parts
+        steering = np.where(np.arange(len(part.commands)) < hold, 0.2 * (seed - 1), part.commands[:, 1])
+        logs.append(replace(log, parts=(replace(part, commands=np.column_stack([part.commands[:, 0], steering])),)))
+    steered = SteeringInMotion.of(model, logs)
+    assert (steered.varies, steered.both_sides, steered.changes) == (True, True, changes)
 
 
 def test_constant_motion_predicts_a_circle() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,9 @@ from kraft.config import bundled
 from kraft.driving.estimation.adaptive import with_identified_drift
 from kraft.driving.method import Adaptive
 from kraft.errors import Code, InputError
+from kraft.logs.log import Log
 from kraft.sysid.acceptance import PredictionPair, errors_by_speed, fitted_warnings, objections, prediction_warnings
-from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle
+from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.interface import ParameterEstimate, Settings
 from kraft.sysid.parameters import parameters_of
@@ -28,7 +30,7 @@ from kraft.sysid.vehicle_file import (
     write_vehicle,
 )
 from kraft.vehicles.config import Parameter, SpeedPrediction, VehicleConfig, load_vehicle_config
-from kraft.vehicles.load import load_vehicle, natural_robot
+from kraft.vehicles.load import RecordedVehicle, load_vehicle, natural_robot
 from kraft_cli.main import main
 
 LOGS = tuple(fake_log(f"run_{k}", 0.1 * k) for k in range(1, 5))
@@ -331,3 +333,62 @@ def test_parameters_that_a_file_omits_are_written_in_the_units_of_the_model(tmp_
 def test_a_number_without_a_unit_is_printed_alone() -> None:
     spec = parameters_of(load_vehicle("mushr"), Settings(), ()).specs[0]
     assert [replace(spec, unit=unit).unit_text for unit in ("m", "1", "")] == [" m", "", ""]
+
+
+def recorded_by(folder: Path, name: str, **changed: object) -> tuple[Log, ...]:
+    """Logs whose manifests state the bundled vehicle of that name."""
+    vehicle = load_vehicle(name)
+    stated = RecordedVehicle.of(vehicle, natural_robot(vehicle)[0]).model_dump(mode="json", exclude_none=True)
+    logs = []
+    for log in LOGS:
+        run = folder / log.name
+        run.mkdir(parents=True)
+        (run / "manifest.json").write_text(json.dumps({"vehicle": {**stated, **changed}}))
+        logs.append(replace(log, sources=(replace(log.sources[0], file=str(run / "poses.csv")),)))
+    return tuple(logs)
+
+
+@pytest.mark.parametrize("name", ["f1tenth", "jackal"])
+def test_the_robot_that_was_recorded_is_that_of_the_file(name: str, tmp_path: Path) -> None:
+    model = "car-lag" if name == "f1tenth" else "differential"
+    base, said = with_recorded(load_base_vehicle(model), recorded_by(tmp_path, name))
+    assert f"the recorded {name}: footprint, delay, true robot" in said
+    known = {symbol: estimated(p.value, 0.1, unit=p.unit) for symbol, p in base.parameters.items()}
+    path, before = tmp_path / "mine.yaml", load_vehicle_config(name)
+    write_vehicle(path, base, known, RECORD)
+    after = load_vehicle_config(path)
+    assert (after.footprint, after.delay) == (before.footprint, before.delay)
+    robots = [natural_robot(load_vehicle(each))[0] for each in (name, str(path))]
+    assert robots[0] == robots[1]
+
+
+def test_nothing_is_taken_over_from_a_recording_of_the_same_robot_of_two_or_of_one_that_is_gone(tmp_path: Path) -> None:
+    own, said = with_recorded(load_base_vehicle("jackal"), recorded_by(tmp_path / "a", "jackal"))
+    assert (own.recorded, said) == (None, "")
+    both = (*recorded_by(tmp_path / "b", "jackal"), *recorded_by(tmp_path / "c", "f1tenth"))
+    none, said = with_recorded(load_base_vehicle("differential"), both)
+    assert none.recorded is None
+    assert "(jackal, f1tenth)" in said
+    gone = recorded_by(tmp_path / "d", "jackal", truth={"mjcf": str(tmp_path / "gone.xml")})
+    none, said = with_recorded(load_base_vehicle("differential"), gone)
+    assert none.recorded is None
+    assert "gone.xml" in said
+
+
+def test_a_footprint_stays_where_it_is_on_a_car_whose_tracked_point_is_found(tmp_path: Path) -> None:
+    base = load_base_vehicle("car-lag")
+    known = {symbol: estimated(p.value, 0.1, unit=p.unit) for symbol, p in base.parameters.items()}
+    write_vehicle(tmp_path / "mine.yaml", base, {**known, "lever": estimated(0.12, 0.01)}, RECORD)
+    after = load_vehicle_config(tmp_path / "mine.yaml")
+    assert after.footprint.offset == pytest.approx(base.footprint.offset - 0.12)
+    assert after.parameters["lever"].value == pytest.approx(0.12)
+
+
+def test_an_identified_delay_is_stated_for_driving(tmp_path: Path) -> None:
+    late = written(tmp_path / "late.yaml", parameters={**RESULT.parameters, "delay": estimated(0.08, 0.02, unit="s")})
+    assert late.delay is not None
+    assert (late.delay.value, late.delay.std) == (0.08, 0.02)
+    early = written(
+        tmp_path / "early.yaml", parameters={**RESULT.parameters, "delay": estimated(-0.03, 0.01, unit="s")}
+    )
+    assert early.delay is None

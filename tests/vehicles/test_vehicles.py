@@ -162,6 +162,20 @@ def test_a_throttle_that_friction_uses_up_does_not_move_the_drive_train() -> Non
     assert after(MUSHR_DRIVE, [0, 0, 0, 0], [2 * 0.1274, 0], 10.0)[3] == pytest.approx(0.1, rel=0.06)
 
 
+@pytest.mark.parametrize(
+    ("name", "control"), [("car-lag", [0.6, 0.5]), ("car", [0.6, 0.5]), ("differential", [0.4, 0.8])]
+)
+def test_the_tracked_point_of_a_model_with_terms_is_fixed_to_the_vehicle(name: str, control: list[float]) -> None:
+    lever, offset = 0.15, 0.1
+    middle, tracked = load_vehicle(name), load_vehicle(name, parameters={"lever": lever, "yaw_offset": offset})
+    start = [0.0] * len(middle.state)
+    x, y, yaw, *rest = after(middle, start, control, 1.5)
+    seen = after(tracked, [lever, 0.0, offset, *start[3:]], control, 1.5)
+    assert abs(yaw) > 0.5
+    expected = [x + lever * math.cos(yaw), y + lever * math.sin(yaw), yaw + offset, *rest]
+    np.testing.assert_allclose(seen, expected, atol=1e-5)
+
+
 def test_without_a_force_mushr_force_is_mushr_drive() -> None:
     drive, force = load_vehicle("mushr-drive"), load_vehicle("mushr-force")
     assert dict(list(force.parameters.items())[:5]) == drive.parameters
