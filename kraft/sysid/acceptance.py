@@ -15,8 +15,9 @@ import numpy as np
 
 from kraft.errors import InputError, NegativeResult
 from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
+from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import LogSplit, usable_logs
-from kraft.sysid.identify import identify, identify_terms
+from kraft.sysid.identify import check_controls, identify, identify_terms
 from kraft.sysid.interface import (
     CORRELATION_INDISTINGUISHABLE,
     Identification,
@@ -91,6 +92,7 @@ def identify_car(
         InputError: if the logs cannot be used, or a command never changes in them.
     """
     settings = settings or Settings()
+    check_controls(logs, SteeringInMotion.of(logs))
     car = _with_terms(logs, settings, on_iteration)
     judged, refused = [_judged(car, logs, settings)], []
     for name in KNOWN:
@@ -397,7 +399,7 @@ def replacement_objections(
     values = {name: extra.value for name, extra in extras.items()}
     earlier = window_errors(predict_windows(before, held_out, values, replace(settings, values={}, frozen=())))
     now = evaluation.held_out.errors.overall_position
-    if now <= WORSE_ERROR_RATIO * earlier.overall_position:
+    if not WORSE_ERROR_RATIO * earlier.overall_position < now:  # nor if it diverges with these commands (nan)
         return ()
     sizes = f"position {100 * now:.2f} cm identified, {100 * earlier.overall_position:.2f} cm with the file"
     return (f"held-out logs are predicted better with {file} as it is ({sizes})",)

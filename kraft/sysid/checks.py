@@ -16,7 +16,6 @@ from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import Problem, residual_ratio
 from kraft.text import counted
 from ompl_ext.arrays import Floats
-from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
@@ -77,9 +76,9 @@ class SteeringInMotion:
     changes: bool = True
 
     @classmethod
-    def of(cls, model: Vehicle, logs: Sequence[Log]) -> SteeringInMotion:
-        """Of a vehicle; for one without steering nothing is missing."""
-        if "steering" not in model.controls:
+    def of(cls, logs: Sequence[Log]) -> SteeringInMotion:
+        """Of logs of one vehicle; for one without steering nothing is missing."""
+        if "steering" not in logs[0].controls:
             return cls()
         commands, moved, turned = [], [], 0.0
         for log in logs:

@@ -143,8 +143,8 @@ def identify_terms(
     settings = settings or Settings()
     check_settings(vehicle, settings)
     usable = usable_logs(vehicle_of(vehicle), logs)
-    steered = SteeringInMotion.of(vehicle_of(vehicle), usable)
-    _check_controls(vehicle_of(vehicle), usable, steered)
+    steered = SteeringInMotion.of(usable)
+    check_controls(usable, steered)
     settings = _with_clock_offset(settings, usable)
     held = _shown_by_both_sides(vehicle, steered)
     settings = replace(settings, frozen=(*settings.frozen, *held))
@@ -180,10 +180,14 @@ def _shown_by_both_sides(vehicle: VehicleConfig, steered: SteeringInMotion) -> t
     return () if steered.both_sides else tuple(name for name in BOTH_SIDES if name in vehicle.parameters)
 
 
-def _check_controls(model: Vehicle, logs: Sequence[Log], steered: SteeringInMotion) -> None:
-    """Refuse logs in which a control never changes: nothing shows what it does."""
+def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
+    """Refuse logs in which a control never changes: nothing shows what it does.
+
+    Raises:
+        InputError: with every such control.
+    """
     problems = []
-    for k, name in enumerate(model.controls):
+    for k, name in enumerate(logs[0].controls):
         values = np.concatenate([part.commands[:, k] for log in logs for part in log.parts])
         expected = "expected drives in which it takes several values, left and right, or forward and coasting"
         if np.ptp(values) <= 0.0:

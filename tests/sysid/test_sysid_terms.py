@@ -10,6 +10,7 @@ import pytest
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Settings, identify, prediction_errors
+from kraft.sysid.acceptance import identify_car
 from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SteeringInMotion
@@ -213,6 +214,15 @@ def test_a_control_that_never_changes_is_refused() -> None:
     assert ["steering" in found.problem for found in refused.value.diagnostics] == [True]
 
 
+def test_a_constant_throttle_is_said_and_not_the_limits_that_follow_from_it() -> None:
+    driven = drive(car(), 0)
+    (part,) = driven.parts
+    commands = np.column_stack([np.full(len(part.commands), 0.5), part.commands[:, 1]])
+    with pytest.raises(InputError) as refused:
+        identify_car([replace(driven, parts=(replace(part, commands=commands),))])
+    assert [found.problem for found in refused.value.diagnostics] == ["throttle is always 0.5"]
+
+
 def test_steering_that_changes_only_at_rest_is_refused() -> None:
     turning = drive(car(), 0)
     (part,) = turning.parts
@@ -250,7 +260,7 @@ def test_a_lag_of_the_steering_shows_where_it_changes_in_motion(hold: int, chang
         (part,) = log.parts
         steering = np.where(np.arange(len(part.commands)) < hold, 0.2 * (seed - 1), part.commands[:, 1])
         logs.append(replace(log, parts=(replace(part, commands=np.column_stack([part.commands[:, 0], steering])),)))
-    steered = SteeringInMotion.of(model, logs)
+    steered = SteeringInMotion.of(logs)
     assert (steered.varies, steered.both_sides, steered.changes) == (True, True, changes)
 
 

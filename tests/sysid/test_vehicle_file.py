@@ -16,7 +16,14 @@ from kraft.driving.estimation.adaptive import with_identified_drift
 from kraft.driving.method import Adaptive
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log
-from kraft.sysid.acceptance import PredictionPair, errors_by_speed, fitted_warnings, objections, prediction_warnings
+from kraft.sysid.acceptance import (
+    PredictionPair,
+    errors_by_speed,
+    fitted_warnings,
+    objections,
+    prediction_warnings,
+    replacement_objections,
+)
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.interface import ParameterEstimate, Settings
@@ -392,3 +399,13 @@ def test_an_identified_delay_is_stated_for_driving(tmp_path: Path) -> None:
         tmp_path / "early.yaml", parameters={**RESULT.parameters, "delay": estimated(-0.03, 0.01, unit="s")}
     )
     assert early.delay is None
+
+
+def test_a_file_whose_model_diverges_with_the_commands_of_the_logs_may_be_replaced(tmp_path: Path) -> None:
+    logs = [
+        replace(log, parts=tuple(replace(p, commands=1500.0 + 400.0 * p.commands) for p in log.parts)) for log in LOGS
+    ]
+    before = written(tmp_path / "mine.yaml", "car", {
+        name: estimated(p.value, 0.1, unit=p.unit) for name, p in load_base_vehicle("car").parameters.items()
+    })  # fmt: skip
+    assert replacement_objections(before, "mine.yaml", tuple(logs), EVALUATION, Settings()) == ()
