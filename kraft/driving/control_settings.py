@@ -138,10 +138,12 @@ class Dwa(RolloutCost):
 
 
 class Nmpc(Predictive):
-    """Nonlinear model predictive control with CasADi and IPOPT; its cost is that of errors over time and of changes."""
+    """Nonlinear model predictive control with CasADi; its cost is that of errors over time and of changes."""
 
     kind: Literal["nmpc"]
     """which controller"""
+    solver: Literal["sqp", "ipopt"] = "sqp"
+    """`sqp` makes Gauss-Newton steps from the last solution, `ipopt` solves each problem by itself"""
     steps: Annotated[int, Field(ge=1, le=200)] = 20
     """steps of the prediction"""
     step: Annotated[Seconds, Field(ge=0.01, le=0.5)] = 0.1

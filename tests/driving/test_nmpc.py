@@ -124,20 +124,22 @@ def straight(speed: float) -> Reference:
     return Reference(ReferenceKind.PLAN, times, states, np.zeros((40, 2)), np.zeros(2))
 
 
-def test_the_optimum_is_that_of_a_search_over_all_controls() -> None:
+@pytest.mark.parametrize("solver", ["sqp", "ipopt"])
+def test_the_optimum_is_that_of_a_search_over_all_controls(solver: Any) -> None:
     """Two steps of 0.2 s: each of the two controls takes 15 values in each step."""
-    settings = Nmpc(kind="nmpc", objective="plan", steps=2, step=0.2, iterations=100, margin=0.0)
+    settings = Nmpc(kind="nmpc", solver=solver, objective="plan", steps=2, step=0.2, iterations=100, margin=0.0)
     plan, state = straight(0.4), np.array([1.25, -0.32, math.pi / 2, 0.3])
-    controls, cost = nmpc(settings).solve(Estimate(0.0, state, 0.0), plan)
+    found = nmpc(settings).solve(Estimate(0.0, state, 0.0), plan)
     grids = [np.linspace(low, high, 15) for low, high in zip(model().low, model().high, strict=True)]
     tried = np.array(list(itertools.product(*grids, *grids))).reshape(-1, 2, 2)
     searched = costs_of(settings, plan, state, tried)
-    own = costs_of(settings, plan, state, controls[None])
-    assert own[0] == pytest.approx(cost, abs=2e-3)
-    assert cost <= searched.min() + 1e-6
-    assert cost == pytest.approx(searched.min(), abs=0.03 * np.median(searched))
+    own = costs_of(settings, plan, state, found.controls[None])
+    assert found.solved
+    assert own[0] == pytest.approx(found.cost, abs=2e-3)
+    assert found.cost <= searched.min() + 1e-6
+    assert found.cost == pytest.approx(searched.min(), abs=0.03 * np.median(searched))
     best = tried[searched.argmin()]
-    assert np.all(np.abs(controls - best) <= 1.5 * (model().high - model().low) / 14)
+    assert np.all(np.abs(found.controls - best) <= 1.5 * (model().high - model().low) / 14)
 
 
 def costs_of(settings: Nmpc, plan: Reference, state: Any, controls: Any) -> Any:
@@ -173,6 +175,33 @@ def test_it_follows_the_path_around_the_first_obstacle_and_copies_send_the_same(
         state = model().advance(state, command, 1 / 7.5)
         assert solvers().checking.exact.distance(*pose_of(state, mushr())) > 0.0
     assert state[1] > 2.0
+
+
+def test_both_solvers_find_the_same_optimum_beside_an_obstacle() -> None:
+    state = np.array([1.2, 0.4, 1.9, 0.5])
+    plan = geodesic_plan(solvers().checking, state)
+    assert plan is not None
+    path, now = plan_reference(mushr(), plan, 0.0), Estimate(0.0, state, 0.0)
+    own, other = (nmpc(Nmpc(kind="nmpc", solver=each, iterations=100)).solve(now, path) for each in ("sqp", "ipopt"))
+    assert own.solved
+    assert other.solved
+    assert own.cost == pytest.approx(other.cost, rel=3e-3)
+    assert own.controls[0] == pytest.approx(other.controls[0], abs=0.02)
+
+
+def test_without_an_optimum_the_best_controls_so_far_are_sent_and_counted() -> None:
+    state = np.array([1.2, 0.4, 1.9, 0.5])
+    plan = geodesic_plan(solvers().checking, state)
+    assert plan is not None
+    path, now = plan_reference(mushr(), plan, 0.0), Estimate(0.0, state, 0.0)
+    stopped, other = (nmpc(Nmpc(kind="nmpc", solver=each, iterations=1)) for each in ("sqp", "ipopt"))
+    begun = stopped.solve(now, path)
+    assert not begun.solved
+    assert stopped.unsolved == 1
+    assert begun.states[1] == pytest.approx(model().advance(state, begun.controls[0], 0.1), abs=5e-3)
+    assert begun.cost > nmpc(Nmpc(kind="nmpc")).solve(now, path).cost
+    assert np.array_equal(other.command(now, path), model().rest)
+    assert other.unsolved == 1
 
 
 def test_a_contingency_is_tracked_by_the_law_of_the_other_methods() -> None:

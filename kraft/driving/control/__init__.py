@@ -47,7 +47,8 @@ def settings_for(settings: Settings, vehicle: Vehicle) -> Settings:
 def needs_steps(method: Method, vehicle: Vehicle) -> bool:
     """Whether a method identifies or regulates a vehicle by its model, which takes the compiled steps of the model."""
     law = contingency_law(method.controller) if needs_map(method) else method.controller
-    return isinstance(method.estimator, Adaptive) or isinstance(settings_for(law, vehicle), Lqr)
+    simulates = isinstance(method.controller, Nmpc) or isinstance(settings_for(law, vehicle), Lqr)
+    return simulates or isinstance(method.estimator, Adaptive)
 
 
 def needs_map(method: Method) -> bool:

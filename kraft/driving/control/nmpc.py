@@ -1,8 +1,12 @@
-"""Nonlinear model predictive control with CasADi and IPOPT: follows the path of least cost-to-go, or tracks a plan.
+"""Nonlinear model predictive control with CasADi: follows the path of least cost-to-go, or tracks a plan.
 
 Every command solves an optimal control problem by multiple shooting with the vehicle's own derivative.  Each disc of
 the footprint has to stay in a half-plane of free space at each step: the distance to obstacles, linearised along the
 last solution.  A contingency is tracked by the law of the other methods.
+
+Two solvers find the same optimum.  `sqp` makes Gauss-Newton steps from the last solution, moved to the present: one
+for most commands, which is the real-time iteration.  PIQP solves their quadratic programs.  `ipopt` solves each problem
+by itself.
 
 The derivative of any vehicle becomes a CasADi expression from the source of its Python functions, which are executed
 with symbols instead of numbers.  Conditional expressions, `and`, `or`, `not`, `min`, `max` and `abs` become their
@@ -10,6 +14,8 @@ symbolic counterparts; statements that branch on the state cannot be written as 
 
 Andersson, Gillis, Horn, Rawlings, Diehl: CasADi, 2019.  Waechter, Biegler: On the implementation of an interior-point
 filter line-search algorithm for large-scale nonlinear programming, 2006.
+Diehl, Bock, Schloeder: A real-time iteration scheme for nonlinear optimization in optimal feedback control, 2005.
+Schwan, Jiang, Kuhn, Jones: PIQP, a proximal interior-point quadratic programming solver, 2023.
 """
 
 from __future__ import annotations
@@ -21,6 +27,7 @@ import inspect
 import math
 import textwrap
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import reduce
 from types import ModuleType, SimpleNamespace
 from typing import Any, Final, Self
@@ -38,6 +45,7 @@ from ompl_ext import trigonometry
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.clearance import cover
+from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
@@ -45,10 +53,26 @@ FAR: Final = 3.0
 """Distance beyond which obstacles are not looked for, m."""
 TOLERANCE: Final = 1e-3
 """Relative tolerance of the optimum."""
+LEAST_SHARE: Final = 1e-3
+"""Least share of a step of `sqp`."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """States (steps + 1, nx), the first of which is the estimate, and controls (steps, nu) between them.
+
+    `cost` is that of the problem.  If it is not `solved`, the states still follow the model: it is the last solution,
+    moved to the time of the estimate (without one, the controls at rest), with the improvements of `sqp` so far.
+    """
+
+    states: Matrix
+    controls: Matrix
+    cost: float
+    solved: bool
 
 
 class NmpcController:
-    """Solves a problem for each command and sends its first control."""
+    """Solves a problem for each command and sends its first control.  `unsolved` counts those that were not solved."""
 
     def __init__(self, settings: Nmpc, model: VehicleModel, dirt: DirtSolver, law: Controller) -> None:
         """Make the solver once; `law` tracks contingencies.
@@ -60,11 +84,10 @@ class NmpcController:
         self._settings, self._model, self._dirt, self._law = settings, model, dirt, law
         self._discs = cover(model.vehicle.footprint, settings.discs).discs
         self._problem = _Problem(settings, model, self._discs[:, :2])
-        self._states: Matrix | None = None
-        self._controls = np.tile(model.rest, (settings.steps, 1))
+        self._solution: Solution | None = None
+        self._last = model.rest
         self._time = 0.0
-        self._arc_length = 0.0
-        self._reference: Reference | None = None
+        self.unsolved = 0
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the last solution and the law; share the solver, the model and the map."""
@@ -75,33 +98,33 @@ class NmpcController:
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         if reference.kind is ReferenceKind.CONTINGENCY:
-            self._states = None
+            self._solution = None
             return self._law.command(estimate, reference)
-        controls, _ = self.solve(estimate, reference)
-        return self._model.clamped(controls[0])
+        return self._model.clamped(self.solve(estimate, reference).controls[0])
 
-    def solve(self, estimate: Estimate, reference: Reference) -> tuple[Matrix, float]:
-        """Controls (steps, nu) from the estimate on, and their cost."""
-        targets = self._targets(estimate, reference)
-        states, controls = self._guess(estimate)
-        planes = self._planes(states[1:])
-        states, controls, cost = self._problem.solve(
-            estimate.state, self._model.parameters, targets, planes, states, controls, self._controls[0]
-        )
-        self._states, self._controls, self._time = states, controls, estimate.time
-        return controls, cost
+    def solve(self, estimate: Estimate, reference: Reference) -> Solution:
+        """The optimum from the estimate on."""
+        guess = self._guess(estimate)
+        targets, planes = self._targets(estimate, reference), self._planes(guess.states[1:])
+        self._solution = self._problem.solve(guess, self._model.parameters, targets, planes, self._last)
+        self._last, self._time = self._solution.controls[0], estimate.time
+        self.unsolved += not self._solution.solved
+        return self._solution
 
-    def _guess(self, estimate: Estimate) -> tuple[Matrix, Matrix]:
-        """States (steps + 1, nx) and controls (steps, nu) of the last solution, moved to the time of the estimate."""
+    def _guess(self, estimate: Estimate) -> Solution:
+        """The last solution, moved to the time of the estimate and driven from there by the model."""
         settings, model = self._settings, self._model
-        if self._states is None or not self._time <= estimate.time < self._time + 1.0:
+        if self._solution is None or not self._time <= estimate.time < self._time + 1.0:
             controls = np.tile(model.rest, (settings.steps, 1))
         else:
-            controls = moved(self._controls, (estimate.time - self._time) / settings.step)
-        states = [np.asarray(estimate.state, dtype=float)]
-        for control in controls:
-            states.append(model.advance(states[-1], control, settings.step))
-        return np.array(states), controls
+            controls = moved(self._solution.controls, (estimate.time - self._time) / settings.step)
+        kernels, steps = step_kernels(model.vehicle), settings.steps
+        states = np.empty((steps + 1, 1, len(model.vehicle.state)))
+        kernels.simulate(
+            np.array(estimate.state, dtype=float)[None], controls[:, None], model.parameters[None],
+            np.full((steps, 1), settings.step), np.empty(kernels.block), states,
+        )  # fmt: skip
+        return Solution(states[:, 0], controls, math.inf, solved=False)
 
     def _targets(self, estimate: Estimate, reference: Reference) -> Matrix:
         """Targets (steps, 4) after each step: x, y, heading, speed.
@@ -125,24 +148,20 @@ class NmpcController:
 
     def _planes(self, states: Matrix) -> Floats:
         """Half-planes (steps, discs, 3) that the discs' centres stay in: normal and least distance along it."""
-        model, scalar = self._model, self._dirt.problem.scalar
+        model, problem = self._model, self._dirt.problem
         c, s = np.cos(states[:, model.theta]), np.sin(states[:, model.theta])
         ahead, aside, radius = self._discs[:, 0], self._discs[:, 1], self._discs[:, 2]
         x = states[:, model.x, None] + ahead * c[:, None] - aside * s[:, None]
         y = states[:, model.y, None] + ahead * s[:, None] + aside * c[:, None]
-        cell = 1.0 / float(scalar[at.GRID_INVERSE])
-        dx = (self._distance(x + cell, y) - self._distance(x - cell, y)) / (2.0 * cell)
-        dy = (self._distance(x, y + cell) - self._distance(x, y - cell)) / (2.0 * cell)
+        cell = 1.0 / float(problem.scalar[at.GRID_INVERSE])
+        around_x, around_y = np.stack([x, x + cell, x - cell, x, x]), np.stack([y, y, y, y + cell, y - cell])
+        here, right, left, above, below = interpolated(problem, problem.field, around_x, around_y)  # lower bounds, m
+        dx, dy = (right - left) / (2.0 * cell), (above - below) / (2.0 * cell)
         slope = np.maximum(np.hypot(dx, dy), 1e-6)
-        required = radius + self._settings.margin + float(scalar[at.DELTA])
-        spare = np.minimum(self._distance(x, y), FAR) - required
+        required = radius + self._settings.margin + float(problem.scalar[at.DELTA])
+        spare = np.minimum(here, FAR) - required
         nx, ny = dx / slope, dy / slope
         return np.stack([nx, ny, nx * x + ny * y - spare], axis=2)
-
-    def _distance(self, x: Floats, y: Floats) -> Floats:
-        """Lower bound of the distance of points to obstacles, interpolated (m)."""
-        problem = self._dirt.problem
-        return interpolated(problem, problem.field, x, y)
 
 
 class _Problem:
@@ -152,74 +171,164 @@ class _Problem:
         """`centres` (discs, 2) of the discs, in the frame of the body (m)."""
         ca = casadi_of()
         nx, nu, np_, n = len(model.vehicle.state), len(model.low), len(model.parameters), settings.steps
-        self._sizes, self._model = (nx, nu, n), model
+        self._sizes = nx, nu, n
         step = _runge_kutta(ca, symbolic_derivative(model.vehicle), nx, nu, np_, settings.step)
         states, controls, lack = ca.SX.sym("x", nx, n), ca.SX.sym("u", nu, n), ca.SX.sym("s", n)
         start, parameters = ca.SX.sym("x0", nx), ca.SX.sym("p", np_)
         targets, planes, last = ca.SX.sym("r", 4, n), ca.SX.sym("h", 3 * len(centres), n), ca.SX.sym("v", nu)
         weights = np.array([settings.position, math.radians(settings.heading_deg), settings.speed]) ** -2.0
         change = (settings.change * (model.high - model.low)) ** -2.0
-        cost, motion, free = 0.0, [], []
+        cost, curved, motion, free = 0.0, 0.0, [], []
         for k in range(n):
-            before = start if k == 0 else states[:, k - 1]
             after, control = states[:, k], controls[:, k]
-            motion.append(after - step(before, control, parameters))
-            error = after[[model.x, model.y]] - targets[:2, k]
+            motion.append(after - step(start if k == 0 else states[:, k - 1], control, parameters))
             turned = after[model.theta] - targets[2, k]
-            cost += settings.step * weights[0] * ca.sumsqr(error)
-            cost += settings.step * weights[1] * (2.0 - 2.0 * ca.cos(turned))
-            cost += settings.step * weights[2] * (after[model.v] - targets[3, k]) ** 2
-            difference = control - (last if k == 0 else controls[:, k - 1])
-            cost += ca.sum1(change * difference**2)
-            cost += settings.penalty * (lack[k] + 10.0 * lack[k] ** 2)
+            squares = settings.step * weights[0] * ca.sumsqr(after[[model.x, model.y]] - targets[:2, k])
+            squares += settings.step * weights[2] * (after[model.v] - targets[3, k]) ** 2
+            squares += ca.sum1(change * (control - (last if k == 0 else controls[:, k - 1])) ** 2)
+            squares += settings.penalty * (lack[k] + 10.0 * lack[k] ** 2)
+            cost += squares + settings.step * weights[1] * (2.0 - 2.0 * ca.cos(turned))
+            curved += squares + settings.step * weights[1] * turned**2
             c, s = ca.cos(after[model.theta]), ca.sin(after[model.theta])
             for d, (ahead, aside) in enumerate(centres.tolist()):
                 x, y = after[model.x] + ahead * c - aside * s, after[model.y] + ahead * s + aside * c
                 free.append(planes[3 * d, k] * x + planes[3 * d + 1, k] * y - planes[3 * d + 2, k] + lack[k])
         variables = ca.vertcat(ca.vec(states), ca.vec(controls), lack)
         given = ca.vertcat(start, parameters, ca.vec(targets), ca.vec(planes), last)
-        options = {
-            "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE,
-            "ipopt.max_iter": settings.iterations, "ipopt.mu_init": 1e-2, "ipopt.acceptable_tol": 10.0 * TOLERANCE,
-            "ipopt.acceptable_iter": 3,
-        }  # fmt: skip
-        program = {"x": variables, "f": cost, "g": ca.vertcat(*motion, *free), "p": given}
-        self._solver = ca.nlpsol("nmpc", "ipopt", program, options)
-        low = np.concatenate([np.full(nx * n, -np.inf), np.tile(model.low, n), np.zeros(n)])
-        high = np.concatenate([np.full(nx * n, np.inf), np.tile(model.high, n), np.full(n, np.inf)])
-        zeros = np.zeros(nx * n)
-        self._bounds = {
-            "lbx": low, "ubx": high, "lbg": np.concatenate([zeros, np.zeros(len(free))]),
-            "ubg": np.concatenate([zeros, np.full(len(free), np.inf)]),
-        }  # fmt: skip
+        driven = [start]
+        for k in range(n):
+            driven.append(step(driven[-1], controls[:, k], parameters))
+        moving = ca.vertcat(*driven[1:], ca.vec(controls), ca.DM.zeros(n))
+        (clear,) = ca.substitute([ca.vertcat(*free)], [variables], [moving])
+        missing = [ca.fmax(0.0, ca.mmax(-each)) for each in ca.vertsplit(clear, len(centres))]
+        program = _Program(
+            variables, given, cost, curved, ca.vertcat(*motion, *free),
+            ca.vertcat(moving[: (nx + nu) * n], *missing),
+            np.concatenate([np.full(nx * n, -np.inf), np.tile(model.low, n), np.zeros(n)]),
+            np.concatenate([np.full(nx * n, np.inf), np.tile(model.high, n), np.full(n, np.inf)]),
+            np.concatenate([np.zeros(nx * n), np.full(len(free), np.inf)]),
+        )  # fmt: skip
+        self._optimum = (_ipopt if settings.solver == "ipopt" else _sequential)(ca, program, settings.iterations)
 
-    def solve(
-        self,
-        start: Floats,
-        parameters: Floats,
-        targets: Matrix,
-        planes: Floats,
-        states: Matrix,
-        controls: Matrix,
-        last: Floats,
-    ) -> tuple[Matrix, Matrix, float]:
-        """States (steps + 1, nx), controls (steps, nu) and cost of the optimum near the given ones.
-
-        The guess follows the model.  An optimiser that ends early has improved it; its controls are kept only if the
-        result is no number.
-        """
+    def solve(self, guess: Solution, parameters: Floats, targets: Matrix, planes: Floats, last: Floats) -> Solution:
+        """Optimum near `guess`, whose states follow the model; `last` (nu,) is the control before."""
         nx, nu, n = self._sizes
-        found = self._solver(
-            x0=np.concatenate([states[1:].ravel(), controls.ravel(), np.zeros(n)]),
-            p=np.concatenate([start, parameters, targets.ravel(), planes.ravel(), last]),
-            **self._bounds,
+        values, cost, solved = self._optimum(
+            np.concatenate([guess.states[1:].ravel(), guess.controls.ravel(), np.zeros(n)]),
+            np.concatenate([guess.states[0], parameters, targets.ravel(), planes.ravel(), last]),
         )
-        values = np.asarray(found["x"]).ravel()
-        if not np.all(np.isfinite(values)):
-            return states, controls, math.inf
-        solved = values[: nx * n].reshape(n, nx)
-        chosen = values[nx * n : (nx + nu) * n].reshape(n, nu)
-        return np.vstack([states[:1], solved]), chosen, float(found["f"])
+        states = np.vstack([guess.states[:1], values[: nx * n].reshape(n, nx)])
+        return Solution(states, values[nx * n : (nx + nu) * n].reshape(n, nu), cost, solved)
+
+
+@dataclass(frozen=True)
+class _Program:
+    """Nonlinear program: least `cost` over `variables` within `low` and `high`, `rows` from 0 to `most`.
+
+    `given` are the parameters.  `curved` is quadratic and has the second derivatives of `cost`, or larger ones.
+    `driven` are the variables whose states follow the model under the controls, with the least lack of clearance.
+    """
+
+    variables: Any
+    given: Any
+    cost: Any
+    curved: Any
+    rows: Any
+    driven: Any
+    low: Floats
+    high: Floats
+    most: Floats
+
+
+Optimum = Callable[[Floats, Floats], tuple[Floats, float, bool]]
+"""Function of first values and parameters: values and cost of the optimum, and whether it is one."""
+SOLVED: Final = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+"""IPOPT's words for an optimum."""
+
+
+def _ipopt(ca: Any, program: _Program, iterations: int) -> Optimum:
+    options = {
+        "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE,
+        "ipopt.max_iter": iterations, "ipopt.mu_init": 1e-2, "ipopt.acceptable_tol": 10.0 * TOLERANCE,
+        "ipopt.acceptable_iter": 3,
+    }  # fmt: skip
+    content = {"x": program.variables, "f": program.cost, "g": program.rows, "p": program.given}
+    solver = ca.nlpsol("nmpc", "ipopt", content, options)
+    bounds = {"lbx": program.low, "ubx": program.high, "lbg": np.zeros(len(program.most)), "ubg": program.most}
+
+    def optimum(first: Floats, given: Floats) -> tuple[Floats, float, bool]:
+        found = solver(x0=first, p=given, **bounds)
+        if solver.stats()["return_status"] not in SOLVED:
+            return first, math.inf, False
+        return np.asarray(found["x"]).ravel(), float(found["f"]), True
+
+    return optimum
+
+
+def _sequential(ca: Any, program: _Program, iterations: int) -> Optimum:
+    """Gauss-Newton steps, each halved until the cost of what the vehicle then drives is lower.
+
+    The optimum is found if no step promises a lower cost, or a full one lowers it as the quadratic program predicts.
+    """
+    x, p, low, high = program.variables, program.given, program.low, program.high
+    (cost,) = ca.substitute([program.cost], [x], [program.driven])
+    drive = _Buffered(ca.Function("drive", [x, p], [program.driven, cost]))
+    curvature = ca.DM(ca.hessian(program.curved, x)[0])
+    slopes = [program.rows, ca.gradient(program.cost, x), ca.jacobian(program.rows, x)]
+    linear = ca.Function("linear", [x, p], slopes)
+    matrices = {"h": curvature.sparsity(), "a": linear.sparsity_out(2)}
+    quadratic = ca.conic("quadratic", "piqp", matrices, {"error_on_fail": False})
+    now, given = ca.MX.sym("x", x.numel()), ca.MX.sym("p", p.numel())
+    rows, gradient, jacobian = linear(now, given)
+    bounds = {"lbx": low - now, "ubx": high - now, "lba": -rows, "uba": program.most - rows}
+    step = quadratic(h=curvature, g=gradient, a=jacobian, **bounds)
+    descent = _Buffered(ca.Function("descent", [now, given], [step["x"], step["cost"]]))
+
+    def optimum(first: Floats, given: Floats) -> tuple[Floats, float, bool]:
+        values, cost = drive(first, given)
+        for _ in range(iterations):
+            change, predicted = descent(values, given)
+            if not descent.succeeded:
+                break
+            if -predicted <= TOLERANCE * (1.0 + cost):
+                return values, cost, True
+            share = 1.0
+            following, lower = drive(values + change, given)
+            while not lower <= cost and share > LEAST_SHARE:
+                share *= 0.5
+                following, lower = drive(values + share * change, given)
+            if not lower <= cost:
+                break
+            error = abs(cost + predicted - lower)
+            values, cost = following, lower
+            if share == 1.0 and error <= TOLERANCE * (1.0 + cost):
+                return values, cost, True
+        return values, cost, False
+
+    return optimum
+
+
+class _Buffered:
+    """CasADi function of two vectors with two results, a vector and a number, called without conversions."""
+
+    def __init__(self, function: Any) -> None:
+        self._buffer, self._run = function.buffer()
+        self._arguments: list[Floats] = [np.empty(function.numel_in(k)) for k in range(2)]
+        self._results: list[Floats] = [np.empty(function.numel_out(k)) for k in range(2)]
+        for k, array in enumerate(self._arguments):
+            self._buffer.set_arg(k, array.data)
+        for k, array in enumerate(self._results):
+            self._buffer.set_res(k, array.data)
+
+    def __call__(self, values: Floats, given: Floats) -> tuple[Floats, float]:
+        self._arguments[0][:], self._arguments[1][:] = values, given
+        self._run()
+        return self._results[0].copy(), float(self._results[1][0])
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the solver in the function was successful the last time."""
+        return bool(self._buffer.stats()["success"])
 
 
 def _runge_kutta(ca: Any, derivative: Any, nx: int, nu: int, np_: int, h: float) -> Any:
@@ -245,12 +354,14 @@ def casadi_of() -> Any:
     """The package CasADi.
 
     Raises:
-        MissingDependency: if it is not installed.
+        MissingDependency: if it is not installed, or has no PIQP, which came with version 3.8.
     """
     try:
         import casadi
     except ImportError as error:
         raise MissingDependency("controller: nmpc needs casadi: pip install 'kraft[mpc]'") from error
+    if not casadi.has_conic("piqp"):
+        raise MissingDependency("controller: nmpc needs casadi with PIQP: pip install 'casadi>=3.8'")
     return casadi
 
 
