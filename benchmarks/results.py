@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,17 +21,19 @@ from kraft.errors import Code, InputError, KraftError
 from kraft.evaluation.report.results import Results, read_results
 from kraft.evaluation.statistics import mcnemar, wilson
 from kraft.evaluation.summary import MANY, Result
-from kraft.evaluation.table import markdown, overview
+from kraft.evaluation.table import markdown
 from kraft.files import write_whole
 from kraft.text import decimals
 from kraft_cli.work.evaluate import EvalRequest, eval_command
 
+KIND = re.compile(r"(?P<kind>[a-z]+)-\d{3,}")
+"""Name of an entry of `kraft generate`."""
 BEGIN, END = "<!-- results: written by python -m benchmarks.results -->", "<!-- end of results -->"
 HEADING = """# Results
 
 Written by `python -m benchmarks.results` from results folders of `kraft eval`; every section has the command that
-repeats it. Cells have the number of successes, and of collisions ("hit"); the other trials reached the time limit. In
-brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %.
+repeats it. Cells have the number of successes, of collisions ("hit") and of trials that reached the time limit
+("late"). In brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %.
 """
 
 
@@ -92,10 +95,7 @@ def section(found: Results) -> str:
     lines = [f"## {title}", "", f"    {command(found)}", "", "; ".join(facts) + ".", ""]
     if len(found.entries) <= MANY:
         lines += [*method_table([found]), "", "All measures:", "", markdown(found.summary)]
-    else:
-        table = overview(found.summary)
-        lines += _markdown([table.heading, *table.rows])
-    lines += ["", *totals(found), *differences(found), *claims(found), ""]
+    lines += ["", *totals(found), *kinds(found), *failing(found), *differences(found), *claims(found), ""]
     return "\n".join(lines)
 
 
@@ -156,6 +156,61 @@ def totals(found: Results) -> list[str]:
             decimals(time, 2),
         ])  # fmt: skip
     return [*_markdown(rows), ""]
+
+
+def kinds(found: Results) -> list[str]:
+    """Table of the kinds of worlds of `kraft generate`, the one with the most failures first; none of other entries."""
+    named = {entry: KIND.fullmatch(entry) for entry in found.entries}
+    of_kind: dict[str, list[str]] = {}
+    for entry, match in named.items():
+        if match is None:
+            return []
+        of_kind.setdefault(match["kind"], []).append(entry)
+    rows = {}
+    for kind, entries in of_kind.items():
+        cells = [_of(found, entries, method) for method in found.methods]
+        rows[kind, len(entries)] = (-sum(map(_failures, cells)), [_counts(each) for each in cells])
+    order = sorted(rows.items(), key=lambda item: item[1][0])
+    heading = ["kind of world", "worlds", *found.methods.values()]
+    table = [heading, *([kind, str(worlds), *cells] for (kind, worlds), (_, cells) in order)]
+    return ["Successes by kind of world, then collisions and timeouts if there are any:", "", *_markdown(table), ""]
+
+
+def failing(found: Results) -> list[str]:
+    """Table of the entries of a large suite in which a trial failed, the one with the most failures first."""
+    if len(found.entries) <= MANY:
+        return []
+    rows = []
+    for entry in found.entries:
+        cells = [_of(found, [entry], method) for method in found.methods]
+        if failures := sum(map(_failures, cells)):
+            rows.append((-failures, [entry, *(_counts(each) if _failures(each) else "" for each in cells)]))
+    rows.sort(key=lambda row: row[0])
+    others = len(found.entries) - len(rows)
+    if not rows:
+        return [f"No trial failed in any of the {others} entries.", ""]
+    text = f"Entries with a failed trial, an empty cell has none; in the other {others} entries every trial succeeded:"
+    return [text, "", *_markdown([["", *found.methods.values()], *(cells for _, cells in rows)]), ""]
+
+
+def _of(found: Results, entries: Sequence[str], method: str) -> list[Result]:
+    """Results of a method in some entries."""
+    by_cell = found.summary.by_cell
+    return [by_cell[entry, method] for entry in entries if (entry, method) in by_cell]
+
+
+def _failures(results: Sequence[Result]) -> int:
+    return sum(result.trials - result.success for result in results)
+
+
+def _counts(results: Sequence[Result]) -> str:
+    """Successes of all trials, and how many of the others were what."""
+    if not results:
+        return "not run"
+    names = {"collision": "hit", "timeout": "late", "failed": "failed"}
+    sums = {word: sum(getattr(result, name) for result in results) for name, word in names.items()}
+    successes = f"{sum(r.success for r in results)} of {sum(r.trials for r in results)}"
+    return ", ".join([successes, *(f"{count} {word}" for word, count in sums.items() if count)])
 
 
 def differences(found: Results) -> list[str]:

@@ -68,3 +68,28 @@ def test_the_table_of_the_readme_is_replaced_and_the_rest_stays(folder: Path, tm
     readme.write_text("no marks")
     assert results.main([str(folder), "--out", str(out), "--readme", str(readme)]) == 2
     assert results.main([str(tmp_path / "none"), "--out", str(out)]) == 2
+
+
+def test_of_a_large_suite_kinds_and_failing_entries_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    names = [f"{kind}-{k:03}" for k in range(5) for kind in ("maze", "posts")]
+    entries = "".join(f"  - {{name: {name}, scenario: turns, set: {{name: {name}}}}}\n" for name in names)
+    (tmp_path / "suite.yaml").write_text(f"name: many\nentries:\n{entries}")
+    methods = ["kraft", "conservative-kraft"]
+    evaluate(None, methods, 1, 3, 1, tmp_path / "results", suite=tmp_path / "suite.yaml", arguments={})
+    found, out = read_results(tmp_path / "results"), tmp_path / "results.md"
+    assert results.main([str(tmp_path / "results"), "--out", str(out)]) == 0
+    rows = {row[0]: row[1:] for row in (line.strip("| ").split(" | ") for line in out.read_text().splitlines())}
+    by_cell = found.summary.by_cell
+    for kind in ("maze", "posts"):
+        mine = [by_cell[name, "kraft"] for name in names if name.startswith(kind)]
+        assert rows[kind][0] == "5"
+        assert rows[kind][1].startswith(f"{sum(r.success for r in mine)} of 5")
+        assert f"{sum(r.collision for r in mine)} hit" in rows[kind][1]
+    failures = {
+        name: sum(by_cell[name, each].trials - by_cell[name, each].success for each in methods) for name in names
+    }
+    listed = [name for name in rows if name in names]
+    assert set(listed) == {name for name in names if failures[name]}
+    assert set(listed) != set(names)
+    assert [failures[name] for name in listed] == sorted((failures[name] for name in listed), reverse=True)
