@@ -118,6 +118,17 @@ def test_the_numbers_are_those_of_the_summary(tab: Page, driven: Driven) -> None
     assert tab.locator("#trials-count").inner_text() == "4 trials"
 
 
+def test_the_sections_are_linked_at_the_top_and_every_drawing_has_a_name(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    places = tab.locator("nav.contents a").evaluate_all("all => all.map(a => a.getAttribute('href').slice(1))")
+    assert places == tab.locator("main > section[id]").evaluate_all("all => all.map(e => e.id)")
+    assert len(places) >= 4
+    tab.click("nav.contents a[href='#trials']")
+    tab.wait_for_function("() => document.getElementById('trials').getBoundingClientRect().top < innerHeight / 2")
+    nameless = "all => all.filter(e => !e.ariaHidden && !e.ariaLabel).map(e => e.getAttribute('class'))"
+    assert tab.locator("svg").evaluate_all(nameless) == []
+
+
 def test_a_link_opens_a_trial_and_the_numbers_under_the_cursor_are_the_recorded_ones(tab: Page, driven: Driven) -> None:
     open_trial(tab, driven.url)
     row = next(row for row in driven.evaluation.rows if row.key == ("turns", "kraft", 0))

@@ -52,9 +52,9 @@ def stacked(table: Element) -> Element:
     return table
 
 
-def outcome_legend() -> list[Element]:
-    """Names of the outcomes success, timeout and collision, each with its colour."""
-    looks = ("success", "timeout", "collision")
+def outcome_legend(failed: bool) -> list[Element]:
+    """Names of the outcomes success, timeout, collision and, if there is one, failed, each with its colour."""
+    looks = ("success", "timeout", "collision", *(["failed"] if failed else []))
     return [element("span", element("i", class_=f"swatch {look}"), f" {look}") for look in looks]
 
 

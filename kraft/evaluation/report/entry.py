@@ -180,7 +180,8 @@ def floor_plan(scenario: Scenario, hits: Mapping[str, int]) -> Element:
     # one unit is a metre inside this group, and y grows upwards
     place = f"scale({scale:.6g}) translate({number(margin - x0)} {number(margin + y1)}) scale(1 -1)"
     look = "floor landscape" if width > height else "floor"
-    return svg(width * scale, height * scale, element("g", *things, transform=place), class_=look)
+    words = f"floor plan of {scenario.name}"
+    return svg(width * scale, height * scale, element("g", *things, transform=place), class_=look, aria_label=words)
 
 
 def _truth(truth: Truth) -> Iterator[Element]:

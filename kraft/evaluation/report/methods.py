@@ -427,4 +427,6 @@ def _drawing(result: Result, deviations: _Deviations, cycle: float, top: float) 
                 y2=y(delta),
             )
         )
-    return element("td", svg(DEVIATION_WIDTH, DEVIATION_HEIGHT, *parts, class_="deviation"), class_="drawing")
+    words = "deviation from the prediction by the time since the commit"
+    drawing = svg(DEVIATION_WIDTH, DEVIATION_HEIGHT, *parts, class_="deviation", aria_label=words)
+    return element("td", drawing, class_="drawing")

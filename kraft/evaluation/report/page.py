@@ -46,14 +46,26 @@ def page(results: Results, *, served: bool = False) -> str:
     shown = Shown.of(results)
     sections = [_entry(results, name, shown) for name in results.entries]
     title = f"{results.title} | kraft eval"
-    entries = element("section", element("h2", "Entries"), _key(shown), *sections, id="entries")
+    entries = element(
+        "section", element("h2", "Entries"), _key(shown, results.summary.failed > 0), *sections, id="entries"
+    )
     replay = ElementTree.fromstring(_part("replay.html"))
     script = element("script", _part("replay.js"), _part("page.js"), type="module")
+    parts = [
+        overview(results), causes(results), methods(results), _sweeps(results), trials_section(), entries
+    ]  # fmt: skip
+    shown_parts = [part for part in parts if part is not None]
     return document(
-        title, _part("style.css"), *_head(results), overview(results), causes(results), methods(results),
-        _sweeps(results), trials_section(), entries, _foot(), replay,
+        title, _part("style.css"), *_head(results), _contents(shown_parts), *shown_parts, _foot(), replay,
         scripts=[*trials_data(results, served), script],
     )  # fmt: skip
+
+
+def _contents(parts: Sequence[Element]) -> Element:
+    """Links to the sections of the page, which may be long."""
+    titles = {part.get("id", ""): "".join(part.find("h2").itertext()) for part in parts}  # type: ignore[union-attr]
+    links = [element("a", title, href=f"#{name}") for name, title in titles.items()]
+    return element("nav", *links, class_="contents", aria_label="sections")
 
 
 def _part(name: str) -> str:
@@ -108,10 +120,12 @@ def _sweeps(results: Results) -> Element | None:
         content = quote(ElementTree.tostring(drawing, encoding="unicode"), safe=SAFE)
         save = element("a", "save as SVG", href=f"data:image/svg+xml;charset=utf-8,{content}", download=file)
         figures.append(element("figure", element("div", drawing, class_="wide"), element("p", save, class_="save")))
-    return element("section", element("h2", "Sweeps"), element("p", words, class_="key"), *figures, class_="sweeps")
+    return element(
+        "section", element("h2", "Sweeps"), element("p", words, class_="key"), *figures, class_="sweeps", id="sweeps"
+    )
 
 
-def _key(shown: Shown) -> Element:
+def _key(shown: Shown, failed: bool) -> Element:
     """Legend of the charts."""
     words = (
         "Below the bar of a method stands each trial, by seed; "
@@ -124,7 +138,7 @@ def _key(shown: Shown) -> Element:
         " Deviation: the largest distance of a point of the true car from where the committed prediction has it, blue "
         "its median, red its 99 % quantile, dashed the mean clearance δ(v) that the method asked for."
     )
-    return element("p", *outcome_legend(), " ", words, deviation if shown.deviations else None, class_="key")
+    return element("p", *outcome_legend(failed), " ", words, deviation if shown.deviations else None, class_="key")
 
 
 def _entry(results: Results, name: str, shown: Shown) -> Element:
@@ -211,11 +225,11 @@ def _planning_times(results: Results, result: Result) -> Iterator[str | Element]
     """Times of planning and, except in older evaluations, of the controller's commands."""
     yield decimals(result.planning_p50, 1, NO_VALUE)
     missed = f", {result.missed} missed" if results.summary.realtime else ""
-    yield element("small", f"99 %: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
+    yield element("small", f"99\u00a0%: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
     yield element("small", f"first plan {decimals(result.first_plan_p50, 1, NO_VALUE)}")
     if result.command_p50 is not None:
         late = f", {result.late_commands} late" if result.late_commands else ""
-        yield element("small", f"command {result.command_p50:.2f}, 99 %: {decimals(result.command_p99, 2)}{late}")
+        yield element("small", f"command {result.command_p50:.2f}, 99\u00a0%: {decimals(result.command_p99, 2)}{late}")
 
 
 def _small(text: str | None) -> Element | None:
@@ -337,7 +351,11 @@ def overview(results: Results) -> Element:
         "section",
         element("h2", "Overview"),
         element(
-            "p", *outcome_legend(), words, " A heading sorts by its column, a number lists its trials.", class_="key"
+            "p",
+            *outcome_legend(summary.failed > 0),
+            words,
+            " A heading sorts by its column, a number lists its trials.",
+            class_="key",
         ),
         element("div", table, class_="wide"),
         id="overview",
