@@ -87,7 +87,8 @@ class DriveResult:
 def on_the_clock(method: Method) -> Method:
     """Method that decides early enough for a drive on the wall clock."""
     planner = method.planner
-    return method.model_copy(update={"planner": planner.model_copy(update={"lead": max(planner.lead, LEAD)})})
+    timing = {"cycle": planner.clock_cycle or planner.cycle, "lead": max(planner.lead, LEAD)}
+    return method.model_copy(update={"planner": planner.model_copy(update=timing)})
 
 
 def check_method(method: Method) -> None:
@@ -112,8 +113,11 @@ def check_method(method: Method) -> None:
             problem,
             "expected `mode: replanning` and `on_board: contingency`",
         )
-    if planner.cycle - max(planner.lead, LEAD) < LEAD:
-        wrong("planner.cycle", f"is {planner.cycle:g} s", f"expected more than {2 * LEAD:g} s on the wall clock")
+    key = "cycle" if planner.clock_cycle is None else "clock_cycle"
+    cycle = planner.clock_cycle or planner.cycle
+    if cycle - max(planner.lead, LEAD) < LEAD:
+        expected = f"expected more than {2 * LEAD:g} s on the wall clock, or a longer `clock_cycle`"
+        wrong(f"planner.{key}", f"is {cycle:g} s", expected)
     if problems:
         raise InputError(problems)
 
