@@ -31,6 +31,7 @@ POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation,
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
 POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
 PATHS, PATHS_AGAIN = 4, 2  # that are tried before the search begins, without and with edges of an earlier plan
+CONVERGES = 0.01  # share of the cost that an optimisation saves below which it is not repeated for the same plan
 REHEARSALS, REHEARSED = 16, 32  # queries of how many iterations before the first one
 GOLDEN = 0.618  # step of their places across the workspace, as a share of it
 PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
@@ -359,7 +360,8 @@ class DirtSolver(QueryTree):
             self._improve_plan()
             if self._has_heading:
                 self._insert_polished()
-                searched = float(self._tree.best[0])
+                best = float(self._tree.best[0])
+                searched = searched if best < (1.0 - CONVERGES) * searched else best
         seconds = time.perf_counter() - began
         self._polished = replace(self._polished, attempts=attempts + 1, searched=searched, seconds=seconds)
         self._update_progress(offset + time.perf_counter())
