@@ -44,9 +44,7 @@ def run(effort: Effort) -> Report:
     table = [["", "drives", "success", "collision", "timeout", "mean time, s", "contingencies"]]
     table += [line(scene, [d for d in drives if d.scene == scene]) for scene in SCENES]
     bad = [
-        f"{d.scene}, {d.heading:g} degrees, seed {d.seed} ({d.outcome})"
-        for d in drives
-        if d.outcome != Outcome.SUCCESS
+        f"{d.scene}, {d.heading:g} degrees, seed {d.seed} ({d.outcome})" for d in drives if d.outcome != Outcome.SUCCESS
     ]
     notes = [f"{effort.method}; headings within {TOLERANCE:g} degrees, all round; seed: number of the direction."]
     notes += [f"not arrived: {', '.join(bad)}"] if bad else []

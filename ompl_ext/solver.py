@@ -44,10 +44,11 @@ class _Polished:
 
     `searched` is the cost of the tree's plan that was optimised last, `cost` that of the best result, of which
     `controls` and `durations` are the edges from the root until they are in the tree; `seconds` is how long the last
-    one took.
+    one took.  `guessed` is whether a path of poses was optimised.
     """
 
     attempts: int = 0
+    guessed: bool = False
     searched: float = math.inf
     cost: float = math.inf
     controls: Matrix | None = None
@@ -160,10 +161,10 @@ class DirtSolver(QueryTree):
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
-        if self._follows_path:
-            self._add_path()
         if self._wants_polish and self._polish is None and self._reaches_polish(iterations):
             self._polish = Polish(self.vehicle, self._problem)
+        if self._follows_path:
+            self._add_path()
         if self._pool is not None:
             return self._grow_together(self._pool, iterations, seconds, stop)
         left = iterations if iterations is not None else 2**62
@@ -244,7 +245,10 @@ class DirtSolver(QueryTree):
         return bool(wanted and count[at.ITERATIONS] == 0 and count[at.SIZE] > 0 and count[at.BEST] < 0)
 
     def _add_path(self) -> None:
-        """Add edges along paths of poses from the root, as far as they are free and safe, until one is in the goal."""
+        """Add edges along paths of poses from the root, as far as they are free and safe, until one is in the goal.
+
+        Where the first one is not, local optimisation may begin with it: that disregards accelerations at first.
+        """
         vehicle, goal = self._first
         assert goal is not None
         began, root = time.perf_counter(), self._tree.state[0].copy()
@@ -258,7 +262,19 @@ class DirtSolver(QueryTree):
                 break
             controls, durations = follower.edges_along(path, root)
             self._add_edges(controls, durations)
+            if self._tree.count[at.BEST] < 0 and self._polish is not None and not self._polished.guessed:
+                self._optimise_guess()
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
+
+    def _optimise_guess(self) -> None:
+        """Add the plan that local optimisation makes of the path of poses from the root, if it finds one."""
+        vehicle, goal = self._first
+        assert goal is not None
+        guess = guess_to_goal(vehicle, self.workspace, goal, self.settings, self._tree.state[0].copy())
+        self._polished = replace(self._polished, guessed=True)
+        if guess is not None:
+            self._improve(guess, [], PATIENCE)
+            self._insert_polished()
 
     def _add_edges(self, controls: Matrix, durations: Floats) -> None:
         """Add edges one after the other from the root, with all checks; they do not count as retained."""
@@ -347,14 +363,9 @@ class DirtSolver(QueryTree):
         """
         assert self.goal is not None
         began, attempts = time.perf_counter(), self._polished.attempts
-        if attempts == 0 and self._has_heading and self._tree.count[at.BEST] < 0:
-            vehicle, goal = self._first
-            assert goal is not None
-            guess = guess_to_goal(vehicle, self.workspace, goal, self.settings, self._tree.state[0].copy())
-            if guess is not None:
-                self._improve(guess, [], PATIENCE)
-                self._insert_polished()
-                self._update_progress(offset + time.perf_counter())
+        if not self._polished.guessed and self._has_heading and self._tree.count[at.BEST] < 0:
+            self._optimise_guess()
+            self._update_progress(offset + time.perf_counter())
         searched = float(self._tree.best[0])
         if self._tree.count[at.BEST] >= 0:
             self._improve_plan()
