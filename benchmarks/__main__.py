@@ -34,6 +34,7 @@ TOPICS = (
     "changes",
     "arenas",
     "worlds",
+    "headings",
     "sysid",
     "disturbances",
     "structures",
@@ -45,7 +46,7 @@ TOPICS = (
     "endurance",
 )
 NEEDS_OUT = ("peers",)
-CHOSEN = ("estimated", "changes", "arenas", "worlds")
+CHOSEN = ("estimated", "changes", "arenas", "worlds", "headings")
 """Topics that drive with a method of one's choice."""
 
 

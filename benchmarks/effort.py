@@ -24,6 +24,7 @@ class Effort:
         estimated: drives in the test of Theorem 1 with an estimated deviation.
         arenas: random arenas and rooms of posts that are driven in.
         worlds: rooms of posts and tracks that fast robots drive in.
+        headings: directions in which each scene's goal is arrived at.
         drives: drives of each scene as two processes.
         faults: drives with each fault.
         endurance: duration of the long drive over topics, s.
@@ -46,6 +47,7 @@ class Effort:
     estimated: int
     arenas: int
     worlds: int
+    headings: int
     drives: int
     faults: int
     endurance: float
@@ -69,6 +71,7 @@ FULL = Effort(
     estimated=10_000,
     arenas=100,
     worlds=120,
+    headings=30,
     drives=10,
     faults=20,
     endurance=1800.0,
@@ -89,6 +92,7 @@ QUICK = Effort(
     estimated=40,
     arenas=4,
     worlds=12,
+    headings=2,
     drives=1,
     faults=1,
     endurance=60.0,
@@ -108,6 +112,7 @@ SMOKE = Effort(
     estimated=2,
     arenas=1,
     worlds=1,
+    headings=1,
     drives=1,
     faults=1,
     endurance=5.0,

@@ -13,8 +13,9 @@ from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr,
 from kraft.driving.clearance import MIN_GOAL_RADIUS, Solvers
 from kraft.driving.messages import ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
-from kraft.driving.proposer import RECOVERY_MARGIN
+from kraft.driving.proposer import RECOVERY_MARGIN, Proposer
 from kraft.errors import Defect
+from kraft.scenario import load_scenario
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.plan import Plan
 from ompl_ext.query_tree import Progress
@@ -135,6 +136,27 @@ def test_the_goal_region_is_the_whole_one_again_when_the_vehicle_is_farther_away
     subject._proposer.propose(1, start(), None)
     assert subject.dirt.goal is not None
     assert subject.dirt.goal.radius == 0.25
+
+
+@pytest.mark.parametrize(
+    ("away", "off_deg", "radius", "tolerance_deg"),
+    [
+        (0.1, 20.0, 0.25, 10.0),  # it has to turn
+        (0.3, 0.0, 0.25, 10.0),
+        (0.1, 2.0, 0.05, 10.0),  # nearer to the border of the disc
+        (0.1, 8.0, 0.25, 4.0),  # nearer to the limit of the heading
+        (0.0, 0.5, 0.25, 1.0),
+    ],
+)
+def test_a_goal_with_a_heading_shrinks_only_for_a_vehicle_in_it_where_it_is_nearest_to_its_limits(
+    away: float, off_deg: float, radius: float, tolerance_deg: float
+) -> None:
+    heading = {"goal.heading_deg": 90.0, "goal.heading_tolerance_deg": 10.0}
+    settings = PlannerSettings(mode="replanning")
+    ours = Solvers.of(load_scenario("turns", heading).task(), mushr(), settings)
+    state = np.array([1.0, 5.0 - away, math.radians(90.0 + off_deg), 0.0])
+    found = Proposer(ours, settings, 0)._goal_region(state)
+    assert found == pytest.approx((radius, math.radians(tolerance_deg)))
 
 
 def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from support.kernels import NO_SAFETY, ROVER, integrate, rover_rate
 
+from ompl_ext import query, solver
 from ompl_ext.exact import ExactClearance
+from ompl_ext.following import PathFollower
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels import posetogo
 from ompl_ext.kernels.clearance import tight_cover
 from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.kernels.trajectory_types import Stages, backward, stages
@@ -68,6 +71,35 @@ def test_local_optimisation_can_be_switched_off_and_saves_time(parked: Plan) -> 
     assert DirtSolver(ROVER, ROOM, GOAL, NO_SAFETY, Settings(polish=False))._polish is None
 
 
+def test_local_optimisation_is_repeated_until_it_saves_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    repeated = rover_plan(iterations=4096)
+    monkeypatch.setattr(solver, "CONVERGES", 1.0)  # each plan once
+    assert repeated.cost < 0.999 * rover_plan(iterations=4096).cost
+
+
+def test_where_edges_along_a_path_fail_the_first_plan_is_an_optimised_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = np.zeros((0, 2)), np.zeros(0)
+    monkeypatch.setattr(PathFollower, "edges_along", lambda *_: nothing)
+    dirt = DirtSolver(ROVER, ROOM, GOAL, NO_SAFETY)
+    dirt.start(START, 1)
+    assert dirt.grow(iterations=1024).first_iteration == 0
+    plan = dirt.plan()
+    assert plan is not None
+    assert plan.reaches_goal
+    assert not verify(dirt, plan).problems
+
+
+def test_a_smaller_tolerance_of_the_heading_can_be_aimed_for() -> None:
+    dirt = DirtSolver(ROVER, ROOM, GOAL, NO_SAFETY)
+    dirt.set_goal_region(0.02, math.radians(0.5))
+    dirt.start(START, 1)
+    dirt.grow(iterations=1024)
+    plan = dirt.plan()
+    assert plan is not None
+    assert plan.reaches_goal
+    assert abs(math.remainder(plan.states[-1, 2] - GOAL.heading, math.tau)) <= math.radians(0.5)
+
+
 def test_a_plan_that_begins_in_the_goal_has_nothing_to_improve() -> None:
     here = Goal((START[0], START[1]), 0.05, START[2], math.radians(3), AT_REST)
     assert len(rover_plan(here).durations) == 0
@@ -123,6 +155,24 @@ def test_the_cost_to_go_of_poses_knows_turning_and_reversing() -> None:
     assert seconds(2.3, 1.5, 0.0) == pytest.approx(0.8, abs=0.1)  # astern
     assert seconds(1.5, 1.5, math.pi) == pytest.approx(math.pi / 3, rel=0.1)  # on the spot at 3 rad/s
     assert seconds(1.5, 2.2, 0.0) > 0.7 + 0.3  # a rover does not move sideways
+
+
+def test_ways_of_what_cannot_reverse_have_its_smallest_turns_where_those_lead_farther(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ahead = np.array([[0.25, 0.0, -0.5], [0.25, 0.0, 0.5], [0.5, 0.0, -0.5], [0.5, 0.0, 0.0], [0.5, 0.0, 0.5]])
+    original = query.pose_cost_to_go
+    monkeypatch.setattr(query, "pose_cost_to_go", lambda *given: original(*given[:5], ahead, *given[6:]))
+    street = Workspace(((0.0, 3.0), (0.0, 1.3)))
+
+    def leads_round(x: float) -> bool:
+        goal = Goal((x, 0.25), 0.05, 0.0, 0.1)
+        path = pose_cost_to_go_of(ROVER, street, goal, Settings(cell=0.02)).path_from(1.5, 1.05, math.pi)
+        return path is not None and len(path.times) > 0
+
+    assert leads_round(2.5)
+    monkeypatch.setattr(posetogo, "GAIN", math.inf)  # gentler turns alone
+    assert not leads_round(2.51)
 
 
 def test_ways_number_the_twists_as_those_who_follow_them() -> None:

@@ -22,6 +22,7 @@ from benchmarks import (
     estimated,
     experiment,
     goals,
+    headings,
     maps,
     open_loop,
     peers,
@@ -378,6 +379,18 @@ def test_episodes_compare_the_true_motion_with_the_bound() -> None:
     assert quantities(table)["episodes"] == SMOKE.estimated
     repeated = estimated.episode(0, SMOKE.method)
     assert replace(repeated, seconds=0.0) == replace(episodes[0], seconds=0.0)
+
+
+def test_headings_lie_all_round_and_later_ones_between_them() -> None:
+    first, second = ({headings.heading(k) for k in numbers} for numbers in (range(30), range(30, 60)))
+    assert len(first) == len(second) == 30
+    assert not first & second
+    assert max(first) - min(first) == 348.0
+    outcomes = ("success", "success", "collision", "timeout")
+    drives = [headings.Drive("slip", 12.0 * k, k, outcome, 10.0 + k, k, (1.0,)) for k, outcome in enumerate(outcomes)]
+    rows = {each.quantity.split(",")[0]: each for each in headings.rows_of(drives)}
+    assert (rows["success"].median, rows["success"].met, rows["collision"].median) == (50.0, False, 25.0)
+    assert headings.line("slip", drives) == ["slip", "4", "2", "1", "1", "10.5", "1.5"]
 
 
 def test_worlds_take_turns_with_their_kinds_and_vehicles_and_their_times_are_over_the_bound() -> None:
