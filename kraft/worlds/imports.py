@@ -208,6 +208,21 @@ VEHICLES: Final = {
     "unicycle_second_order_0": "kraft.vehicles.dynobench:UNICYCLE2_V0",
 }
 """Vehicle of each type of robot."""
+TRAILER, POINT, FLIES = "has a trailer", "has no heading", "does not drive in the plane"
+OTHERS: Final = {
+    "car1_v0": TRAILER,
+    "car_first_order_with_1_trailers_0": TRAILER,
+    "integrator1_2d_v0": POINT,
+    "integrator2_2d_v0": POINT,
+    "double_integrator_0": POINT,
+    "quad2d_v0": FLIES,
+    "quad2dpole_v0": FLIES,
+    "quadrotor_v0": FLIES,
+    "quadrotor_v1": FLIES,
+    "quad3d_v0": FLIES,
+    "acrobot_v0": FLIES,
+}
+"""Robots of the collection that are not one rectangle with a heading in the plane, and why."""
 RADIUS, TOLERANCE_DEG, AT_GOAL = 0.02, 2.0, 0.02
 """Distances from the goal's state that count as arrived: m, degrees, m/s and rad/s."""
 SHAPES: Final = ("box", "sphere")
@@ -276,7 +291,7 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
         problem = f"there are {counted(len(content.robots), 'robot')}"
         problems.append(source.diagnostic(("robots", 1), problem, "expected one", code=Code.VALUE))
     if vehicle is None and robot.type not in VEHICLES:
-        problem = f"the robot {robot.type} is not known"
+        problem = f"the robot {robot.type} {OTHERS.get(robot.type, 'is not known')}"
         expected = f"expected {alternatives(VEHICLES)}, or that a vehicle is given"
         problems.append(source.diagnostic(("robots", 0, "type"), problem, expected, code=Code.UNKNOWN))
     obstacles = _obstacles(content.environment, source, problems)

@@ -13,7 +13,7 @@ import pytest
 from kraft.errors import Code, InputError, Unreachable
 from kraft.evaluation.suite import load_suite
 from kraft.scenario import Box, Circle, load_scenario
-from kraft.worlds.imports import Request, import_worlds
+from kraft.worlds.imports import OTHERS, Request, import_worlds
 from kraft_cli.main import main
 
 CYLINDER = "<cylinder><radius>0.1</radius><length>1</length></cylinder>"
@@ -147,6 +147,18 @@ robots:
     start: [1, 1, 0]
     goal: [5, 5, 1.5]
 """
+
+
+@pytest.mark.parametrize("robot", ["car1_v0", "integrator2_2d_v0", "quad2d_v0", "unicycle9"])
+def test_a_robot_that_is_no_vehicle_of_kraft_is_refused_at_its_line_and_says_why(
+    tmp_path: Path, robot: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "problem.yaml"
+    source.write_text(PROBLEM.replace("unicycle1_v0", robot))
+    assert main(["import", "dynobench", str(source), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "problem.yaml:9:11" in said
+    assert f"{robot} {OTHERS.get(robot, 'is not known')}" in said
 
 
 def test_a_problem_of_dynobench_keeps_its_states_and_names_its_vehicle(tmp_path: Path) -> None:
