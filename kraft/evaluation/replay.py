@@ -23,7 +23,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -234,9 +234,17 @@ def _tree(tree: TreeView | None, vehicle: Vehicle) -> list[Any] | None:
         return None
     counts = np.maximum(1, np.ceil(tree.durations / GRID - 1e-6)).astype(int)
     places, parents, numbers = list[Floats](), list[int](), dict[int, int]()
+    advance, parameters = kernels(vehicle).advance, vehicle.parameter_array
+    axes = [vehicle.index("x"), vehicle.index("y")]
+
+    def step(state: Floats, control: Floats, duration: float) -> Floats:
+        after = np.empty_like(state)
+        advance(state, control, parameters, duration, after)
+        return after
+
     for node in _branches(tree.parents, counts, POINTS):
         before = numbers.get(int(tree.parents[node]), -1)
-        for place in _edge(tree, node, int(counts[node]), vehicle):
+        for place in _edge(tree, node, int(counts[node]), axes, step):
             places.append(place)
             parents.append(before)
             before = len(places) - 1
@@ -268,22 +276,22 @@ def _branches(parents: Ints, counts: Ints, most: int) -> list[int]:
     return list(kept)
 
 
-def _edge(tree: TreeView, node: int, count: int, vehicle: Vehicle) -> Matrix:
+def _edge(
+    tree: TreeView, node: int, count: int, axes: Sequence[int], step: Callable[[Floats, Floats, float], Floats]
+) -> Matrix:
     """Points (count, 2) of the edge to a node, the last one at the node: m.
 
-    The model drives along the edge; where the planner had other parameters by then, the rest is spread over the edge.
+    The model drives along the edge by `step`; where the planner had other parameters by then, the rest is spread over
+    the edge.
     """
-    axes = [vehicle.index("x"), vehicle.index("y")]
     end, parent = tree.states[[node]][:, axes], int(tree.parents[node])
     if parent < 0 or count == 1:
         return np.asarray(end)
-    advance, state = kernels(vehicle).advance, tree.states[parent].copy()
-    step = float(tree.durations[node]) / (count * SUBSTEPS)
+    state, control = tree.states[parent], tree.controls[node]
+    duration = float(tree.durations[node]) / (count * SUBSTEPS)
     driven = [state[axes]]
     for k in range(count * SUBSTEPS):
-        after = np.empty_like(state)
-        advance(state, tree.controls[node], vehicle.parameter_array, step, after)
-        state = after
+        state = step(state, control, duration)
         if (k + 1) % SUBSTEPS == 0:
             driven.append(state[axes])
     share = np.linspace(0.0, 1.0, count + 1)[1:, None]
