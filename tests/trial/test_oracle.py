@@ -100,7 +100,7 @@ def test_the_oracle_is_told_of_a_car_that_changes() -> None:
     own = load_vehicle(load_method("oracle").planner.vehicle or "mushr")
     told = true_vehicle(own, VehicleGap(drive_scale=0.8, steering_offset_deg=4)).parameter_array
     changed = [cycle.parameters for cycle in cycles if cycle.parameters is not None]
-    assert [cycle.time for cycle in cycles if cycle.parameters is not None] == [3.0]
+    assert [cycle.time for cycle in cycles if cycle.parameters is not None] == [2.25]
     assert np.array_equal(changed[0], told)
     problems = raised(lambda: run({"truth.changes": [change]}, scenario="boxes", vehicle="mushr"))
     assert [d.code for d in problems] == [Code.MISMATCH]
