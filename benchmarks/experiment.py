@@ -20,7 +20,9 @@ from kraft_cli.work.record import RecordRequest, record_logs
 VEHICLES = {"mushr": "mushr-lag", "f1tenth": "f1tenth", "jackal": "jackal"}
 """Vehicle that drives, and model that is identified."""
 PLANNED, RANDOM, HELD_OUT = 3, 10, 20
-HELD_OUT_SEED = 1000
+HELD_OUT_SEED, RANDOM_SEED = 1000, 7
+SETS = 4
+"""Most sets of drives of each kind."""
 PLAIN = Settings(auxiliary="none")
 
 
@@ -31,29 +33,31 @@ def run(effort: Effort) -> Report:
 
 
 def compared(name: str, effort: Effort) -> list[Row]:
-    """Errors and standard deviations after recommended and after random drives, over several seeds."""
-    model = load_vehicle_config(VEHICLES[name])
+    """Errors and standard deviations after recommended and after random drives, several times each."""
+    model, count = load_vehicle_config(VEHICLES[name]), min(effort.repeats, SETS)
     held_out = recorded(name, HELD_OUT_SEED, min(HELD_OUT, 2 * effort.repeats))
-    planned, few, many, stds = [], [], [], []
-    for seed in range(1, min(effort.repeats, 4) + 1):
-        own = identify(model, recorded(name, seed, PLANNED, VEHICLES[name]), PLAIN)
-        logs = recorded(name, seed, RANDOM)
-        other = identify(model, logs, PLAIN)
-        planned.append(errors(model, held_out, own))
-        many.append(errors(model, held_out, other))
-        few.append(errors(model, held_out, identify(model, logs[:PLANNED], PLAIN)))
-        stds.append(np.sqrt(np.diag(own.graph_covariance) / np.diag(other.graph_covariance)))
+    drives = [recorded(name, seed, PLANNED, VEHICLES[name]) for seed in range(1, count + 1)]
+    random = recorded(name, RANDOM_SEED, RANDOM * count)
+    tens = [random[RANDOM * k : RANDOM * (k + 1)] for k in range(count)]
+    after = {
+        f"{PLANNED} recommended": drives,
+        f"{PLANNED} random": [each[:PLANNED] for each in tens],
+        f"{RANDOM} random": tens,
+        f"{RANDOM * count} random": [random],
+        "the held-out ones themselves": [held_out],
+    }
+    fits = {what: [identify(model, logs, PLAIN) for logs in sets] for what, sets in after.items()}
+    found = {what: np.array([errors(model, held_out, fit) for fit in own]) for what, own in fits.items()}
+    planned, others = fits[f"{PLANNED} recommended"], fits[f"{RANDOM} random"]
+    stds = [
+        np.sqrt(np.diag(p.graph_covariance) / np.diag(o.graph_covariance)) for p, o in zip(planned, others, strict=True)
+    ]
     rows = []
-    for k, after in enumerate(("1 s", "2 s", "3 s")):
-        rows += [
-            row(f"{name}: held-out error after {after}, {PLANNED} recommended", "m", [e[k] for e in planned]),
-            row(f"{name}: the same, {PLANNED} random", "m", [e[k] for e in few]),
-            row(f"{name}: the same, {RANDOM} random", "m", [e[k] for e in many]),
-            row(
-                f"{name}: {PLANNED} recommended over {RANDOM} random, after {after}", "times",
-                [a[k] / b[k] for a, b in zip(planned, many, strict=True)], Target(1.0),
-            ),
-        ]  # fmt: skip
+    for k, time in enumerate(("1 s", "2 s", "3 s")):
+        rows += [row(f"{name}: held-out error after {time}, {what}", "m", each[:, k]) for what, each in found.items()]
+        means = [float(found[what][:, k].mean()) for what in (f"{PLANNED} recommended", f"{RANDOM} random")]
+        what = f"{name}: mean of {PLANNED} recommended over that of {RANDOM} random, after {time}"
+        rows.append(row(what, "times", [means[0] / means[1]], Target(1.0)))
     worst = [float(each.max()) for each in stds]
     return [*rows, row(f"{name}: worst standard deviation over that of {RANDOM} random", "times", worst)]
 

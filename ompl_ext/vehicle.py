@@ -59,6 +59,11 @@ class ParameterRange:
     high: float
     std: float
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the parameter is known: the bounds are its value, and its standard deviation is 0."""
+        return self.std == 0.0 and self.low == self.high
+
 
 @dataclass(frozen=True)
 class Vehicle:
@@ -194,6 +199,6 @@ def _range_problems(vehicle: Vehicle) -> list[str]:
     unknown = [name for name in vehicle.ranges if name not in vehicle.parameters]
     problems = [f"ranges names {name!r}, which is not a parameter" for name in unknown]
     for name, allowed in vehicle.ranges.items():
-        if not (allowed.low < allowed.high and 0 < allowed.std < math.inf):
+        if not (allowed.is_known or (allowed.low < allowed.high and 0 < allowed.std < math.inf)):
             problems.append(f"the range of {name} needs low < high and a finite positive std, got {allowed}")
     return problems

@@ -120,12 +120,17 @@ class VehicleConfig(StrictModel):
 
     @property
     def ranges(self) -> dict[str, ParameterRange]:
-        """Range of each parameter for which the file states min, max and std."""
-        return {
-            name: ParameterRange(p.min, p.max, p.std)
-            for name, p in self.parameters.items()
-            if p.min is not None and p.max is not None and p.std is not None
-        }
+        """Range of each parameter for which the file states min, max and std.
+
+        That of a fixed parameter, and of a term at its neutral value, which is off, is its value: both are known.
+        """
+        found = {}
+        for name, p in self.parameters.items():
+            if p.fixed or p.value == p.neutral:
+                found[name] = ParameterRange(p.value, p.value, 0.0)
+            elif p.min is not None and p.max is not None and p.std is not None:
+                found[name] = ParameterRange(p.min, p.max, p.std)
+        return found
 
     def with_values(self, values: Mapping[str, float]) -> VehicleConfig:
         """Same vehicle with other nominal values of some parameters.

@@ -12,7 +12,7 @@ import pytest
 from support.sysid import estimated, fake_evaluation, fake_identification, fake_log, fake_windows
 
 from kraft.config import bundled
-from kraft.driving.estimation.adaptive import with_identified_drift
+from kraft.driving.estimation.adaptive import online_parameters, with_identified_drift
 from kraft.driving.method import Adaptive
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log
@@ -324,6 +324,20 @@ def test_the_adaptive_filter_drifts_as_much_as_the_errors_in_the_file_show(tmp_p
     assert drifting.speed_drift == pytest.approx(0.2, rel=1e-3)
     assert drifting.heading_drift_deg == pytest.approx(np.degrees(0.1))
     assert with_identified_drift(stated, load_vehicle("mushr")) == stated
+
+
+def test_what_is_fixed_or_off_in_an_identified_car_is_known_while_it_drives(tmp_path: Path) -> None:
+    base = load_base_vehicle("car-lag")
+    on = {"phi_diff", "steer", "a_drive", "damping", "friction", "lever", "tau_steer", "tau_yaw"}
+    known = {
+        name: estimated(
+            p.value + 0.01 if name in on else p.value if p.neutral is None else p.neutral, 0.01, unit=p.unit
+        )
+        for name, p in base.parameters.items()
+    }
+    write_vehicle(tmp_path / "mine.yaml", base, known, RECORD)
+    parameters = online_parameters(load_vehicle(str(tmp_path / "mine.yaml")), Adaptive(kind="adaptive"))
+    assert {name for name in parameters.free_names if name != "delay"} == on
 
 
 def test_parameters_that_a_file_omits_are_written_in_the_units_of_the_model(tmp_path: Path) -> None:

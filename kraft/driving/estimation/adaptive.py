@@ -242,20 +242,20 @@ def slope_deviations(vehicle: Vehicle) -> Floats:
 
 
 def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
-    """Parameters of the model and the delay, with their priors; those that the method does not identify are frozen.
+    """Parameters of the model and the delay, with their priors; those are frozen that are known or not identified.
 
     Raises:
         InputError: if the vehicle states no range of a parameter.
     """
     if problem := unstated_ranges(vehicle):
         raise InputError.of(vehicle.name, problem, RANGES_EXPECTED, Code.MISSING)
+    ranges = vehicle.ranges
+    known = frozenset(name for name, allowed in ranges.items() if allowed.is_known)
     specs = [
-        ParameterSpec(
-            name, value, vehicle.ranges[name].low, vehicle.ranges[name].high, vehicle.ranges[name].std, "", ""
-        )
+        ParameterSpec(name, value, ranges[name].low, ranges[name].high, ranges[name].std or 1.0, "", "")
         for name, value in vehicle.parameters.items()
     ]
-    frozen = frozenset() if settings.identify else frozenset(vehicle.parameters)
+    frozen = known if settings.identify else frozenset(vehicle.parameters)
     if settings.compensate:
         delay, std = vehicle.delay or (0.0, settings.delay_std)
         specs.append(ParameterSpec(DELAY, delay, 0.0, DELAY_MAX, std, "s", ""))
