@@ -35,8 +35,8 @@ from kraft.sysid.optimiser import (
     Optimum,
     RhoFactors,
     bounded_step,
-    estimate_uncertainty,
     held_at_bounds,
+    inverse,
 )
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
@@ -79,8 +79,8 @@ NEGLIGIBLE: Final = 0.04
 """Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
 NEGLIGIBLE_OFFSET: Final = 0.02
 """The same for a structure that lacks an offset of the poses."""
-GAIN_MIN: Final = 2.0
-"""Least decrease of the cost by a term that is switched on again: that of a term two standard deviations from none."""
+GAIN_MIN: Final = 4.0
+"""Least decrease of the cost by a term that is switched on again: one without effect has it once in 200 times."""
 PATH_COST: Final = 2.0
 """Most by which the cost of a term may be larger than its increase on the path, whose fits are not at their ends."""
 SIZE_MIN: Final = 0.1
@@ -407,11 +407,12 @@ def _is_shown(structure: Structure, name: str, gain: float) -> bool:
     if held[p.index(name)]:
         return False
     free = p.free & ~held
-    found = estimate_uncertainty(factors, free, np.zeros(len(rho), dtype=bool))
-    k = int(np.count_nonzero(free[: p.index(name)]))
-    variance = float(found.graph[k, k])
-    disagreement = max(1.0, float(found.covariance[k, k]) / variance)
-    narrowed = math.log(p.specs[p.index(name)].std / math.sqrt(disagreement * variance))
+    k, count = int(np.count_nonzero(free[: p.index(name)])), len(factors.gradient)
+    covariance = inverse(factors.total_information[np.ix_(free, free)])
+    influence = (factors.gradient[:, free] - factors.gradient[:, free].mean(axis=0)) @ covariance[k]
+    between = float(influence @ influence) * count / (count - 1)  # Huber's sandwich, of independent folds
+    disagreement = max(1.0, between / float(covariance[k, k]))
+    narrowed = math.log(p.specs[p.index(name)].std / math.sqrt(disagreement * covariance[k, k]))
     return gain / disagreement > max(narrowed, GAIN_MIN)
 
 
