@@ -56,12 +56,13 @@ def test_the_choice_of_terms_and_models_is_on_the_page() -> None:
 
     names = ("drag", "slip", "lever")
     trials = [tried("car-lag", names, "", 0.02, chosen=False), tried("car-lag", names[1:], "drag", 0.02, chosen=True),
-              tried("car-lag", names[2:], "slip", 0.1, chosen=False)]  # fmt: skip
+              tried("car-lag", names[2:], "slip", 0.1, chosen=False),
+              replace(tried("car-lag", names, "", 0.02, chosen=False), added="drag")]  # fmt: skip
     models = [trials[1], tried("mushr-lag", (), "", 0.05, chosen=False)]
     seen = page(SPLIT, replace(RESULT, trials=tuple(trials), models=tuple(models)))
     assert "Choice of the model" in texts(seen)
     labels = {label.get_text() for axes in seen.axes for label in axes.get_xticklabels()}
-    assert {"3 terms", "drag", "slip"} <= labels
+    assert {"3 terms", "drag", "slip", "+ drag"} <= labels
     assert "mushr-lag" in texts(seen)
     assert "Choice of" not in texts(page(SPLIT, RESULT))
 
