@@ -25,6 +25,8 @@ EPOCH = 1_700_000_000_000_000_000  # ns
 _FOLDER = os.environ.get("KRAFT_REAL_LOGS")
 REAL_LOGS = Path(_FOLDER or "", "f1tenth_koopman_cc0")
 """Logs of a real F1TENTH car, which are not part of the repository."""
+RAMPS = Path(_FOLDER or "", "dart_ramps_mit")
+"""Logs of a real 1:10 car that drives circles with slow ramps of the throttle, each with one steering."""
 needs_real_logs = pytest.mark.skipif(not _FOLDER, reason="KRAFT_REAL_LOGS does not name the folder of the real logs")
 
 

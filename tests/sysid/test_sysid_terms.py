@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.logs import RAMPS, needs_real_logs
 
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
+from kraft.logs.reader import read_logs
 from kraft.sysid import Settings, identify, prediction_errors
 from kraft.sysid.acceptance import identify_car
 from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
@@ -250,6 +252,19 @@ def test_drives_to_one_side_do_not_bend_what_only_both_sides_show() -> None:
     assert errors.position[3.0] < 0.1
     both = identify_terms(car_file(), [drive(model, seed, seconds=10.0) for seed in range(3)])
     assert "phi_diff" in both.identification.names
+
+
+@needs_real_logs
+def test_a_real_car_that_was_driven_to_the_left_is_predicted_to_the_right() -> None:
+    logs = read_logs(RAMPS, any_command_unit=True).logs
+    left = [log for log in logs if "neg" not in log.name]
+    right = [log for log in logs if "neg" in log.name]
+    found = identify_car(left)
+    known = found.identification.predicting(Settings())
+    errors = prediction_errors(found.base.definition, right, found.identification.values, known)
+    constant = window_errors(constant_windows(found.base.definition, right))
+    assert errors.position[3.0] < 0.7 * constant.position[3.0]
+    assert errors.position[1.0] < 0.7 * constant.position[1.0]
 
 
 @pytest.mark.parametrize(("hold", "changes"), [(40, True), (100_000, False)], ids=["levels", "one level"])
