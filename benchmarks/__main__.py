@@ -20,6 +20,7 @@ TOPICS = (
     "peers",
     "peers_table",
     "tuning",
+    "commands",
     "scaling",
     "maps",
     "goals",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sqlite3
@@ -9,6 +10,7 @@ from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from benchmarks import (
     arenas,
     callbacks,
     changes,
+    commands,
     disturbances,
     estimated,
     experiment,
@@ -49,7 +52,7 @@ from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
-from kraft.driving.method import load_method
+from kraft.driving.method import Method, load_method
 from kraft.recording import experiment as design
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
@@ -422,6 +425,27 @@ def test_the_rows_of_the_peers_load_and_their_claims_are_paired_by_entry_and_see
     (found,) = peers_table.rows_of([compared])
     assert found.quantity.startswith("long horizons, kraft-mppi against mppi: +50.0 points more successes")
     assert found.median == pytest.approx(100.0 * compared.success.interval[0])
+
+
+def test_the_time_of_a_command_and_of_all_rows_is_that_of_the_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    driven = []
+
+    def drive(method: Method, entry: str, seed: int) -> Any:
+        driven.append((method.name, entry, seed))
+        return SimpleNamespace(command_ms=[1.0, 3.0, 8.0])
+
+    monkeypatch.setattr(commands, "drive", drive)
+    monkeypatch.setattr(peers_table, "compile_all", lambda: None)
+    clock = itertools.count()
+    monkeypatch.setattr("time.process_time", lambda: float(next(clock)))
+    report = commands.run(SMOKE)
+    assert {name for name, _, _ in driven} == set(commands.ROWS)
+    assert min(seed for _, _, seed in driven) == commands.SEED - 1
+    found = quantities(report)
+    assert found["mppi: processor time of a trial"] == 1.0
+    assert found["nmpc: one command"] == 3.0
+    assert report.rows[0].met is False
+    assert report.notes[-1] == "480 trials of each of the 9 rows: 36 min on two cores."
 
 
 def test_peers_are_tuned_with_as_many_settings_each_and_ranked_by_successes_collisions_and_time() -> None:
