@@ -23,7 +23,7 @@ from kraft.evaluation.statistics import mcnemar, wilson
 from kraft.evaluation.summary import MANY, Result
 from kraft.evaluation.table import markdown
 from kraft.files import write_whole
-from kraft.text import decimals
+from kraft.text import counted, decimals
 from kraft_cli.work.evaluate import EvalRequest, eval_command
 
 KIND = re.compile(r"(?P<kind>[a-z]+)-\d{3,}")
@@ -32,8 +32,8 @@ BEGIN, END = "<!-- results: written by python -m benchmarks.results -->", "<!-- 
 HEADING = """# Results
 
 Written by `python -m benchmarks.results` from results folders of `kraft eval`; every section has the command that
-repeats it. Cells have the number of successes, of collisions ("hit") and of trials that reached the time limit
-("late"). In brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %.
+repeats it. Cells have the number of successes and of collisions ("hit"); the other trials reached the time limit. In
+brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %.
 """
 
 
@@ -89,7 +89,9 @@ def section(found: Results) -> str:
     name = manifest.arguments.get("suite") or ", ".join(found.entries)
     title = Path(str(name)).parent.name if str(name).endswith("suite.yaml") else str(name)
     missing = found.expected - len(found.rows)
-    facts = [f"{found.title}, seeds {manifest.seed} to {manifest.seed + manifest.trials - 1}, {manifest.began[:10]}"]
+    first, last = manifest.seeds[0], manifest.seeds[-1]
+    seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
+    facts = [f"{found.title}, {seeds}, {manifest.began[:10]}"]
     facts += [f"{missing} trials not run"] if missing else []
     facts += [f"score: {label}" for label in dict.fromkeys(r.scoring.label for r in found.summary.results if r.scoring)]
     lines = [f"## {title}", "", f"    {command(found)}", "", "; ".join(facts) + ".", ""]
@@ -207,10 +209,13 @@ def _counts(results: Sequence[Result]) -> str:
     """Successes of all trials, and how many of the others were what."""
     if not results:
         return "not run"
-    names = {"collision": "hit", "timeout": "late", "failed": "failed"}
-    sums = {word: sum(getattr(result, name) for result in results) for name, word in names.items()}
-    successes = f"{sum(r.success for r in results)} of {sum(r.trials for r in results)}"
-    return ", ".join([successes, *(f"{count} {word}" for word, count in sums.items() if count)])
+    success, trials, collision, timeout, failed = (
+        sum(getattr(result, name) for result in results)
+        for name in ("success", "trials", "collision", "timeout", "failed")
+    )
+    found = [f"{success} of {trials}", *([f"{collision} hit"] if collision else [])]
+    found += [counted(timeout, "timeout")] if timeout else []
+    return ", ".join([*found, *([f"{failed} failed"] if failed else [])])
 
 
 def differences(found: Results) -> list[str]:
