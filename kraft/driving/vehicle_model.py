@@ -17,7 +17,7 @@ import numpy as np
 from kraft.errors import Code, InputError
 from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.kernels.specialise import kernels, step_kernels
+from ompl_ext.kernels.specialise import StepKernels, kernels, step_kernels
 from ompl_ext.vehicle import Vehicle
 
 MAX_STEP: Final = 0.05
@@ -81,7 +81,7 @@ class VehicleModel:
 
         Step i holds controls[i] (n, nu) for durations[i] (n,) s from states[i] (n, nx).
         """
-        steps, nx = step_kernels(self.vehicle), len(self.vehicle.state)
+        steps, nx = self._steps, len(self.vehicle.state)
         changes = np.full(nx + len(self.vehicle.controls), CHANGE)
         after, jacobian = np.empty((len(states), nx)), np.zeros((len(states), nx, len(changes)))
         steps.linearise(
@@ -138,6 +138,11 @@ class VehicleModel:
         forward, backward, sideways, slowing = self._directions
         along = drive * forward if drive > 0.0 else -drive * backward if drive < 0.0 else slowing
         return self.clamped(along + turn * sideways)
+
+    @cached_property
+    def _steps(self) -> StepKernels:
+        """Many steps at once; only some methods have them compiled."""
+        return step_kernels(self.vehicle)
 
     @cached_property
     def _directions(self) -> tuple[Floats, Floats, Floats, Floats]:
@@ -255,7 +260,7 @@ class CarModel(VehicleModel):
 
     def _responses(self, varied: int, values: Floats, throttle: float) -> Matrix:
         """States (n, nx) after `UPDATED_TIME` s from standstill with each of `values` (n,) of the control `varied`."""
-        kernels = step_kernels(self.vehicle)
+        kernels = self._steps
         steps, count = round(UPDATED_TIME / MAX_STEP), len(values)
         controls = np.tile(self.command(throttle, 0.0), (steps, count, 1))
         controls[:, :, varied] = values

@@ -84,6 +84,7 @@ class NmpcController:
         self._settings, self._model, self._dirt, self._law = settings, model, dirt, law
         self._discs = cover(model.vehicle.footprint, settings.discs).discs
         self._problem = _Problem(settings, model, self._discs[:, :2])
+        self._kernels = step_kernels(model.vehicle)
         self._solution: Solution | None = None
         self._last = model.rest
         self._time = 0.0
@@ -118,11 +119,11 @@ class NmpcController:
             controls = np.tile(model.rest, (settings.steps, 1))
         else:
             controls = moved(self._solution.controls, (estimate.time - self._time) / settings.step)
-        kernels, steps = step_kernels(model.vehicle), settings.steps
+        steps = settings.steps
         states = np.empty((steps + 1, 1, len(model.vehicle.state)))
-        kernels.simulate(
+        self._kernels.simulate(
             np.array(estimate.state, dtype=float)[None], controls[:, None], model.parameters[None],
-            np.full((steps, 1), settings.step), np.empty(kernels.block), states,
+            np.full((steps, 1), settings.step), np.empty(self._kernels.block), states,
         )  # fmt: skip
         return Solution(states[:, 0], controls, math.inf, solved=False)
 
