@@ -218,7 +218,7 @@ def test_many_entries_are_rows_with_totals_and_closed_sections(monkeypatch: pyte
     assert tags.classes("details")["entry"] == 9
     assert tags.classes("tr")["totals"] == 1
     links = {str(attributes["href"]) for tag, attributes in tags.found if tag == "a"}
-    assert {link for link in links if not link.startswith(("#trial=", "#show"))} == {f"#world-{k}" for k in range(9)}
+    assert {link for link in links if link.startswith("#world")} == {f"#world-{k}" for k in range(9)}
     assert {f"world-{k}" for k in range(9)} <= {attributes.get("id") for _, attributes in tags.found}
     assert "world-3 turns, sensing.noise_scale = 0.5" in text
     for method in METHODS:
@@ -239,13 +239,18 @@ def test_anchors_of_entries_have_no_spaces_and_differ(monkeypatch: pytest.Monkey
     assert set(found) <= set(ids)
     assert not any(re.search(r"\s", each) for each in found)
     links = {a["href"] for tag, a in tags.found if tag == "a" and "download" not in a}
-    assert {link for link in links if not str(link).startswith(("#trial=", "#show"))} == {f"#{each}" for each in found}
+    entries = [link for link in links if not str(link).startswith(("#trial=", "#show"))]
+    assert {f"#{each}" for each in found} <= set(entries) <= {f"#{each}" for each in ids}
 
 
-def test_an_entry_with_the_name_of_a_part_of_the_page_has_another_anchor() -> None:
-    Path("trials.yaml").write_text((ROOT / "scenarios/turns.yaml").read_text().replace("name: turns", "name: trials"))
-    evaluate(["trials.yaml"], ["kraft"], trials=1, out="out")
-    assert read_results(Path("out")).slugs == {"trials": "trials-entry"}
+@pytest.mark.parametrize("name", ["trials", "entries", "sweeps"])
+def test_an_entry_with_the_name_of_a_part_of_the_page_has_another_anchor(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    fake_trials.use(monkeypatch, measured, inline=True)
+    Path("own.yaml").write_text((ROOT / "scenarios/turns.yaml").read_text().replace("name: turns", f"name: {name}"))
+    evaluate(["own.yaml"], ["kraft"], trials=1, out="out")
+    assert read_results(Path("out")).slugs == {name: f"{name}-entry"}
     ids = [attributes["id"] for _, attributes in Tags(Path("out/report.html").read_text()).found if "id" in attributes]
     assert len(set(ids)) == len(ids)
 

@@ -22,7 +22,9 @@ from kraft.text import grouped, slugs
 EXPECTED = "expected the results folder of a kraft eval"
 
 
-ANCHORS = ("overview", "causes", "methods", "trials", "replay", "data", "stage", "plots", "show")
+ANCHORS = (
+    "overview", "causes", "methods", "sweeps", "trials", "entries", "replay", "data", "stage", "plots", "show"
+)  # fmt: skip
 """Anchors of the page itself, which no entry may have."""
 
 
