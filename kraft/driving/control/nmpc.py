@@ -105,27 +105,37 @@ class NmpcController:
 
     def solve(self, estimate: Estimate, reference: Reference) -> Solution:
         """The optimum from the estimate on."""
-        guess = self._guess(estimate)
-        targets, planes = self._targets(estimate, reference), self._planes(guess.states[1:])
+        targets = self._targets(estimate, reference)
+        guess = self._guess(estimate, reference, targets)
+        planes = self._planes(guess.states[1:])
         self._solution = self._problem.solve(guess, self._model.parameters, targets, planes, self._last)
         self._last, self._time = self._solution.controls[0], estimate.time
         self.unsolved += not self._solution.solved
         return self._solution
 
-    def _guess(self, estimate: Estimate) -> Solution:
-        """The last solution, moved to the time of the estimate and driven from there by the model."""
+    def _guess(self, estimate: Estimate, reference: Reference, targets: Matrix) -> Solution:
+        """The last solution, moved to the time of the estimate and driven from there by the model.
+
+        Without one it is the controls at rest.  The controls of a plan that is tracked replace it if they come nearer
+        to the targets: a new plan may lead round an obstacle on the other side.
+        """
         settings, model = self._settings, self._model
         if self._solution is None or not self._time <= estimate.time < self._time + 1.0:
-            controls = np.tile(model.rest, (settings.steps, 1))
+            candidates = [np.tile(model.rest, (settings.steps, 1))]
         else:
-            controls = moved(self._solution.controls, (estimate.time - self._time) / settings.step)
-        steps = settings.steps
-        states = np.empty((steps + 1, 1, len(model.vehicle.state)))
+            candidates = [moved(self._solution.controls, (estimate.time - self._time) / settings.step)]
+        if settings.objective == "plan":
+            begins = estimate.time + settings.step * np.arange(settings.steps)
+            candidates.append(model.clamped(np.array([reference.control_at(float(time)) for time in begins])))
+        controls, count = np.stack(candidates, axis=1), len(candidates)
+        states = np.empty((settings.steps + 1, count, len(model.vehicle.state)))
         self._kernels.simulate(
-            np.array(estimate.state, dtype=float)[None], controls[:, None], model.parameters[None],
-            np.full((steps, 1), settings.step), np.empty(self._kernels.block), states,
+            np.tile(np.asarray(estimate.state, dtype=float), (count, 1)), controls, np.tile(model.parameters, (count, 1)),
+            np.full((settings.steps, count), settings.step), np.empty(self._kernels.block), states,
         )  # fmt: skip
-        return Solution(states[:, 0], controls, math.inf, solved=False)
+        away = ((states[1:, :, [model.x, model.y]] - targets[:, None, :2]) ** 2).sum(axis=(0, 2))
+        best = int(away.argmin())
+        return Solution(states[:, best].copy(), candidates[best], math.inf, solved=False)
 
     def _targets(self, estimate: Estimate, reference: Reference) -> Matrix:
         """Targets (steps, 4) after each step: x, y, heading, speed.
