@@ -200,8 +200,24 @@ def test_without_an_optimum_the_best_controls_so_far_are_sent_and_counted() -> N
     assert stopped.unsolved == 1
     assert begun.states[1] == pytest.approx(model().advance(state, begun.controls[0], 0.1), abs=5e-3)
     assert begun.cost > nmpc(Nmpc(kind="nmpc")).solve(now, path).cost
-    assert np.array_equal(other.command(now, path), model().rest)
+    ends = [model().low, model().rest, model().high]
+    held = [np.array(control) for control in itertools.product(*zip(*ends, strict=True))]
+    sent = other.command(now, path)
+    assert any(np.array_equal(sent, control) for control in held)
     assert other.unsolved == 1
+
+
+def test_the_controls_of_a_plan_are_the_first_guess_and_that_of_a_new_plan() -> None:
+    """A plan that turns to the right replaces one that turns to the left: the guess is that plan's controls at once."""
+    controller, begin = nmpc(Nmpc(kind="nmpc", objective="plan", solver="ipopt", iterations=1)), start()
+    for steering in (0.3, -0.3):
+        controls = np.tile([1.0, steering], (40, 1))
+        states = [begin]
+        for control in controls:
+            states.append(model().advance(states[-1], control, 0.05))
+        times = np.linspace(0.0, 2.0, 41)
+        plan = Reference(ReferenceKind.PLAN, times, np.array(states), controls, model().rest)
+        assert controller.command(Estimate(0.0, begin, 0.0), plan) == pytest.approx([1.0, steering])
 
 
 def test_a_contingency_is_tracked_by_the_law_of_the_other_methods() -> None:

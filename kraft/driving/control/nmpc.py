@@ -24,6 +24,7 @@ import ast
 import builtins
 import copy
 import inspect
+import itertools
 import math
 import textwrap
 from collections.abc import Callable
@@ -116,12 +117,14 @@ class NmpcController:
     def _guess(self, estimate: Estimate, reference: Reference, targets: Matrix) -> Solution:
         """The last solution, moved to the time of the estimate and driven from there by the model.
 
-        Without one it is the controls at rest.  The controls of a plan that is tracked replace it if they come nearer
-        to the targets: a new plan may lead round an obstacle on the other side.
+        Without one it is the best of the controls that are held: an optimiser that begins at rest may turn a fast
+        vehicle the wrong way round.  The controls of a plan that is tracked replace it if they come nearer to the
+        targets, since a new plan may lead round an obstacle on the other side.
         """
         settings, model = self._settings, self._model
         if self._solution is None or not self._time <= estimate.time < self._time + 1.0:
-            candidates = [np.tile(model.rest, (settings.steps, 1))]
+            held = itertools.product(*zip(model.rest, model.low, model.high, strict=True))
+            candidates = [np.tile(control, (settings.steps, 1)) for control in held]
         else:
             candidates = [moved(self._solution.controls, (estimate.time - self._time) / settings.step)]
         if settings.objective == "plan":
@@ -129,8 +132,9 @@ class NmpcController:
             candidates.append(model.clamped(np.array([reference.control_at(float(time)) for time in begins])))
         controls, count = np.stack(candidates, axis=1), len(candidates)
         states = np.empty((settings.steps + 1, count, len(model.vehicle.state)))
+        begin = np.asarray(estimate.state, dtype=float)
         self._kernels.simulate(
-            np.tile(np.asarray(estimate.state, dtype=float), (count, 1)), controls, np.tile(model.parameters, (count, 1)),
+            np.tile(begin, (count, 1)), controls, np.tile(model.parameters, (count, 1)),
             np.full((settings.steps, count), settings.step), np.empty(self._kernels.block), states,
         )  # fmt: skip
         away = ((states[1:, :, [model.x, model.y]] - targets[:, None, :2]) ** 2).sum(axis=(0, 2))
