@@ -88,7 +88,7 @@ class PlannerSettings(StrictModel):
     cycle: Seconds = 1.0
     """duration of a replanning cycle, s"""
     clock_cycle: Seconds | None = None
-    """duration of a cycle of a drive on the wall clock, where decisions have to be early; `cycle` if it is left out, s"""
+    """duration of a cycle on the wall clock, where decisions have to be early; `cycle` if it is left out, s"""
     lead: NonNegative = 0.1
     """how long before a cycle ends its plan is checked again and sent, s"""
     iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000

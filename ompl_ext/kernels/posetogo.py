@@ -120,11 +120,11 @@ def pose_cost_to_go(
         nearby = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
         attempts = [(nearby, EASE), (nearby, 1.0), (None, 1.0)]
     one_way = bool(np.all(twists[:, 0] >= 0.0) or np.all(twists[:, 0] <= 0.0))
-    most, table, motions, near = -1.0, None, twists, None
+    most, table, motions, near = -1, None, twists, None
     for poses, ease in attempts:
         eased = motions_of(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists), cell, headings, STRIDE)
         found = _searched(count, frame, eased, reversal, region, maps, poses)
-        reached = np.count_nonzero(found.seconds < UNKNOWN)
+        reached = int(np.count_nonzero(found.seconds < UNKNOWN))
         if reached > (1.0 + GAIN) * most:
             most, table, motions, near = reached, found, eased, poses
         if most >= LEADS_ON * count and not (one_way and ease < 1.0):
