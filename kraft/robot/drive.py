@@ -116,8 +116,8 @@ def check_method(method: Method) -> None:
     key = "cycle" if planner.clock_cycle is None else "clock_cycle"
     cycle = planner.clock_cycle or planner.cycle
     if cycle - max(planner.lead, LEAD) < LEAD:
-        expected = f"expected more than {2 * LEAD:g} s on the wall clock, or a longer `clock_cycle`"
-        wrong(f"planner.{key}", f"is {cycle:g} s", expected)
+        other = ", or a longer `clock_cycle`" if planner.clock_cycle is None else ""
+        wrong(f"planner.{key}", f"is {cycle:g} s", f"expected more than {2 * LEAD:g} s on the wall clock{other}")
     if problems:
         raise InputError(problems)
 

@@ -29,7 +29,7 @@ from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, World, is_in_goal
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
-from kraft.vehicles.config import FORCE, GRAVITY, CarDimensions, Robot
+from kraft.vehicles.config import FORCE, STEEPEST, CarDimensions, Robot, felt_gravity
 from kraft.vehicles.load import load_vehicle, natural_robot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
@@ -37,8 +37,6 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 
-STEEPEST: Final = math.sin(math.radians(40.0))
-"""Largest slope of a floor that a force stands for, that of `truth.tilt`."""
 SUNK_MAX: Final = 0.005
 """Largest depth to which a robot may be in the floor at its start, m."""
 
@@ -239,9 +237,9 @@ def _with_true_parameters(vehicle: Vehicle, true: TrueRobot) -> Vehicle:
     if problems:
         raise InputError(problems)
     model = base.with_parameters(robot.parameters)
-    if model.gravity_share is not None and np.linalg.norm(_slope_of(model, model.gravity_share)) > STEEPEST:
+    if model.gravity_share is not None and np.linalg.norm(_slope_of(model)) > STEEPEST:
         force = " and ".join(f"{name} {model.parameters[name]:g}" for name in FORCE)
-        problem = f"{force} is the force of gravity on a floor that is steeper than any"
+        problem = f"{force} stand for gravity on a floor that is steeper than any"
         raise InputError([true.problem("parameters", problem, "expected a slope of at most 40 degrees", Code.VALUE)])
     return model
 
@@ -269,13 +267,12 @@ def _floor_of(vehicle: Vehicle, start: Start) -> FloorFrame:
     """
     if vehicle.gravity_share is None:
         return FloorFrame.of(None)
-    slope = _slope_of(vehicle, vehicle.gravity_share)
-    return FloorFrame.rising(slope, np.array([start.x, start.y, 0.0]))
+    return FloorFrame.rising(_slope_of(vehicle), np.array([start.x, start.y, 0.0]))
 
 
-def _slope_of(vehicle: Vehicle, share: float) -> Floats:
+def _slope_of(vehicle: Vehicle) -> Floats:
     """Slope (2,), rise per metre along x and y, by which gravity drives the vehicle with the force of its model."""
-    return -np.array([vehicle.parameters[name] for name in FORCE]) / (share * GRAVITY)
+    return -np.array([vehicle.parameters[name] for name in FORCE]) / felt_gravity(vehicle)
 
 
 STANDSTILL: Final = 0.01

@@ -112,6 +112,21 @@ def test_methods_without_a_contingency_on_board_may_not_drive_a_robot() -> None:
     assert on_the_clock(method).planner.lead == 0.3
 
 
+@pytest.mark.parametrize(
+    ("timing", "key"),
+    [({"clock_cycle": None}, "planner.cycle"), ({"clock_cycle": 0.5}, "planner.clock_cycle")],
+    ids=["short cycles alone", "a cycle on the clock that is short too"],
+)
+def test_a_cycle_on_the_clock_has_its_own_duration_and_leaves_time_to_decide(timing: dict[str, Any], key: str) -> None:
+    method = load_method("adaptive-kraft")
+    planner = method.planner
+    assert (planner.cycle, on_the_clock(method).planner.cycle) == (0.25, planner.clock_cycle)
+    changed = method.model_copy(update={"planner": planner.model_copy(update=timing)})
+    with pytest.raises(InputError) as error:
+        check_method(changed)
+    assert [problem.path for problem in error.value.diagnostics] == [key]
+
+
 def received(
     time: float, pose: tuple[float, float, float] = HERE, frame: str = "map", arrival: float | None = None
 ) -> Received:

@@ -24,7 +24,7 @@ from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ran
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
-from kraft.vehicles.config import FORCE, GRAVITY, load_vehicle_config
+from kraft.vehicles.config import FORCE, STEEPEST, felt_gravity, load_vehicle_config
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -41,8 +41,6 @@ SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
-STEEPEST: Final = math.sin(math.radians(40.0))
-"""Largest slope of the floor; a larger estimate has another cause, such as a box that the vehicle pushes."""
 DRIVE_MAX: Final = 30.0
 """Age of the oldest poses that are kept for the window, s."""
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
@@ -228,12 +226,6 @@ def with_identified_drift(settings: Adaptive, vehicle: Vehicle) -> Adaptive:
 def stated_spread(vehicle: Vehicle) -> Matrix:
     """Standard deviations of the parameters before any is identified, as a diagonal matrix (np, np)."""
     return np.diag([vehicle.ranges[name].std for name in vehicle.parameters])
-
-
-def felt_gravity(vehicle: Vehicle) -> float:
-    """Force per mass by a slope of 1, m/s^2, on a vehicle that states its share of gravity."""
-    assert vehicle.gravity_share is not None, "no camera is corrected without it"
-    return GRAVITY * vehicle.gravity_share
 
 
 def slope_deviations(vehicle: Vehicle) -> Floats:
