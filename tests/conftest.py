@@ -43,7 +43,7 @@ for name in sys.argv[1:]:
 """
 FIRST = (("mushr",), ("shared",))
 """What a process each compiles first: the others use the kernels that the first one shares with them."""
-OTHERS = (("mushr-drive", "mushr-force", "f1tenth"), ("benchmark", "rover", "jackal", "unicycle2", "mushr-lag"))
+OTHERS = (("benchmark", "mushr-drive", "mushr-force", "f1tenth"), ("rover", "jackal", "unicycle2", "mushr-lag"))
 """Takes about the same time in two processes that compile nothing twice."""
 LONG = (
     "test_interrupts", "test_quality", "test_cli_sysid", "test_evaluation_workers", "test_examples", "test_theorem",
