@@ -13,7 +13,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.stats import qmc
 
 from kraft.sysid.chains import Chains
 from kraft.sysid.dynamics import DiscreteModel
@@ -109,6 +108,8 @@ class InitialSearch:
         return self._refine(candidates[order[:REFINED]], free)
 
     def _candidates(self, free: Bools) -> Matrix:
+        from scipy.stats import qmc  # only identification from logs needs it, and it is slow to load
+
         p = self._parameters
         low, high = p.low[free], p.high[free]
         logarithmic = (low > 0.0) & (high > LOGARITHMIC_RATIO * low)

@@ -23,7 +23,7 @@ from typing import Literal, Protocol
 
 import gtsam
 import numpy as np
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from kraft.errors import NegativeResult
 from kraft.sysid.problem import Point, Problem
@@ -261,7 +261,7 @@ def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncer
     graph = inverse(total)
     logs = len(factors.information)
     if logs < 2:
-        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), np.zeros((logs, len(total))), held[free])
+        return Uncertainty("graph", graph, graph, float(ndtri(0.975)), np.zeros((logs, len(total))), held[free])
     shifts = np.array(
         [
             _shift(total - information[chosen], gradient[free], held[free])
@@ -269,10 +269,10 @@ def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncer
         ]
     )
     if logs < SANDWICH_LOGS_MIN:
-        return Uncertainty("graph", graph, graph, float(norm.ppf(0.975)), shifts, held[free])
+        return Uncertainty("graph", graph, graph, float(ndtri(0.975)), shifts, held[free])
     centred = shifts - shifts.mean(axis=0)
     sandwich = (logs - 1) / logs * centred.T @ centred
-    return Uncertainty("sandwich", graph, sandwich, float(t.ppf(0.975, logs - 1)), shifts, held[free])
+    return Uncertainty("sandwich", graph, sandwich, float(stdtrit(logs - 1, 0.975)), shifts, held[free])
 
 
 def _shift(rest: Matrix, gradient: Floats, held: Bools) -> Floats:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, gammaincinv, ndtr
 
 from kraft.sysid.chains import Chains, Segment, chains_of
 from kraft.sysid.dynamics import ActuatorModel, Dynamics
@@ -184,7 +184,7 @@ def threshold(robust: float | None, shown: int) -> float:
     """Threshold of the distance of `shown` residuals that inliers exceed as often as one residual exceeds `robust`."""
     if robust is None:
         return math.inf
-    return math.sqrt(float(chi2.isf(2.0 * float(norm.sf(robust)), shown)))
+    return math.sqrt(float(chdtri(shown, 2.0 * float(ndtr(-robust)))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,4 +302,5 @@ def residual_ratio(problem: Problem, point: Point) -> float:
     squares = problem.noise.distance(problem.pose_residuals(point)) ** 2
     shown = 3.0 if problem.observation.turns else 2.0
     taken = problem.dynamics.nx * len(problem.chains.log) / (shown * len(squares))
-    return float(np.median(squares) / (chi2.median(shown) * max(1.0 - taken, 0.1)))
+    median = 2.0 * float(gammaincinv(0.5 * shown, 0.5))  # of the chi-squared distribution
+    return float(np.median(squares) / (median * max(1.0 - taken, 0.1)))
