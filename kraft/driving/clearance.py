@@ -201,6 +201,8 @@ class Levels:
         """number of the levels at which a plan keeps the clearance as long as at the first one"""
         self.kept = 0
         """index of the level of the last plan"""
+        self.stalled = False
+        """whether there was no progress at that level, and plans may keep less for a gain"""
         self._steady = 0  # number of cycles with this level since a higher one was tried
         self.bound = DeviationBound(0.0)
 
@@ -236,11 +238,13 @@ class Levels:
         self._solvers.set_bound(self.bound.scaled(self.share * self._settings.recheck))
 
     def keep(self, number: int, stalled: bool) -> None:
-        """Record that a plan of a level is proposed; if the vehicle is `stalled`, the next plan may keep less."""
-        self._steady = self._steady % STEADY + 1 if number == self.kept else 0
+        """Record that a plan of a level is proposed; if the vehicle is `stalled`, the next level is tried as well.
+
+        Neither the margin nor the foresight is given up for a gain.
+        """
+        self.stalled = stalled and number + 1 not in (self.wide, self.far, len(self.all))
+        self._steady = self._steady % STEADY + 1 if number == self.kept and not self.stalled else 0
         self.kept = number
-        if stalled and number + 1 not in (self.wide, self.far, len(self.all)):
-            self.kept, self._steady = number + 1, 0
 
     def drive_on(self, drives: bool) -> None:
         """Change the level where no plan tells it: a lower one for a vehicle that stopped, a higher one in time."""

@@ -40,6 +40,7 @@ RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is belo
 STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
+LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than another one (s)
 PROBES = 2  # attempts at retaining a rest at another level
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
 LEVEL_TIME = 0.15  # share of the remaining time in which a search finds a way at a level, by the clock
@@ -140,7 +141,7 @@ class Proposer:
         last, self._grown, proposal = self._grown, None, Proposal(None)
         for dirt, share in self._solvers_in_turn(query.root):
             found = self._search(query, dirt, share)
-            if self._grown is None or self._is_better(found, proposal):
+            if self._grown is None or _is_better(found, proposal, self._settings.switch_gain):
                 proposal = found
                 self._grown = None if found.plan is None else (dirt, found.plan)
             if proposal.plan is None:
@@ -150,7 +151,10 @@ class Proposer:
         return proposal
 
     def _propose_at_levels(self, query: _Query) -> Proposal:
-        """Plan of the first level of clearance that leaves a way to the goal, from the level of the last plan on."""
+        """Plan of the first level of clearance that leaves a way to the goal, from the level of the last plan on.
+
+        Of two levels that are compared, the one with less clearance has to save `LEVEL_GAIN`.
+        """
         levels, rest, self._budget = self._levels, query.rest, self._settings.largest_budget
         was_recovering, self._recovering = self._recovering, False
         kept, chosen, proposal = levels.kept, levels.kept, Proposal(None)
@@ -159,13 +163,12 @@ class Proposer:
             number = waiting.pop(0)
             dirt = levels.set(number, eased=rest is not None and number == kept)
             found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting)
-            tolerance = STALLED if number < levels.far <= kept else RETAINED_TOLERANCE
-            if number < kept and not self._may_keep_more(found, rest, tolerance):
+            if number < kept and not _leads_to_goal(found):
                 continue
-            if proposal.plan is None or self._is_better(found, proposal):
+            if proposal.plan is None or _is_better(found, proposal, LEVEL_GAIN):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
-                self._grown = None if found.plan is None else (dirt, found.plan)
-            if proposal.plan is not None and proposal.plan.reaches_goal:
+            self._grown = (dirt, found.plan) if chosen == number and found.plan is not None else None
+            if _leads_to_goal(proposal) and not self._is_compared(number, found, rest):
                 break
         if proposal.plan is None and self._recovers(query.root, was_recovering):
             self._recovering = True
@@ -176,10 +179,23 @@ class Proposer:
             levels.require()
         return replace(proposal, iterations=self._settings.largest_budget - self._budget)
 
+    def _is_compared(self, number: int, found: Proposal, rest: Rest | None) -> bool:
+        """Whether the plan found at a level costs more than what was left, and the next level is tried as well.
+
+        That is so at levels above that of the last plan, and at that level itself if there was no progress at it.
+        """
+        levels = self._levels
+        if rest is None or found.plan is None or number > levels.kept or (number == levels.kept and not levels.stalled):
+            return False
+        gains_foresight = number < levels.far <= levels.kept
+        return total_cost(found.plan) > rest.left + (STALLED if gains_foresight else RETAINED_TOLERANCE)
+
     def _first_levels(self, query: _Query) -> list[int]:
         """Levels to search at, in their order: from that of the last plan on, and now and then from a higher one."""
         levels = self._levels
         waiting = levels.downwards(levels.kept)
+        if levels.stalled and levels.kept + 1 not in waiting:
+            waiting.insert(1, levels.kept + 1)
         if levels.tries_higher:
             higher = levels.upwards()
             while higher[0] > 0 and self._holds(query, higher[0]) and self._holds(query, higher[0] - 1):
@@ -231,12 +247,6 @@ class Proposer:
             return radius, goal.tolerance
         return goal.radius, max(MIN_GOAL_TOLERANCE, 0.5 * off)
 
-    def _may_keep_more(self, found: Proposal, rest: Rest | None, tolerance: float) -> bool:
-        """Whether a plan that keeps more than the last one did leads to the goal and costs hardly more."""
-        if found.plan is None or not found.plan.reaches_goal:
-            return False
-        return rest is None or total_cost(found.plan) <= rest.left + tolerance
-
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""
         self._levels.bound = bound
@@ -285,13 +295,6 @@ class Proposer:
         if self._settings.switch_gain == 0.0 or rest is None or proposal.lost is PlanLoss.NONE or proposal.plan is None:
             return False
         return total_cost(proposal.plan) > rest.left + RETAINED_TOLERANCE
-
-    def _is_better(self, found: Proposal, proposal: Proposal) -> bool:
-        """Whether a plan to the goal that another solver found saves the gain, or alone reaches the goal."""
-        if found.plan is None or proposal.plan is None or not found.plan.reaches_goal:
-            return False
-        gain = self._settings.switch_gain
-        return not proposal.plan.reaches_goal or total_cost(found.plan) <= total_cost(proposal.plan) - gain
 
     def _search(self, query: _Query, dirt: DirtSolver, share: float, is_last: bool = False) -> Proposal:
         """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
@@ -418,6 +421,17 @@ class Proposer:
         problems = verify(dirt, head).problems
         if problems:
             raise Defect(f"the plan of cycle {number} fails verification: {'; '.join(map(str, problems))}")
+
+
+def _leads_to_goal(proposal: Proposal) -> bool:
+    return proposal.plan is not None and proposal.plan.reaches_goal
+
+
+def _is_better(found: Proposal, proposal: Proposal, gain: float) -> bool:
+    """Whether a plan to the goal that another solver found saves `gain` (s), or alone reaches the goal."""
+    if found.plan is None or proposal.plan is None or not found.plan.reaches_goal:
+        return False
+    return not proposal.plan.reaches_goal or total_cost(found.plan) <= total_cost(proposal.plan) - gain
 
 
 def _failure_reason(progress: Progress) -> str:

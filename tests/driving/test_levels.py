@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -87,13 +88,20 @@ def test_after_steady_cycles_the_next_higher_level_is_tried_and_the_lowest_with_
     assert subject.upwards() == [1]
 
 
-@pytest.mark.parametrize(("number", "kept"), [(0, 1), (1, 2), (2, 2), (3, 4), (4, 4), (5, 6), (7, 7)])
-def test_a_vehicle_without_progress_keeps_less_but_gives_up_neither_margin_nor_foresight_for_it(
-    number: int, kept: int
-) -> None:
+@pytest.mark.parametrize("number", [0, 1, 3, 5])
+def test_a_vehicle_without_progress_tries_the_next_level_as_well(number: int) -> None:
     subject = levels()
     subject.keep(number, stalled=True)
-    assert subject.kept == kept
+    assert (subject.kept, subject.stalled) == (number, True)
+    subject.keep(number, stalled=False)
+    assert not subject.stalled
+
+
+@pytest.mark.parametrize("number", [2, 4, 7])
+def test_neither_margin_nor_foresight_is_given_up_for_progress(number: int) -> None:
+    subject = levels()
+    subject.keep(number, stalled=True)
+    assert not subject.stalled
 
 
 def test_a_level_asks_for_its_share_its_margin_and_its_foresight() -> None:
@@ -141,6 +149,21 @@ def test_plans_of_a_bound_that_grows_cost_hardly_more_than_what_was_left() -> No
         _, found = driven(DeviationBound(0.04), DeviationBound(0.04), DeviationBound(0.1), seed=seed)
         costs = [total_cost(proposal.plan) for proposal in found if proposal.plan is not None]
         assert all(after <= before - 1.0 + STALLED for before, after in itertools.pairwise(costs))
+
+
+@pytest.mark.parametrize(("bound", "level"), [(0.1, 0), (0.35, 1)])
+def test_a_vehicle_without_progress_keeps_less_clearance_only_if_that_saves_time(bound: float, level: int) -> None:
+    """The plan that was left states a cost that no plan has."""
+    subject, (found,) = driven(DeviationBound(0.001))
+    plan, proposer = found.plan, subject._proposer
+    assert plan is not None
+    root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
+    proposer._levels.bound = DeviationBound(bound)
+    proposer._levels.keep(0, stalled=True)
+    proposed = proposer.propose(1, root, replace(plan, cost=2.0))
+    assert proposed.plan is not None
+    assert proposed.plan.reaches_goal
+    assert proposer._levels.kept == level
 
 
 def test_the_same_rest_is_retained_in_every_run() -> None:
