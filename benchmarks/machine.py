@@ -9,8 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from kraft.version import VERSION
-
 PACKAGES = ("ompl", "numpy", "numba", "llvmlite", "scipy", "python-fcl", "mujoco")
 
 
@@ -22,7 +20,7 @@ def describe() -> dict[str, Any]:
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "load": [round(load, 2) for load in os.getloadavg()],
         "python": platform.python_version(),
-        "versions": {"kraft": VERSION, **{name: version(name) for name in PACKAGES}},
+        "versions": {name: version(name) for name in ("kraft", *PACKAGES)},
         "arguments": sys.argv[1:],
     }
 

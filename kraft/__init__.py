@@ -11,11 +11,9 @@ Names are imported when they are first used: `import kraft` loads none of the pl
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import lazy_loader
-
-from kraft.version import VERSION
 
 if TYPE_CHECKING:
     from kraft.driving.method import Method as Method
@@ -55,4 +53,4 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "vehicles.load": ["load_vehicle"],
     },
 )
-__version__ = VERSION
+__version__: Final = "0.1.0"

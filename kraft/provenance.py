@@ -13,8 +13,6 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel
 
-from kraft.version import VERSION
-
 PLANNING: Final = ("numba", "numpy", "ompl")
 """Distributions that a plan depends on."""
 SIMULATION: Final = (*PLANNING, "mujoco", "scipy")
@@ -26,7 +24,7 @@ IDENTIFICATION: Final = ("gtsam", "numba", "numpy", "scipy")
 def versions(distributions: Iterable[str]) -> dict[str, str]:
     """Versions of kraft, of the named distributions and of Python."""
     python = ".".join(platform.python_version_tuple()[:2])
-    return {"kraft": VERSION, **{name: version(name) for name in distributions}, "python": python}
+    return {**{name: version(name) for name in ("kraft", *distributions)}, "python": python}
 
 
 def plain(value: Any) -> Any:

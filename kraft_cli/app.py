@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from kraft.version import VERSION
+from kraft import __version__
 from kraft_cli.commands.doctor import doctor
 from kraft_cli.commands.drive import drive, world
 from kraft_cli.commands.eval import eval_
@@ -36,7 +36,7 @@ app = typer.Typer(
 
 def _print_version(requested: bool) -> None:
     if requested:
-        typer.echo(f"kraft {VERSION}")
+        typer.echo(f"kraft {__version__}")
         raise typer.Exit
 
 

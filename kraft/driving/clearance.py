@@ -20,6 +20,7 @@ from kraft.driving.method import CalibratedBound, PlannerSettings
 from kraft.planning.workspace import displacement, goal_of, poses_of, settings_of, workspace_of
 from kraft.scenario import Task
 from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Obstacle
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
@@ -110,13 +111,19 @@ class Solvers:
 
     planning: DirtSolver
     checking: DirtSolver
+    origin: tuple[Task, Vehicle] | None = None
+    """task and vehicle that they were made for"""
 
     @classmethod
-    def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings) -> Solvers:
-        """Make the solvers for a method's settings; without a clearance in the settings, SAFETY is disabled."""
+    def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings, more: tuple[Obstacle, ...] = ()) -> Solvers:
+        """Make the solvers for a method's settings; without a clearance in the settings, SAFETY is disabled.
+
+        `more` are obstacles that the task does not have.
+        """
         goal = goal_of(task)
         goal = replace(goal, radius=max(goal.radius - settings.goal_margin, LEAST_GOAL * goal.radius))
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
+        workspace = replace(workspace, obstacles=workspace.obstacles + more)
         planner = "sst" if settings.type == "sst" else "dirt"
         search = replace(settings_of(task, vehicle), polish=settings.polish, planner=planner)
         if settings.cost_to_go == "pose" and vehicle.index("theta") >= 0:
@@ -125,11 +132,20 @@ class Solvers:
         clearance = settings.bound or settings.safety
         foresight = clearance.foresight if clearance else 0.0
         if settings.margin == 0.0 and foresight <= settings.cycle:
-            return cls(checking, checking)
+            return cls(checking, checking, (task, vehicle))
         safety = replace(safety, cycle=max(foresight, settings.cycle))
         margin = settings.margin if settings.bound is None else 0.0  # which is added to the bound
         larger_vehicle = replace(vehicle, footprint=shape.with_margin(margin))
-        return cls(DirtSolver(larger_vehicle, workspace, goal, safety, search, settings.capacity), checking)
+        return cls(
+            DirtSolver(larger_vehicle, workspace, goal, safety, search, settings.capacity), checking, (task, vehicle)
+        )
+
+    def with_obstacles(self, more: tuple[Obstacle, ...], settings: PlannerSettings) -> Solvers:
+        """Solvers of the same task with `more` obstacles than it has, and with the present parameters."""
+        assert self.origin is not None, "the solvers were made for a task"
+        solvers = Solvers.of(*self.origin, settings, more)
+        solvers.set_parameters(np.array(list(self.checking.vehicle.parameters.values())))
+        return solvers
 
     def load(self, state: Floats) -> None:
         """Compute what queries of this map share, which the first one from a state (nx,) would do otherwise."""

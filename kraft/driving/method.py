@@ -121,6 +121,8 @@ class PlannerSettings(StrictModel):
     """what the car has on board beyond a cycle: the rest of the plan, or the contingency, tracked from its end on"""
     contingency: bool = True
     """whether there are contingencies; if not, `safety`, `bound`, `recover` and all about contingencies is ignored"""
+    blocked: Seconds | None = None
+    """time on a plan without motion after which what is ahead of the vehicle counts as an obstacle; none: never, s"""
     watchdog: Seconds | None = None
     """how old the newest observation may be, or how late a message, before the car itself stops; none: never, s"""
     contingencies: Literal["model", "tracked"] = "model"
@@ -172,6 +174,8 @@ class PlannerSettings(StrictModel):
             raise refuse("replaces `safety`, which is there too", "expected one of them", ("bound",), Code.CONFLICT)
         if self.bound is not None and self.mode == "one-shot":
             raise refuse("is set in every cycle", "expected `mode: replanning`", ("bound",), Code.CONFLICT)
+        if self.blocked is not None and self.mode == "one-shot":
+            raise refuse("is noticed in later cycles", "expected `mode: replanning`", ("blocked",), Code.CONFLICT)
         if self.lead >= self.cycle:
             raise refuse(f"is {self.lead:g}, not less than the cycle", f"expected less than {self.cycle:g}", ("lead",))
         if self.largest_budget < self.iterations:

@@ -170,13 +170,15 @@ class Proposer:
             self._grown = (dirt, found.plan) if chosen == number and found.plan is not None else None
             if _leads_to_goal(proposal) and not self._is_compared(number, found, rest):
                 break
-        if proposal.plan is None and self._recovers(query.root, was_recovering):
+        if proposal.plan is not None:
+            levels.keep(chosen, stalled=total_cost(proposal.plan) > query.left + STALLED)
+            levels.require()
+        elif self._recovers(query.root, was_recovering):
             self._recovering = True
             proposal = self._search(query, self.dirt, 1.0, is_last=True)
             self._grown = None if proposal.plan is None else (self.dirt, proposal.plan)
-        elif proposal.plan is not None:
-            levels.keep(chosen, stalled=total_cost(proposal.plan) > query.left + STALLED)
-            levels.require()
+        elif waiting:
+            levels.keep(waiting[0], stalled=False)
         return replace(proposal, iterations=self._settings.largest_budget - self._budget)
 
     def _is_compared(self, number: int, found: Proposal, rest: Rest | None) -> bool:

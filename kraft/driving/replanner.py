@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from kraft.driving.blockage import Blockage
 from kraft.driving.clearance import BoundCalibration, DeviationBound, Solvers
 from kraft.driving.contingencies import (  # fmt: skip
     ClosedLoopPredictor,
@@ -44,9 +45,11 @@ from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.planning.workspace import displacement, pose_of, poses_of
 from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import Plan
 
 SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
+FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)
 NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
 
@@ -103,6 +106,9 @@ class Replanner:
             command_timeout=command_timeout,
         )  # fmt: skip
         self._proposer = self._propose_with(solvers)
+        self._blockage = None if settings.blocked is None else Blockage(settings.blocked, self.dirt.vehicle)
+        self._blocked: tuple[Polygon, ...] = ()
+        self._fruitless = 0  # number of the latest cycles without a plan to the goal
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
         self._model: VehicleModel | None = None
@@ -155,6 +161,10 @@ class Replanner:
 
     def set_solvers(self, solvers: Solvers) -> None:
         """Plan and check with other solvers, of a task with another map or goal, from the next plan on."""
+        self._blocked = ()
+        self._use(solvers)
+
+    def _use(self, solvers: Solvers) -> None:
         self._solvers, self.dirt = solvers, solvers.checking
         self._proposer = self._propose_with(solvers)
         self._predict = replace(self._predict, dirt=self.dirt)
@@ -182,6 +192,7 @@ class Replanner:
             if self._model is not None:
                 self._model.set_parameters(estimate.parameters)
         self._calibrate(estimate)
+        self._look_for_blockage(estimate, current)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         if self._stands(estimate, current):
             estimate = replace(estimate, state=self._at_rest(estimate.state))
@@ -203,6 +214,24 @@ class Replanner:
         if not self._one_shot:
             decision = self._decision
             self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
+
+    def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> None:
+        """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way."""
+        if self._blockage is None or self._one_shot:
+            return
+        leads = self._proposal.plan is not None and self._proposal.plan.reaches_goal
+        self._fruitless = 0 if leads else self._fruitless + 1
+        found = self._blockage.observe(estimate.time, estimate.state, current.reference_at(estimate.time))
+        if found is not None:
+            self._block((*self._blocked, found), "the vehicle does not move: something is in the way")
+        elif self._blocked and self._fruitless * self._settings.cycle > FORGET:
+            self._block((), "no way leads round what blocked the vehicle")
+
+    def _block(self, obstacles: tuple[Polygon, ...], reason: str) -> None:
+        """Plan with these obstacles beside those of the task; the plan for this cycle does not know them."""
+        self._blocked, self._fruitless = obstacles, 0
+        self._use(self._solvers.with_obstacles(obstacles, self._settings))
+        self._proposal = Proposal(None, reason)
 
     def _calibrate(self, estimate: Estimate) -> None:
         """Compare the last prediction with the estimate, and set the bound for this cycle."""

@@ -114,17 +114,21 @@ def _first_loss(dirt: DirtSolver, state: Floats, controls: Floats, durations: Fl
 
 WAY_HORIZON = 5.0  # time over which ways are compared (s)
 WAY_WIDTH = 0.5  # distance at which one plan leaves the way of another (m)
+WAY_STEP = 0.02  # distance between the places on a way that are compared, where its samples are closer (m)
 
 
 def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
     """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
-    one, two = (_positions(dirt, each) for each in (plan, other))
-    return _follows(dirt, one[plan.times <= WAY_HORIZON], two) and _follows(dirt, two[other.times <= WAY_HORIZON], one)
+    (one, one_soon), (two, two_soon) = (_places(dirt, each) for each in (plan, other))
+    return _follows(dirt, one_soon, two) and _follows(dirt, two_soon, one)
 
 
-def _positions(dirt: DirtSolver, plan: Plan) -> Matrix:
-    positions: Matrix = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
-    return positions
+def _places(dirt: DirtSolver, plan: Plan) -> tuple[Matrix, Matrix]:
+    """Places (n, 2) on the way of a plan, and those (m, 2) of the next seconds; the start is one of both."""
+    positions = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
+    steps = np.hypot(*np.diff(positions, axis=0).T).cumsum() // WAY_STEP
+    apart = np.concatenate([[True], np.diff(steps, prepend=0.0) > 0.0])
+    return positions[apart], positions[apart & (plan.times <= WAY_HORIZON)]
 
 
 def _follows(dirt: DirtSolver, points: Matrix, path: Matrix) -> bool:

@@ -11,12 +11,12 @@ import sys
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
+from kraft import __version__
 from kraft.config import bundled
 from kraft.errors import InputError, MissingAsset, MissingDependency
 from kraft.files import check_writable
 from kraft.gl import BACKENDS
 from kraft.text import counted
-from kraft.version import VERSION
 
 State: TypeAlias = Literal["ok", "note", "missing"]
 
@@ -65,7 +65,7 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Run all checks; this takes a few seconds, because every package is imported."""
-    findings = [_python(), Finding("kraft", "ok", VERSION), _files()]
+    findings = [_python(), Finding("kraft", "ok", __version__), _files()]
     findings += [_package(name, module) for name, module in REQUIRED.items()]
     findings += [_extra(name, *use) for name, use in OPTIONAL.items()]
     return [*findings, _processor(), _cache(), _rendering()]

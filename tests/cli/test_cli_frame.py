@@ -14,6 +14,7 @@ import pytest
 from support.paths import ROOT
 from support.screen import Screen
 
+from kraft import __version__
 from kraft.errors import (
     Defect,
     Diagnostic,
@@ -23,7 +24,6 @@ from kraft.errors import (
     MissingDependency,
     NegativeResult,
 )
-from kraft.version import VERSION
 from kraft_cli.boundary import guarded
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.main import main
@@ -133,7 +133,7 @@ def test_without_a_command_the_help_is_shown_and_usage_is_wrong(capsys: pytest.C
 
 def test_help_and_version_are_data(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"kraft {VERSION}\n"
+    assert capsys.readouterr().out == f"kraft {__version__}\n"
     assert main(["validate", "--help"]) == 0
     assert "--json" in capsys.readouterr().out
 
@@ -202,4 +202,4 @@ def test_the_version_is_that_of_the_project() -> None:
     import tomllib
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert project.get("version", VERSION) == VERSION
+    assert project.get("version", __version__) == __version__

@@ -1,0 +1,73 @@
+"""Blockage: a vehicle that does not move though it is on a plan, because of something that the map does not have.
+
+A box that gave way for a while and now stands against a wall, a doorstep, a cable: the plan is free of obstacles on
+the map, and the vehicle pushes without effect.  What is in front of it then counts as an obstacle, so that the next
+plans lead round it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from kraft.driving.messages import Reference, ReferenceKind
+from kraft.planning.workspace import pose_of
+from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Polygon
+from ompl_ext.vehicle import Vehicle
+
+MOVED: Final = (0.06, 0.15)
+"""Distance (m) and turn (rad) that show that a vehicle moves: more than the error of an estimate at rest."""
+GAP: Final = 0.1
+"""Distance between the vehicle and what it cannot push, m."""
+DEPTH: Final = 0.2
+"""Length of what it cannot push, m."""
+
+
+class Blockage:
+    """Counts the time for which a vehicle is on a plan without moving."""
+
+    def __init__(self, patience: float, vehicle: Vehicle) -> None:
+        """`patience` is the time after which a vehicle counts as blocked, s."""
+        self._patience, self._vehicle = patience, vehicle
+        self._place: tuple[float, float, float] | None = None
+        self._since = self._on_plan = 0.0
+
+    def observe(self, time: float, state: Floats, reference: Reference) -> Polygon | None:
+        """What blocks a vehicle with an estimated state (nx,) that tracks `reference` at `time` (s), if it is blocked.
+
+        The obstacle is ahead of it, or behind it if the reference leads backwards.
+        """
+        pose = pose_of(state, self._vehicle)
+        if self._place is None or _has_moved(self._place, pose):
+            self._place, self._on_plan = pose, 0.0
+        elif reference.kind is ReferenceKind.PLAN:
+            self._on_plan += time - self._since
+        self._since = time
+        if self._on_plan < self._patience:
+            return None
+        self._place = None
+        return self._obstacle(pose, _leads_backwards(reference, time, self._vehicle))
+
+    def _obstacle(self, pose: tuple[float, float, float], behind: bool) -> Polygon:
+        shape = self._vehicle.footprint
+        near = 0.5 * shape.length + GAP
+        along = shape.offset + (-1.0 if behind else 1.0) * np.array([near, near + DEPTH, near + DEPTH, near])
+        across = 0.5 * shape.width * np.array([-1.0, -1.0, 1.0, 1.0])
+        x, y, theta = pose
+        c, s = math.cos(theta), math.sin(theta)
+        return Polygon(np.column_stack([x + c * along - s * across, y + s * along + c * across]))
+
+
+def _has_moved(before: tuple[float, float, float], now: tuple[float, float, float]) -> bool:
+    turned = abs(math.remainder(now[2] - before[2], math.tau))
+    return math.dist(before[:2], now[:2]) > MOVED[0] or turned > MOVED[1]
+
+
+def _leads_backwards(reference: Reference, time: float, vehicle: Vehicle) -> bool:
+    """Whether the reference moves the vehicle backwards in the next second."""
+    x, y, theta = pose_of(reference.state_at(time), vehicle)
+    after = pose_of(reference.state_at(time + 1.0), vehicle)
+    return (after[0] - x) * math.cos(theta) + (after[1] - y) * math.sin(theta) < 0.0

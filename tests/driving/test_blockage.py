@@ -1,0 +1,120 @@
+"""Blockage: a vehicle that does not move though it is on a plan, and plans round what blocks it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.replanner import mushr, replanner, start
+
+from kraft.driving.blockage import GAP, Blockage
+from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
+from kraft.driving.method import Clearance
+from kraft.driving.replanner import FORGET, Replanner
+from kraft.planning.workspace import poses_of
+from ompl_ext.arrays import Floats
+from ompl_ext.exact import ExactClearance
+from ompl_ext.obstacles import Polygon, Workspace
+
+PATIENCE, CYCLE = 1.0, 0.25
+STATE = np.array([1.0, 0.5, 0.5 * math.pi, 0.0])
+
+
+def reference(speed: float = 0.5, kind: ReferenceKind = ReferenceKind.PLAN) -> Reference:
+    """Straight on, upwards, from `STATE`."""
+    times = np.linspace(0.0, 10.0, 41)
+    states = STATE + np.column_stack([np.zeros(41), speed * times, np.zeros(41), np.full(41, speed)])
+    return Reference(kind, times, states, np.tile([0.5, 0.0], (40, 1)), np.zeros(2))
+
+
+def watched(states: Floats, followed: Reference) -> tuple[int, ...]:
+    """Numbers of the cycles in which a vehicle with these estimated states counts as blocked."""
+    subject = Blockage(PATIENCE, mushr())
+    found = (subject.observe(k * CYCLE, state, followed) for k, state in enumerate(states))
+    return tuple(k for k, obstacle in enumerate(found) if obstacle is not None)
+
+
+# Detection
+
+
+def test_a_vehicle_that_stands_on_a_plan_is_blocked_after_its_patience_and_again_after_as_long() -> None:
+    resting = np.tile(STATE, (11, 1)) + 0.01 * np.random.default_rng(0).standard_normal((11, 4))
+    assert watched(resting, reference()) == (4, 9)
+
+
+def test_a_vehicle_that_moves_or_turns_is_not_blocked() -> None:
+    moving = STATE + np.outer(np.arange(20), [0.0, 0.02, 0.0, 0.0])
+    turning = STATE + np.outer(np.arange(20), [0.0, 0.0, 0.05, 0.0])
+    assert watched(moving, reference()) == watched(turning, reference()) == ()
+
+
+def test_a_vehicle_that_stands_on_a_contingency_is_not_blocked() -> None:
+    assert watched(np.tile(STATE, (20, 1)), reference(kind=ReferenceKind.CONTINGENCY)) == ()
+
+
+@pytest.mark.parametrize(("speed", "ahead"), [(0.5, 1.0), (-0.5, -1.0)])
+def test_the_obstacle_is_where_the_plan_leads_and_leaves_a_gap(speed: float, ahead: float) -> None:
+    subject = Blockage(PATIENCE, mushr())
+    found = [subject.observe(k * CYCLE, STATE, reference(speed)) for k in range(5)][-1]
+    assert found is not None
+    assert ahead * (found.vertices[:, 1].mean() - STATE[1]) > 0.0
+    exact = ExactClearance(Workspace(((-9.0, 9.0), (-9.0, 9.0)), (found,)), mushr().footprint)
+    assert exact.distances(poses_of(STATE[None, :], mushr())) == pytest.approx([GAP])
+
+
+# In the replanner
+
+
+def held(subject: Replanner, cycles: int, state: Floats) -> list[str]:
+    """Reasons of the contingencies of a vehicle that stays where it is; empty for plans."""
+    current: Commitment = subject.begin(state)
+    reasons = []
+    for number in range(cycles):
+        cycle = subject.step(Estimate(number * CYCLE, state, 0.0), current)
+        current = cycle.commitment
+        reasons.append(cycle.reason)
+    return reasons
+
+
+def careful(**settings: object) -> Replanner:
+    chosen = {"cycle": CYCLE, "blocked": PATIENCE, "safety": Clearance(delta=0.02, delta_per_speed=0.0)}
+    return replanner(model="mushr-drive", **chosen, **settings)
+
+
+def test_plans_lead_round_what_blocks_the_vehicle() -> None:
+    subject = careful(iterations=1000, recover=True)
+    reasons = held(subject, 8, start())
+    assert sum("in the way" in reason for reason in reasons) == 1
+    assert len(subject._blocked) == 1
+    plan = subject._proposal.plan
+    assert plan is not None
+    obstacle = Workspace(subject.dirt.workspace.bounds, subject._blocked)
+    away = ExactClearance(obstacle, subject.dirt.vehicle.footprint).distances(poses_of(plan.trajectory, mushr()))
+    assert away.min() > 0.0
+
+
+def test_the_vehicle_keeps_its_parameters_and_its_task_when_it_is_blocked() -> None:
+    subject = careful()
+    values = np.array(list(subject.dirt.vehicle.parameters.values())) * 0.9
+    subject._solvers.set_parameters(values)
+    before = len(subject.dirt.workspace.obstacles)
+    held(subject, 6, start())
+    assert np.array(list(subject.dirt.vehicle.parameters.values())) == pytest.approx(values)
+    assert len(subject.dirt.workspace.obstacles) == before + 1
+
+
+def test_what_blocked_the_vehicle_is_forgotten_where_it_leaves_no_way() -> None:
+    subject = careful()
+    (left, right), _ = subject.dirt.workspace.bounds
+    wall = Polygon(np.array([[left, 0.5], [right, 0.5], [right, 0.6], [left, 0.6]]))
+    subject.begin(start())
+    subject._block((wall,), "")
+    reasons = held(subject, round(FORGET / CYCLE) + 4, start())
+    assert any("no way leads round" in reason for reason in reasons)
+    assert subject._blocked == ()
+
+
+def test_one_shot_methods_refuse_the_setting() -> None:
+    with pytest.raises(ValueError, match="later cycles"):
+        replanner(mode="one-shot", blocked=PATIENCE)
