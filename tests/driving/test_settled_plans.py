@@ -14,7 +14,7 @@ from support.replanner import FARSIGHTED, drive, mushr, replanner, start
 from kraft.driving.clearance import Solvers
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
-from kraft.driving.proposer import Proposal, Proposer
+from kraft.driving.proposer import Proposal, Proposer, _is_better
 from kraft.driving.rest import Rest, goes_same_way, total_cost
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
@@ -190,11 +190,11 @@ def test_without_the_margin_a_plan_is_better_if_it_saves_the_gain_or_alone_reach
     assert cheap.plan is not None
     assert dear.plan is not None
     saved = total_cost(dear.plan) - total_cost(cheap.plan)
-    assert proposer(switch_gain=0.9 * saved)._is_better(cheap, dear)
-    assert not proposer(switch_gain=1.1 * saved)._is_better(cheap, dear)
+    assert _is_better(cheap, dear, 0.9 * saved)
+    assert not _is_better(cheap, dear, 1.1 * saved)
     short = replace(dear, plan=replace(dear.plan, reaches_goal=False))
-    assert proposer(switch_gain=1.1 * saved)._is_better(cheap, short)
-    assert not proposer(switch_gain=0.9 * saved)._is_better(replace(cheap, plan=None), dear)
+    assert _is_better(cheap, short, 1.1 * saved)
+    assert not _is_better(replace(cheap, plan=None), dear, 0.9 * saved)
 
 
 def test_the_solver_of_a_lost_rest_is_asked_only_if_a_gain_is_required_and_the_plan_costs_more() -> None:
