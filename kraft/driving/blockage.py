@@ -20,6 +20,8 @@ from ompl_ext.vehicle import Vehicle
 
 MOVED: Final = (0.06, 0.15)
 """Distance (m) and turn (rad) that show that a vehicle moves: more than the error of an estimate at rest."""
+LEAST_SPEED: Final = 0.1
+"""Mean speed of the plans, in one direction, below which a vehicle that stands is not blocked, m/s."""
 GAP: Final = 0.1
 """Distance between the vehicle and what it cannot push, m."""
 DEPTH: Final = 0.2
@@ -33,28 +35,36 @@ class Blockage:
         """`patience` is the time after which a vehicle counts as blocked, s."""
         self._patience, self._vehicle = patience, vehicle
         self._place: tuple[float, float, float] | None = None
-        self._since = self._on_plan = 0.0
+        self._since = self._on_plan = self._intended = 0.0
 
     def observe(self, time: float, state: Floats, reference: Reference) -> Polygon | None:
         """What blocks a vehicle with an estimated state (nx,) that tracks `reference` at `time` (s), if it is blocked.
 
-        The obstacle is ahead of it, or behind it if the reference leads backwards.
+        The obstacle is where the plans lead in the mean, ahead or behind.  Where that is nowhere, the vehicle drives to
+        and fro in a narrow place.
         """
-        pose = pose_of(state, self._vehicle)
-        if self._place is None or _has_moved(self._place, pose):
-            self._place, self._on_plan = pose, 0.0
-        elif reference.kind is ReferenceKind.PLAN:
-            self._on_plan += time - self._since
+        pose, elapsed = pose_of(state, self._vehicle), time - self._since
         self._since = time
-        if self._on_plan < self._patience:
+        if self._place is None or _has_moved(self._place, pose):
+            self._place, self._on_plan, self._intended = pose, 0.0, 0.0
+        elif reference.kind is ReferenceKind.PLAN:
+            self._on_plan += elapsed
+            self._intended += elapsed * self._intended_speed(reference, time)
+        if self._on_plan < self._patience or abs(self._intended) < LEAST_SPEED * self._patience:
             return None
         self._place = None
-        return self._obstacle(pose, _leads_backwards(reference, time, self._vehicle))
+        return self._obstacle(pose, math.copysign(1.0, self._intended))
 
-    def _obstacle(self, pose: tuple[float, float, float], behind: bool) -> Polygon:
+    def _intended_speed(self, reference: Reference, time: float) -> float:
+        """Mean speed of a reference in the next second, along the heading at its begin, m/s."""
+        x, y, theta = pose_of(reference.state_at(time), self._vehicle)
+        after = pose_of(reference.state_at(time + 1.0), self._vehicle)
+        return (after[0] - x) * math.cos(theta) + (after[1] - y) * math.sin(theta)
+
+    def _obstacle(self, pose: tuple[float, float, float], direction: float) -> Polygon:
         shape = self._vehicle.footprint
         near = 0.5 * shape.length + GAP
-        along = shape.offset + (-1.0 if behind else 1.0) * np.array([near, near + DEPTH, near + DEPTH, near])
+        along = shape.offset + direction * np.array([near, near + DEPTH, near + DEPTH, near])
         across = 0.5 * shape.width * np.array([-1.0, -1.0, 1.0, 1.0])
         x, y, theta = pose
         c, s = math.cos(theta), math.sin(theta)
@@ -64,10 +74,3 @@ class Blockage:
 def _has_moved(before: tuple[float, float, float], now: tuple[float, float, float]) -> bool:
     turned = abs(math.remainder(now[2] - before[2], math.tau))
     return math.dist(before[:2], now[:2]) > MOVED[0] or turned > MOVED[1]
-
-
-def _leads_backwards(reference: Reference, time: float, vehicle: Vehicle) -> bool:
-    """Whether the reference moves the vehicle backwards in the next second."""
-    x, y, theta = pose_of(reference.state_at(time), vehicle)
-    after = pose_of(reference.state_at(time + 1.0), vehicle)
-    return (after[0] - x) * math.cos(theta) + (after[1] - y) * math.sin(theta) < 0.0

@@ -12,10 +12,10 @@ from kraft.config import bundled
 from kraft.config.schema import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method, check_vehicle, load_method
-from kraft.errors import Code, Diagnostic, InputError, MissingError
+from kraft.errors import Code, Diagnostic, InputError, MissingError, Unreachable
 from kraft.evaluation.suite import SuiteFile, load_suite
 from kraft.logs.mapping import Mapping
-from kraft.planning.feasibility import check_placement
+from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
 from kraft.planning.plan_file import read_plan
 from kraft.planning.workspace import start_state, vehicle_of_task
@@ -78,7 +78,7 @@ def check_file(name_or_path: str | Path) -> FileReport:
         document = read_document(path)
         kind = "plan" if _schema(document) == PLAN_SCHEMA else recognise(document)
         _check_as(kind, document, path)
-    except InputError as error:
+    except (InputError, Unreachable) as error:
         return FileReport(file, kind, error.diagnostics)
     except (MissingError, CacheError):
         raise
@@ -135,6 +135,7 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         vehicle = vehicle_of_task(scenario.task())
         check_placement(scenario.task(), vehicle, start_state(scenario.task(), vehicle))
         check_robot(scenario, vehicle)
+        check_reachable(scenario.task(), vehicle)
     elif kind == "vehicle":
         configured(read_vehicle_file(path))
         check_own_robot(load_vehicle(str(path)))

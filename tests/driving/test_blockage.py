@@ -53,6 +53,12 @@ def test_a_vehicle_that_stands_on_a_contingency_is_not_blocked() -> None:
     assert watched(np.tile(STATE, (20, 1)), reference(kind=ReferenceKind.CONTINGENCY)) == ()
 
 
+def test_a_vehicle_that_drives_to_and_fro_in_a_narrow_place_is_not_blocked() -> None:
+    subject = Blockage(PATIENCE, mushr())
+    plans = [reference(speed) for speed in (0.5, -0.5)]
+    assert all(subject.observe(k * CYCLE, STATE, plans[k % 2]) is None for k in range(20))
+
+
 @pytest.mark.parametrize(("speed", "ahead"), [(0.5, 1.0), (-0.5, -1.0)])
 def test_the_obstacle_is_where_the_plan_leads_and_leaves_a_gap(speed: float, ahead: float) -> None:
     subject = Blockage(PATIENCE, mushr())
