@@ -20,8 +20,8 @@ from ompl_ext.vehicle import Vehicle
 
 MOVED: Final = (0.06, 0.15)
 """Distance (m) and turn (rad) that show that a vehicle moves: more than the error of an estimate at rest."""
-LEAST_SPEED: Final = 0.1
-"""Mean speed of the plans, in one direction, below which a vehicle that stands is not blocked, m/s."""
+INTENDED: Final = 0.2
+"""Travel that plans intended, ahead less backwards, below which a vehicle that stands is not blocked, m."""
 GAP: Final = 0.1
 """Distance between the vehicle and what it cannot push, m."""
 DEPTH: Final = 0.2
@@ -40,7 +40,7 @@ class Blockage:
     def observe(self, time: float, state: Floats, reference: Reference) -> Polygon | None:
         """What blocks a vehicle with an estimated state (nx,) that tracks `reference` at `time` (s), if it is blocked.
 
-        The obstacle is where the plans lead in the mean, ahead or behind.  Where that is nowhere, the vehicle drives to
+        The obstacle is where the plans led in the mean, ahead or behind.  Where that is nowhere, the vehicle drives to
         and fro in a narrow place.
         """
         pose, elapsed = pose_of(state, self._vehicle), time - self._since
@@ -50,7 +50,7 @@ class Blockage:
         elif reference.kind is ReferenceKind.PLAN:
             self._on_plan += elapsed
             self._intended += elapsed * self._intended_speed(reference, time)
-        if self._on_plan < self._patience or abs(self._intended) < LEAST_SPEED * self._patience:
+        if self._on_plan < self._patience or abs(self._intended) < INTENDED:
             return None
         self._place = None
         return self._obstacle(pose, math.copysign(1.0, self._intended))

@@ -55,7 +55,7 @@ def test_a_vehicle_that_stands_on_a_contingency_is_not_blocked() -> None:
 
 def test_a_vehicle_that_drives_to_and_fro_in_a_narrow_place_is_not_blocked() -> None:
     subject = Blockage(PATIENCE, mushr())
-    plans = [reference(speed) for speed in (0.5, -0.5)]
+    plans = [reference(speed) for speed in (0.2, -0.2)]
     assert all(subject.observe(k * CYCLE, STATE, plans[k % 2]) is None for k in range(20))
 
 
