@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from kraft.logs.log import Log
 from kraft.sysid.acceptance import identify_car
 from kraft.sysid.interface import Settings
 from kraft.sysid.prediction import predict_windows, process_noise, window_errors
-from kraft.sysid.structure import StructureSearch
+from kraft.sysid.structure import Structure, StructureSearch
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -49,6 +50,8 @@ ON: Final = 0.4
 CARS: Final = 20
 LOGS, UNSEEN, SECONDS, RATE = 10, 5, 30.0, 20.0
 NOISE: Final = (0.003, 0.009)
+HIDDEN: Final = 3.0
+"""Size of a term, in standard deviations of a fit of the terms that are there, up to which it cannot be told."""
 WORSE: Final = 1.1
 """Largest error over that of the best fixed choice."""
 
@@ -59,8 +62,15 @@ class Trial:
 
     there: frozenset[str]
     found: frozenset[str]
+    hidden: frozenset[str]
+    """terms that are there, but not larger than `HIDDEN` standard deviations of what the logs tell about them"""
     errors: Mapping[str, float]
     """errors after 3 s of drives that nothing was fitted to, by choice: auto, all terms, the terms that are there, m"""
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the terms that can be told were found, and no others than those that are there."""
+        return self.there - self.hidden <= self.found <= self.there
 
     @property
     def ratio(self) -> float:
@@ -135,7 +145,23 @@ def trial(seed: int) -> Trial:
         process = {component: deviation for component, deviation in walks.items() if deviation > 0.0}
         known = replace(settings, process=process, variation=search.variation.total)
         errors[name] = error(vehicle, unseen, values, known)
-    return Trial(there, frozenset(found), errors)
+        hidden = hidden_terms(fixed, truth, there)  # those of the last one, with exactly the terms that are there
+    return Trial(there, frozenset(found), hidden, errors)
+
+
+def hidden_terms(exact: Structure, truth: Mapping[str, float], there: frozenset[str]) -> frozenset[str]:
+    """Terms that the logs do not tell from none, even if it is known which other terms there are.
+
+    Grip, for example, of a car that never drives fast enough to reach its limit: no choice can find such a term.
+    """
+    parameters, factors = exact.graph.problem.parameters, exact.optimum.factors
+    free = np.flatnonzero(parameters.free)
+    variance = np.diag(np.linalg.inv(factors.total_information[np.ix_(free, free)]))
+    deviation = {parameters.names[k]: math.sqrt(v) for k, v in zip(free, variance, strict=True)}
+    neutral = {spec.name: spec.neutral or 0.0 for spec in parameters.specs}
+    return frozenset(
+        name for name in there & deviation.keys() if abs(truth[name] - neutral[name]) < HIDDEN * deviation[name]
+    )
 
 
 def error(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], values: Mapping[str, float], known: Settings) -> float:
@@ -155,9 +181,12 @@ def run(effort: Effort) -> Report:
 def rows(trials: Sequence[Trial]) -> list[Row]:
     """Summary of the trials."""
     exact = [float(t.found == t.there) for t in trials]
+    told = [float(t.is_exact) for t in trials]
     right = [float((name in t.found) == (name in t.there)) for t in trials for name in RANGES]
     return [
         row(f"the same terms, share of {len(trials)} cars", "1", [float(np.mean(exact))], Target(0.9, most=False)),
+        row("the same of those that the logs can tell, share of the cars", "1", [float(np.mean(told))], more=True),
+        row("terms there that the logs cannot tell, of each car", "1", [float(len(t.hidden)) for t in trials]),
         row("terms rightly on or off, share", "1", [float(np.mean(right))], more=True),
         row("terms missed, of each car", "1", [float(len(t.there - t.found)) for t in trials]),
         row("terms too many, of each car", "1", [float(len(t.found - t.there)) for t in trials]),

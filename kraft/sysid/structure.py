@@ -83,8 +83,10 @@ GAIN_MIN: Final = 4.0
 """Least decrease of the cost by a term that is switched on again: one without effect has it once in 200 times."""
 PATH_COST: Final = 2.0
 """Most by which the cost of a term may be larger than its increase on the path, whose fits are not at their ends."""
-SIZE_MIN: Final = 0.1
-"""Least size of a term that is switched on again, over the standard deviation of what is known of cars."""
+SIZE_MIN: Final = 0.15
+"""Least size of a term that is switched on again, over the standard deviation of what is known of cars.
+
+The discrete steps of the model look like a term of up to 0.13."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
 DIVERGED: Final = 1e6
