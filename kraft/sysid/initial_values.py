@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import nnls
 
 from kraft.sysid.chains import Chains
 from kraft.sysid.dynamics import DiscreteModel
@@ -220,6 +219,8 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     begin = np.concatenate(
         [np.arange(a - c, b - c - 1 - span, max(1, span // 2)) for c, (a, b) in enumerate(pairwise(chains.first))]
     )
+    from scipy.optimize import nnls  # only identification from logs needs it, and it is slow to load
+
     sense, length = np.tanh(v / SLOW), parameters.nominal[parameters.index("L")]
     best: tuple[float, dict[str, float]] = (np.inf, {})
     for dead_zone in DEAD_ZONES:

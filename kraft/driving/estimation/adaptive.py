@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.optimize import nnls
 
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.pose_filter import FLOOR_SIZE, ExcessSpeedModel, LevelCamera, PoseFilter, Posterior
@@ -212,8 +211,12 @@ def with_identified_drift(settings: Adaptive, vehicle: Vehicle) -> Adaptive:
     drift^2 t + speed_drift^2 t^3 / 3 along the vehicle.  The drives at the speed with the largest errors count.
     """
     record = load_vehicle_config(Path(vehicle.file)).identification if vehicle.file else None
+    if record is None:
+        return settings
+    from scipy.optimize import nnls  # which takes a fifth of what a process of a drive loads
+
     drift, heading, speed = settings.drift, settings.heading_drift_deg, settings.speed_drift
-    for errors in record.by_speed if record is not None else ():
+    for errors in record.by_speed:
         after, variance = np.array(errors.after), np.maximum(np.square(errors.along), np.square(errors.across))
         terms = np.column_stack([after, after**3 / 3.0])
         scale = 1.0 / np.maximum(variance, 1e-12)
