@@ -125,6 +125,16 @@ def test_the_searches_of_a_cycle_share_its_budget() -> None:
         assert all(proposal.iterations <= most for proposal in found)
 
 
+def test_a_cycle_whose_budget_ends_without_a_plan_leaves_the_next_levels_to_the_next_cycle() -> None:
+    """12 iterations find no way to the goal, which plans need at the first five levels."""
+    subject = replanner(bound=BOUND, margin=MARGIN, iterations=30, max_iterations=40)
+    subject._proposer.set_bound(DeviationBound(0.05))
+    first, second = (subject._proposer.propose(number, start(), None) for number in range(2))
+    assert first.plan is None
+    assert second.plan is not None
+    assert subject._proposer._levels.kept > subject._proposer._levels.far
+
+
 def test_a_plan_keeps_share_and_margin_to_its_end() -> None:
     subject, (found,) = driven(DeviationBound(0.05))
     assert found.plan is not None
