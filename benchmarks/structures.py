@@ -16,6 +16,7 @@ from benchmarks.synthetic_logs import CommandSeries, synthetic_logs
 from kraft.logs.log import Log
 from kraft.sysid.acceptance import identify_car
 from kraft.sysid.interface import Settings
+from kraft.sysid.optimiser import inverse
 from kraft.sysid.prediction import predict_windows, process_noise, window_errors
 from kraft.sysid.structure import Structure, StructureSearch
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
@@ -139,14 +140,14 @@ def trial(seed: int) -> Trial:
     search = StructureSearch(vehicle, fitted, settings, lambda *_: None)
     every = search.full()
     exact = search.without(every, *(name for name in search.candidates if name not in there))
-    for name, fixed in (("all terms", search.converged(every)), ("terms that are there", search.converged(exact))):
+    every, exact = search.converged(every), search.converged(exact)
+    for name, fixed in (("all terms", every), ("terms that are there", exact)):
         values = dict(zip(fixed.graph.problem.parameters.names, map(float, fixed.optimum.point.rho), strict=True))
         walks = process_noise(search.model, search.growth, settings.horizon)
         process = {component: deviation for component, deviation in walks.items() if deviation > 0.0}
         known = replace(settings, process=process, variation=search.variation.total)
         errors[name] = error(vehicle, unseen, values, known)
-        hidden = hidden_terms(fixed, truth, there)  # those of the last one, with exactly the terms that are there
-    return Trial(there, frozenset(found), hidden, errors)
+    return Trial(there, frozenset(found), hidden_terms(exact, truth, there), errors)
 
 
 def hidden_terms(exact: Structure, truth: Mapping[str, float], there: frozenset[str]) -> frozenset[str]:
@@ -156,7 +157,7 @@ def hidden_terms(exact: Structure, truth: Mapping[str, float], there: frozenset[
     """
     parameters, factors = exact.graph.problem.parameters, exact.optimum.factors
     free = np.flatnonzero(parameters.free)
-    variance = np.diag(np.linalg.inv(factors.total_information[np.ix_(free, free)]))
+    variance = np.diag(inverse(factors.total_information[np.ix_(free, free)]))
     deviation = {parameters.names[k]: math.sqrt(v) for k, v in zip(free, variance, strict=True)}
     neutral = {spec.name: spec.neutral or 0.0 for spec in parameters.specs}
     return frozenset(

@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-
 from kraft.driving.messages import Reference, ReferenceKind
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats
-from ompl_ext.obstacles import Polygon
+from ompl_ext.obstacles import Polygon, box
 from ompl_ext.vehicle import Vehicle
 
 MOVED: Final = (0.06, 0.15)
@@ -62,13 +60,10 @@ class Blockage:
         return (after[0] - x) * math.cos(theta) + (after[1] - y) * math.sin(theta)
 
     def _obstacle(self, pose: tuple[float, float, float], direction: float) -> Polygon:
-        shape = self._vehicle.footprint
-        near = 0.5 * shape.length + GAP
-        along = shape.offset + direction * np.array([near, near + DEPTH, near + DEPTH, near])
-        across = 0.5 * shape.width * np.array([-1.0, -1.0, 1.0, 1.0])
-        x, y, theta = pose
-        c, s = math.cos(theta), math.sin(theta)
-        return Polygon(np.column_stack([x + c * along - s * across, y + s * along + c * across]))
+        shape, (x, y, theta) = self._vehicle.footprint, pose
+        ahead = shape.offset + direction * (0.5 * shape.length + GAP + 0.5 * DEPTH)
+        center = x + ahead * math.cos(theta), y + ahead * math.sin(theta)
+        return box(center, (DEPTH, shape.width), theta)
 
 
 def _has_moved(before: tuple[float, float, float], now: tuple[float, float, float]) -> bool:

@@ -217,7 +217,7 @@ class Replanner:
 
     def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> None:
         """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way."""
-        if self._blockage is None or self._one_shot:
+        if self._blockage is None:
             return
         leads = self._proposal.plan is not None and self._proposal.plan.reaches_goal
         self._fruitless = 0 if leads else self._fruitless + 1

@@ -208,6 +208,8 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     The change of the speed over a span is linear in the parameters if the dead zone is known: it is the sum of their
     effects, integrated over the measured speed, yaw rate and throttle.
     """
+    from scipy.optimize import nnls  # only identification from logs needs it, and it is slow to load
+
     if not {"a_drive", "damping", "back_emf", "friction", "drag", "scrub", "dead_zone"} <= set(parameters.names):
         return {}
     vehicle = parameters.vehicle
@@ -219,8 +221,6 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     begin = np.concatenate(
         [np.arange(a - c, b - c - 1 - span, max(1, span // 2)) for c, (a, b) in enumerate(pairwise(chains.first))]
     )
-    from scipy.optimize import nnls  # only identification from logs needs it, and it is slow to load
-
     sense, length = np.tanh(v / SLOW), parameters.nominal[parameters.index("L")]
     best: tuple[float, dict[str, float]] = (np.inf, {})
     for dead_zone in DEAD_ZONES:
