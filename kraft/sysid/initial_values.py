@@ -208,10 +208,10 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     The change of the speed over a span is linear in the parameters if the dead zone is known: it is the sum of their
     effects, integrated over the measured speed, yaw rate and throttle.
     """
-    from scipy.optimize import nnls  # only identification from logs needs it, and it is slow to load
-
     if not {"a_drive", "damping", "back_emf", "friction", "drag", "scrub", "dead_zone"} <= set(parameters.names):
         return {}
+    from scipy.optimize import nnls  # only identification from logs needs it, and it is slow to load
+
     vehicle = parameters.vehicle
     states = np.delete(np.arange(chains.states), chains.first[1:] - 1)  # at which a step begins
     rates, yaw = data.rates[states], data.poses[states, 2]
