@@ -320,7 +320,9 @@ def test_validate_finds_what_planning_would(room: Path, capsys: pytest.CaptureFi
     assert "room.yaml:5:8: start: " in capsys.readouterr().err
     boxes = [((3, 3.9), (1.2, 0.1)), ((3, 2.7), (1.2, 0.1)), ((2.4, 3.3), (0.1, 1.3)), ((3.6, 3.3), (0.1, 1.3))]
     ring = ", ".join(f"{{box: {{center: {list(center)}, size: {list(size)}}}}}" for center, size in boxes)
-    enclosed = "name: a\nbounds: {x: [0, 5], y: [0, 5]}\nobstacles: [" + ring + "]\nstart: {x: 1, y: 1}\n"
+    enclosed = (
+        "name: a\nbounds: {x: [0, 5], y: [0, 5]}\nobstacles: [" + ring + "]\nstart: {x: 1, y: 1, heading_deg: 90}\n"
+    )
     room.write_text(enclosed + "goal: {center: [3, 3.3], radius: 0.2}\nvehicle: mushr\n")
     assert main(["validate", "room.yaml"]) == 2
     assert "room.yaml:5:7: goal: " in capsys.readouterr().err
