@@ -25,6 +25,8 @@ from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
+UNCORRECTED = 0.5  # time for which a wrong acceleration moves the vehicle until the controller corrects its effect (s)
+
 
 @dataclass(frozen=True)
 class DeviationBound:
@@ -91,8 +93,9 @@ class BoundCalibration:
         position = float(np.linalg.eigvalsh(covariance[np.ix_(pose, pose)])[-1])
         turn = float(covariance[vehicle.index("theta"), vehicle.index("theta")])
         sigma = math.sqrt(position + vehicle.footprint.reach**2 * turn)
+        growth = math.hypot(self._settings.growth, 0.5 * UNCORRECTED * uncertainty.acceleration)
         return DeviationBound(
-            self._quantile * sigma, self._quantile * uncertainty.delay, self._quantile * self._settings.growth,
+            self._quantile * sigma, self._quantile * uncertainty.delay, self._quantile * growth,
             self._settings.horizon,
         )  # fmt: skip
 

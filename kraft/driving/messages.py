@@ -39,10 +39,14 @@ class PoseBelief:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariance (nx, nx) of an estimated state, and standard deviation of the delay of commands (s)."""
+    """Covariance (nx, nx) of an estimated state, and standard deviations of the delay of commands (s) and the drive.
+
+    `acceleration` is the standard deviation of the acceleration that the drive causes, m/s^2.
+    """
 
     state: Matrix
     delay: float = 0.0
+    acceleration: float = 0.0
 
 
 @dataclass(frozen=True)

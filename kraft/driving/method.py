@@ -48,9 +48,9 @@ class CalibratedBound(StrictModel):
     """number of cycles that the initial scale counts for"""
     memory_cycles: Annotated[float, Field(ge=2, le=1e6)] = 30.0
     """number of cycles after which an observed deviation has lost most of its weight"""
-    expected_ratio: Positive = 0.35
+    expected_ratio: Positive = 0.3
     """root mean square of observed deviations over the bound where the stated covariance is right"""
-    limits: tuple[Positive, Positive] = (0.7, 2.5)
+    limits: tuple[Positive, Positive] = (0.85, 2.5)
     """least and largest scale"""
     shares: Annotated[tuple[Annotated[float, Field(gt=0, le=1)], ...], Field(min_length=1)] = (1.0, 0.7, 0.45, 0.25)
     """shares of the bound that plans keep: the first one that leaves a way to the goal"""
@@ -240,7 +240,7 @@ class Adaptive(StrictModel):
     """time between two states of the identification, s"""
     iterations: Annotated[int, Field(ge=1, le=50)] = 2
     """largest number of iterations of the identification in a cycle"""
-    delay_std: Positive = 0.1
+    delay_std: Positive = 0.15
     """standard deviation of the prior of the delay, s"""
     position_noise: Positive = 0.04
     """standard deviation of an observed position before residuals are known, m"""
@@ -248,7 +248,7 @@ class Adaptive(StrictModel):
     """standard deviation of an observed heading before residuals are known, degrees"""
     correlated_share: Probability = 0.4
     """share of the pose error's variance that is correlated, before residuals are known"""
-    correlation_time: Seconds = 0.7
+    correlation_time: Seconds = 1.0
     """time constant of the correlated pose error, s"""
     position_offset: Positive = 0.03
     """standard deviation of the camera's offset, which differs from place to place, m"""

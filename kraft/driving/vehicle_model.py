@@ -90,13 +90,13 @@ class VehicleModel:
         )  # fmt: skip
         return after, jacobian[:, :, :nx], jacobian[:, :, nx:]
 
-    def turning_rates(self, state: Floats, control: Floats, parameters: Matrix) -> Floats:
-        """Turning rates (n,) in a state (nx,) under a control (nu,) with each of `parameters` (n, np), rad/s."""
+    def rates(self, state: Floats, control: Floats, parameters: Matrix) -> Matrix:
+        """Derivatives (n, nx) of a state (nx,) under a control (nu,) with each of `parameters` (n, np)."""
         held, after = np.ascontiguousarray(control, dtype=np.float64), np.empty(len(state))
-        rates = np.empty(len(parameters))
+        rates = np.empty((len(parameters), len(state)))
         for k, values in enumerate(np.ascontiguousarray(parameters)):
             self._step(state, held, values, INSTANT, after)
-            rates[k] = (after[self.theta] - state[self.theta]) / INSTANT
+            rates[k] = (after - state) / INSTANT
         return rates
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.replanner import mushr, proposals, replanner, start
 
-from kraft.driving.clearance import HYSTERESIS, STEADY, BoundCalibration, DeviationBound
+from kraft.driving.clearance import HYSTERESIS, STEADY, UNCORRECTED, BoundCalibration, DeviationBound
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
@@ -51,6 +51,14 @@ def test_the_bound_is_that_of_pose_delay_and_time() -> None:
     assert bound.horizon == SETTINGS.horizon
 
 
+def test_until_the_drive_is_identified_the_bound_grows_faster() -> None:
+    subject, known = BoundCalibration(SETTINGS, mushr()), uncertainty()
+    faster = subject.bound(Uncertainty(known.state, known.delay, acceleration=0.4))
+    expected = math.hypot(SETTINGS.growth, 0.5 * UNCORRECTED * 0.4) / SETTINGS.growth
+    assert faster.per_time / subject.bound(known).per_time == pytest.approx(expected)
+    assert faster.delta == subject.bound(known).delta
+
+
 def test_the_largest_axis_of_the_position_counts_whatever_its_direction() -> None:
     c, s = math.cos(0.7), math.sin(0.7)
     turn = np.array([[c, -s], [s, c]])
@@ -78,7 +86,7 @@ def test_the_scale_rises_after_large_deviations_and_falls_after_small_ones_withi
     low, high = SETTINGS.limits
     some, many = calibrated(0.3, 2).factor, calibrated(0.3, 100).factor
     assert SETTINGS.initial < some <= many == high
-    assert low == calibrated(0.0, 100).factor < calibrated(0.0, 2).factor < SETTINGS.initial
+    assert low == calibrated(0.0, 100).factor < calibrated(0.0, 1).factor < SETTINGS.initial
 
 
 def test_deviations_as_large_as_expected_lead_to_a_scale_of_one() -> None:

@@ -36,6 +36,8 @@ CONTRADICTION: Final = 2.0
 """Difference between a stated delay and what poses say, in standard deviations, above which it is doubted."""
 SAME_TURN: Final = 1.0
 """Time for which the error of a turning rate by wrong parameters counts as the same, s."""
+SAME_ACCELERATION: Final = 0.25
+"""Time for which the error of an acceleration by wrong parameters counts as the same, s."""
 SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 REST_BEFORE: Final = 0.5
@@ -127,8 +129,9 @@ class AdaptiveEstimator:
         return Estimate(estimate.time, estimate.state, estimate.age, parameters, self.uncertainty(time))
 
     def uncertainty(self, time: float) -> Uncertainty:
-        """Covariance of the estimate at `time` (s) plus the horizon, and the deviation of the delay."""
-        return Uncertainty(self._filter.covariance_at(time + self.horizon), self._delay_deviation)
+        """Covariance of the estimate at `time` (s) plus the horizon, and deviations of the delay and of the drive."""
+        covariance = self._filter.covariance_at(time + self.horizon)
+        return Uncertainty(covariance, self._delay_deviation, self._filter.acceleration_deviation)
 
     @property
     def _delay_deviation(self) -> float:
@@ -333,22 +336,34 @@ class CorrelatedFilter(PoseFilter):
         found: Matrix = joined @ covariance @ joined.T
         return found
 
+    @property
+    def acceleration_deviation(self) -> float:
+        """Standard deviation of the acceleration at full drive by the uncertainty of the parameters, m/s^2."""
+        forward = self._model.drive_control(1.0, 0.0)
+        return math.sqrt(float(self._rate_variance(self.posterior.mean, forward)[self._model.v]))
+
     def set_parameter_spread(self, covariance: Matrix) -> None:
-        """Set the covariance (np, np) of the parameters, by which the vehicle turns otherwise than predicted."""
+        """Set the covariance (np, np) of the parameters, by which the vehicle moves otherwise than predicted."""
         values, axes = np.linalg.eigh(covariance)
         self._spread = (axes * np.sqrt(np.maximum(values, 0.0))).T
 
     def _added_variance(self, mean: Floats, control: Floats, duration: float) -> Floats:
+        """Variance (size,) that the model adds; correlated errors vary as much as they are large."""
         added = super()._added_variance(mean, control, duration)
-        added[self._model.theta] += self._turning_variance(mean, control) * SAME_TURN * duration
+        variance, model = self._rate_variance(mean, control), self._model
+        added[model.theta] += variance[model.theta] * SAME_TURN * duration
+        added[model.velocities] += variance[model.velocities] * SAME_ACCELERATION * duration
+        correlated = self._part(CORRELATED)
+        added[correlated] += 2.0 * np.square(mean[correlated]) / self._errors.times[CORRELATED] * duration
         return added
 
-    def _turning_variance(self, mean: Floats, control: Floats) -> float:
-        """Variance of the turning rate by the uncertainty of the parameters, rad^2/s^2."""
+    def _rate_variance(self, mean: Floats, control: Floats) -> Floats:
+        """Variance (nx,) of the derivative of the vehicle's state by the uncertainty of the parameters."""
         parameters = self._model.parameters
         tried = np.vstack([parameters, parameters + SPREAD_STEP * self._spread])
-        rates = self._model.turning_rates(mean[: len(self._model.vehicle.state)], control, tried)
-        return float(np.square((rates[1:] - rates[0]) / SPREAD_STEP).sum())
+        rates = self._model.rates(mean[: len(self._model.vehicle.state)], control, tried)
+        variance: Floats = np.square((rates[1:] - rates[0]) / SPREAD_STEP).sum(axis=0)
+        return variance
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         jacobian = np.zeros((3, len(mean)))
@@ -376,22 +391,17 @@ class CorrelatedFilter(PoseFilter):
         return gain, after
 
     def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
-        """Posterior with the pose reset to a measured one, and nothing known of the errors in it.
+        """Posterior after outliers that agree: either the vehicle was moved, or the errors of its poses are as large.
 
-        The outliers before it have moved the errors.
+        Both get the variance of the innovation; what follows tells, for the errors decay.
         """
-        posterior = super()._reset(pose, mean, covariance, innovation)
-        errors = self._part(CORRELATED) + self._part(OFFSET)
-        posterior.mean[self._pose] += posterior.mean[errors[:3]] + posterior.mean[errors[3:]]
-        posterior.mean[errors] = 0.0
-        variance = 0.5 * self._variance_rate[errors] * self._errors.times[: len(errors)]
-        posterior.covariance[errors, :] = posterior.covariance[:, errors] = 0.0
-        posterior.covariance[errors, errors] = variance
-        posterior.covariance[self._pose, self._pose] += variance[CORRELATED] + variance[OFFSET]
-        for part in (CORRELATED, OFFSET):
-            posterior.covariance[self._part(part), self._pose] = -variance[part]
-            posterior.covariance[self._pose, self._part(part)] = -variance[part]
-        return posterior
+        covariance, unexpected = covariance.copy(), np.outer(innovation, innovation)
+        correlated = self._part(CORRELATED)
+        covariance[self._pose_block] += unexpected
+        covariance[np.ix_(correlated, correlated)] += unexpected
+        _, cross, expected = self._expected(mean, covariance)
+        gain, after = self._gain(covariance, cross, expected + self._noise)
+        return Posterior(pose.time, mean + gain @ innovation, 0.5 * (after + after.T), pose)
 
 
 class PoseErrorModel:
