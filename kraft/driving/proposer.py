@@ -40,7 +40,8 @@ RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is belo
 STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
-LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than another one (s)
+LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than the last one (s)
+RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
 PROBES = 2  # attempts at retaining a rest at another level
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
 LEVEL_TIME = 0.15  # share of the remaining time in which a search finds a way at a level, by the clock
@@ -153,7 +154,7 @@ class Proposer:
     def _propose_at_levels(self, query: _Query) -> Proposal:
         """Plan of the first level of clearance that leaves a way to the goal, from the level of the last plan on.
 
-        Of two levels that are compared, the one with less clearance has to save `LEVEL_GAIN`.
+        To keep less clearance than the last plan has to save `LEVEL_GAIN`; to keep more may cost `RISE`.
         """
         levels, rest, self._budget = self._levels, query.rest, self._settings.largest_budget
         was_recovering, self._recovering = self._recovering, False
@@ -165,7 +166,8 @@ class Proposer:
             found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting)
             if number < kept and not _leads_to_goal(found):
                 continue
-            if proposal.plan is None or _is_better(found, proposal, LEVEL_GAIN):
+            gain = RISE if chosen < kept else LEVEL_GAIN
+            if proposal.plan is None or _is_better(found, proposal, gain):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
             self._grown = (dirt, found.plan) if chosen == number and found.plan is not None else None
             if _leads_to_goal(proposal) and not self._is_compared(number, found, rest):

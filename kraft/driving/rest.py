@@ -15,7 +15,7 @@ from ompl_ext.retainment import RetainableEdges
 from ompl_ext.solver import DirtSolver
 
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
-CORRECTION_ATTEMPTS = 4  # at retaining a rest with different random corrections
+CORRECTION_ATTEMPTS = 12  # at retaining a rest with different random corrections
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 
 

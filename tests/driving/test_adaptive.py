@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import pickle
 from dataclasses import replace
@@ -12,7 +13,7 @@ from support.adaptive import BEGIN, OTHER, correlated, driven, exciting, pose_at
 from support.driving import RATE
 
 from kraft.driving.estimation import make_estimator
-from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_parameters
+from kraft.driving.estimation.adaptive import SIGNIFICANT, AdaptiveEstimator, online_parameters
 from kraft.driving.estimation.pose_filter import ExcessSpeedModel
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive
@@ -161,6 +162,27 @@ def test_parameters_of_the_car_appear_in_the_estimate_and_in_the_model() -> None
     assert model.curvature(0.3) != curvature
     true = CarModel(vehicle().with_parameters(OTHER)).curvature(0.3)
     assert model.curvature(0.3) == pytest.approx(true, rel=0.08)
+
+
+def test_parameters_change_only_if_they_differ_significantly() -> None:
+    """Otherwise plans would cost something else in every cycle, by less than what is known."""
+    states, commands = driven(exciting, 10.0, OTHER, 0.1)
+    subject, used = estimator(), list[Floats]()
+    errors = correlated(np.random.default_rng(1), len(states), ACCURATE, 0.0)
+    for k, command in enumerate(commands):
+        if k > 0:
+            subject.observe(pose_at(k, states[k], errors[k]))
+        if k % 15 == 14:
+            parameters, learned = subject.replanning_estimate(k / RATE).parameters, subject.learned
+            if parameters is not None and learned is not None:
+                change = subject._window.parameters.model_values(learned.identified.rho) - parameters
+                covariance = subject._covariance_of(learned.identified)
+                free = np.flatnonzero(np.diag(covariance) > 0.0)
+                assert change[free] @ np.linalg.solve(covariance[np.ix_(free, free)], change[free]) <= SIGNIFICANT
+                used.append(parameters)
+        subject.commanded(k / RATE, command)
+    changes = sum(not np.array_equal(one, two) for one, two in itertools.pairwise(used))
+    assert 1 <= changes < 0.5 * len(used)
 
 
 def test_without_identification_and_compensation_the_model_stays_and_commands_act_at_once() -> None:

@@ -23,7 +23,7 @@ from kraft.driving.clearance import (
 )
 from kraft.driving.messages import Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
-from kraft.driving.proposer import STALLED, Proposal, _Query
+from kraft.driving.proposer import RISE, STALLED, Proposal, _Query
 from kraft.driving.replanner import Replanner
 from kraft.driving.rest import RETAINED_TOLERANCE, total_cost
 
@@ -174,6 +174,28 @@ def test_a_vehicle_without_progress_keeps_less_clearance_only_if_that_saves_time
     assert proposed.plan is not None
     assert proposed.plan.reaches_goal
     assert proposer._levels.kept == level
+
+
+def test_a_plan_keeps_more_clearance_than_the_last_one_only_if_it_costs_little_more() -> None:
+    """The plan that was left states a cost that no plan has, so that the levels are compared."""
+    kept, last = set(), 2
+    for bound in (0.01, 0.1, 0.3):
+        costs = []
+        for steady in (False, True):
+            subject, (found,) = driven(DeviationBound(0.001))
+            assert found.plan is not None
+            proposer = subject._proposer
+            proposer._levels.bound = DeviationBound(bound)
+            proposer._levels.kept = last
+            for _ in range(STEADY if steady else 0):
+                proposer._levels.keep(last, stalled=False)
+            root = np.array([np.interp(1.0, found.plan.times, column) for column in found.plan.trajectory.T])
+            proposed = proposer.propose(1, root, replace(found.plan, cost=2.0))
+            assert proposed.plan is not None
+            costs.append(total_cost(proposed.plan))
+        kept.add(proposer._levels.kept)
+        assert proposer._levels.kept == last or costs[1] < costs[0] + RISE
+    assert min(kept) < last == max(kept)
 
 
 def test_the_same_rest_is_retained_in_every_run() -> None:

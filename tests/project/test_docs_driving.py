@@ -18,7 +18,7 @@ from kraft.driving.estimation.adaptive import DRIVE_MAX
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.sliding_window import PRIOR_CORRELATION, PRIOR_POSES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
-from kraft.driving.proposer import PATIENCE, STALLED
+from kraft.driving.proposer import PATIENCE, RISE, STALLED
 from kraft.driving.rest import CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS
@@ -151,6 +151,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"the settings count as {PRIOR_POSES:g} poses, and as {PRIOR_CORRELATION:g} correlation times",
         f"from 0 to {DELAY_MAX:g} s", f"| none | {SOON:g} cycles |",
         f"has not reached the goal after {PATIENCE:g} `iterations` gives way",
+        f"less than {RISE:g} s more than the plan that is then found at the lower level",
     ):  # fmt: skip
         assert text in words
-    assert (STEADY, NARROW, CORRECTION_ATTEMPTS) == (2, (1.0, 0.5), 4)
+    assert (STEADY, NARROW, CORRECTION_ATTEMPTS) == (2, (1.0, 0.5), 12)

@@ -38,6 +38,8 @@ SAME_TURN: Final = 1.0
 """Time for which the error of a turning rate by wrong parameters counts as the same, s."""
 SAME_ACCELERATION: Final = 0.25
 """Time for which the error of an acceleration by wrong parameters counts as the same, s."""
+SIGNIFICANT: Final = 1.0
+"""Squared change of the parameters, by their covariance, up to which those in use are kept: it is less than their error."""
 SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 REST_BEFORE: Final = 0.5
@@ -86,6 +88,7 @@ class AdaptiveEstimator:
             parameters, settings.window, settings.step, process, settings.control_share * (high - low),
             settings.iterations,
         )  # fmt: skip
+        self._values: Floats = np.array(list(model.vehicle.parameters.values()))  # of the vehicle, in use
         self._identified: Identified | None = None
         self.learned: Learned | None = None
         self._history = _History(start_state, model)
@@ -125,7 +128,7 @@ class AdaptiveEstimator:
         estimate, identified = self.estimate(time), self._identified
         parameters = None
         if identified is not None and self._settings.identify:
-            parameters = self._window.parameters.model_values(identified.rho)
+            parameters = self._values
         return Estimate(estimate.time, estimate.state, estimate.age, parameters, self.uncertainty(time))
 
     def uncertainty(self, time: float) -> Uncertainty:
@@ -163,11 +166,24 @@ class AdaptiveEstimator:
         self._filter.set_parameter_spread(self._covariance_of(identified))
         self._set_slope(identified)
         if self._settings.identify:
-            self._model.set_parameters(self._window.parameters.model_values(identified.rho))
+            self._use_parameters(identified)
         if self._delay_index >= 0:
             self.horizon = float(identified.rho[self._delay_index])
             self._filter.set_delay(self.horizon)
             self._doubt_delay(float(identified.covariance[self._delay_index, self._delay_index]))
+
+    def _use_parameters(self, identified: Identified) -> None:
+        """Use the identified parameters if they differ significantly from those in use.
+
+        The costs of plans are those of the parameters.  Within what is not known of these they would change in every
+        cycle, and plans with them.
+        """
+        values, covariance = self._window.parameters.model_values(identified.rho), self._covariance_of(identified)
+        free = np.flatnonzero(np.diag(covariance) > 0.0)
+        change = (values - self._values)[free]
+        if change @ np.linalg.solve(covariance[np.ix_(free, free)], change) > SIGNIFICANT:
+            self._values = values
+        self._model.set_parameters(self._values)
 
     def _doubt_delay(self, variance: float) -> None:
         """Widen the prior of a delay that the vehicle's file states, if the poses contradict it.
