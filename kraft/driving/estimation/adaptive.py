@@ -39,7 +39,7 @@ SAME_TURN: Final = 1.0
 SAME_ACCELERATION: Final = 0.25
 """Time for which the error of an acceleration by wrong parameters counts as the same, s."""
 SIGNIFICANT: Final = 1.0
-"""Squared change of the parameters, by their covariance, up to which those in use are kept: it is less than their error."""
+"""Squared change of the parameters, by their covariance, up to which those in use are kept."""
 SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 REST_BEFORE: Final = 0.5
