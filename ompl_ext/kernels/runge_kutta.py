@@ -17,9 +17,7 @@ def runge_kutta_4_stages(count: int) -> tuple[Callable[..., Any], Callable[..., 
     """
     return (
         per_component("a, k, x", "x[{k}] + a * k[{k}]", count),
-        per_component(
-            "a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", count
-        ),
+        per_component("a, k1, k2, k3, k4, x", "x[{k}] + a * (k1[{k}] + 2.0 * (k2[{k}] + k3[{k}]) + k4[{k}])", count),
     )
 
 
