@@ -48,7 +48,8 @@ class VehicleModel:
         """
         check_state(vehicle)
         self.vehicle = vehicle
-        self._step = kernels(vehicle).advance
+        compiled = kernels(vehicle)
+        self._step, self._roll_out = compiled.advance, compiled.roll_out
         self._parameters = vehicle.parameter_array
         self.x, self.y, self.theta = (vehicle.index(name) for name in ("x", "y", "theta"))
         self.pose = [self.x, self.y, self.theta]
@@ -90,23 +91,28 @@ class VehicleModel:
         )  # fmt: skip
         return after, jacobian[:, :, :nx], jacobian[:, :, nx:]
 
-    def after(self, states: Matrix, controls: Matrix, durations: Floats) -> Matrix:
-        """States (n, nx) after one step each, see `linearised`."""
-        steps, after = self._steps, np.empty_like(states)
-        nothing = np.zeros(0)
-        steps.linearise(
-            np.ascontiguousarray(states), np.ascontiguousarray(controls), self._parameters,
-            np.ascontiguousarray(durations), nothing, np.zeros(steps.block), after, np.zeros((0, 0, 0)),
-        )  # fmt: skip
+    def after(self, states: Matrix, control: Matrix | Floats, duration: float) -> Matrix:
+        """States (n, nx) after one integration step of `duration` s from states (n, nx).
+
+        `control` is that of each (n, nu) or of all (nu,).
+        """
+        motions, controls = np.empty((len(states), 2, states.shape[1])), np.empty((len(states), len(self.low)))
+        motions[:, 0], controls[:] = states, control
+        self._roll_out(motions, controls, self._parameters, np.full(len(states), duration))
+        after: Matrix = motions[:, 1]
         return after
 
     def rates(self, state: Floats, control: Floats, parameters: Matrix) -> Matrix:
         """Derivatives (n, nx) of a state (nx,) under a control (nu,) with each of `parameters` (n, np)."""
-        held, after = np.ascontiguousarray(control, dtype=np.float64), np.empty(len(state))
-        rates = np.empty((len(parameters), len(state)))
-        for k, values in enumerate(np.ascontiguousarray(parameters)):
-            self._step(state, held, values, INSTANT, after)
-            rates[k] = (after - state) / INSTANT
+        kernels, count = self._steps, len(parameters)
+        states = np.empty((2, count, len(state)))
+        start, controls = np.empty((count, len(state))), np.empty((1, count, len(control)))
+        start[:], controls[:] = state, control
+        kernels.simulate(
+            start, controls, np.ascontiguousarray(parameters), np.full((1, count), INSTANT),
+            np.zeros(kernels.block), states,
+        )  # fmt: skip
+        rates: Matrix = (states[1] - state) / INSTANT
         return rates
 
     @property
@@ -129,6 +135,10 @@ class VehicleModel:
         if (length := math.hypot(dx, dy)) < 1e-12:
             return 0.0, 0.0
         return turn / length, math.remainder(math.atan2(dy, dx) - float(state[self.theta]), math.tau)
+
+    def courses(self, states: Matrix, control: Floats) -> list[tuple[float, float]]:
+        """`course` of each of the states (n, nx)."""
+        return [self.course(state, control) for state in states]
 
     def velocity_drift(self, speed_drift: float) -> Floats:
         """Variance rate (nx,) of the velocities if the speed drifts by `speed_drift` m/s in one second.
@@ -279,7 +289,7 @@ class CarModel(VehicleModel):
         before = self._responses(self.steering, steerings, throttle)
         before[:, self.pose] = 0.0
         controls = np.array([self.command(throttle, steering) for steering in steerings.tolist()])
-        after = self.after(before, controls, np.full(UPDATED_SIZE, MAX_STEP))[:, self.pose].tolist()
+        after = self.after(before, controls, MAX_STEP)[:, self.pose].tolist()
         turns = [_turn(float(x[self.v]), *moved) for x, moved in zip(before, after, strict=True)]
         curvatures, slips = zip(*turns, strict=True)
         self._steerings, self._slips = list(map(float, steerings)), list(slips)
@@ -308,6 +318,10 @@ class CarModel(VehicleModel):
         """Curvature (1/m) and slip angle (rad) at a steering that is held."""
         steering = float(control[self.steering])
         return self.curvature(steering), self.slip(steering)
+
+    def courses(self, states: Matrix, control: Floats) -> list[tuple[float, float]]:
+        """`course` of each of the states (n, nx), the same for all."""
+        return [self.course(states[0], control)] * len(states)
 
     def velocity_drift(self, speed_drift: float) -> Floats:
         """None (nx,): the speed follows the throttle."""
