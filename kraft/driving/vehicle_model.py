@@ -22,6 +22,8 @@ from ompl_ext.vehicle import Vehicle
 
 MAX_STEP: Final = 0.05
 """Longest integration step, s."""
+ROUNDING: Final = 1e-9
+"""Share of an integration step that counts as an error of rounded times, not as time."""
 CHANGE: Final = 1e-5
 """Change of a component in a numeric derivative, SI."""
 INSTANT: Final = 1e-3
@@ -71,7 +73,7 @@ class VehicleModel:
         result = np.array(state, dtype=np.float64)
         if duration <= 0.0:
             return result
-        steps = math.ceil(duration / MAX_STEP - 1e-9)
+        steps = math.ceil(duration / MAX_STEP - ROUNDING)
         held = np.ascontiguousarray(control, dtype=np.float64)
         for _ in range(steps):
             self._step(result, held, self._parameters, duration / steps, result)
@@ -94,8 +96,10 @@ class VehicleModel:
     def after(self, states: Matrix, control: Matrix | Floats, duration: float) -> Matrix:
         """States (n, nx) after one integration step of `duration` s from states (n, nx).
 
-        `control` is that of each (n, nu) or of all (nu,).
+        `control` is that of each (n, nu) or of all (nu,).  As in `advance`, nothing moves in the rest of a rounded time.
         """
+        if duration / MAX_STEP - ROUNDING <= 0.0:
+            return states.copy()
         motions, controls = np.empty((len(states), 2, states.shape[1])), np.empty((len(states), len(self.low)))
         motions[:, 0], controls[:] = states, control
         self._roll_out(motions, controls, self._parameters, np.full(len(states), duration))
