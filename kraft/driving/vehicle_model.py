@@ -96,7 +96,8 @@ class VehicleModel:
     def after(self, states: Matrix, control: Matrix | Floats, duration: float) -> Matrix:
         """States (n, nx) after one integration step of `duration` s from states (n, nx).
 
-        `control` is that of each (n, nu) or of all (nu,).  As in `advance`, nothing moves in the rest of a rounded time.
+        `control` is that of each (n, nu) or of all (nu,).  As in `advance`, nothing moves in what rounding left of a
+        time.
         """
         if duration / MAX_STEP - ROUNDING <= 0.0:
             return states.copy()

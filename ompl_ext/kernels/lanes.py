@@ -173,6 +173,13 @@ def brake(source: Floats, problem: Problem, brake: Lanes) -> int:
     return step
 
 
+def stop_control(state: Floats, parameters: Floats, number: int, control: Floats) -> None:
+    """Write the control of contingency manoeuvre `number` in a state."""
+    u = stop(first_state(state), load_parameters(parameters), number)
+    for k in range(NU):
+        control[k] = u[k]
+
+
 def _advance(state: Floats, control: Floats, parameters: Floats, h: float, result: Floats) -> None:
     p = load_parameters(parameters)
     y, _, _ = rk4_step(first_state(state), actuation(first_control(control), p), p, h)
@@ -191,7 +198,12 @@ def _roll_out(states: Floats, controls: Matrix, parameters: Floats, h: Floats) -
 
 
 _FLOATS = types.float64[::1]
-FUNCTIONS = {functions.PROPAGATE: propagate, functions.BRAKE: brake, functions.CYCLE_END: state_at_cycle_end}
+FUNCTIONS = {
+    functions.PROPAGATE: propagate,
+    functions.BRAKE: brake,
+    functions.CYCLE_END: state_at_cycle_end,
+    functions.STOP: stop_control,
+}
 ADDRESSES = {number: callee(each, FOLDER, functions.SIGNATURES[number]) for number, each in FUNCTIONS.items()}
 advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS))
 roll_out = compiled(
