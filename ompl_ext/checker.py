@@ -12,7 +12,7 @@ from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.fine_field import raise_to_fine
-from ompl_ext.kernels.kernel_types import LANE_WIDTH, Problem
+from ompl_ext.kernels.kernel_types import LANE_WIDTH, Lanes, Problem
 from ompl_ext.kernels.search import search
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
@@ -47,6 +47,24 @@ class EdgeChecker:
     def problem(self) -> Problem:
         """Arrays that the kernels read."""
         return self._problem
+
+    @property
+    def work(self) -> Lanes:
+        """Working memory of single edges."""
+        return self._work
+
+    def steps_of(self, duration: float) -> int:
+        """Number of integration steps of an edge.
+
+        Raises:
+            ValueError: it is longer than the longest one.
+        """
+        most = steps = int(self._problem.option[at.STEPS])
+        if self.settings.quantum > 0.0 and duration > 0.0:
+            steps = max(1, round(duration / self.settings.quantum))
+        if steps > most:
+            raise ValueError(f"an edge of {duration} s is longer than the longest of {self.settings.longest} s")
+        return steps
 
     def contingency(self, state: Floats, after: float = 0.0) -> Contingency | None:
         """SAFETY (Alg. 2) of a state: a manoeuvre that is safe until standstill, or None; times begin at `after` s."""
@@ -157,11 +175,7 @@ class EdgeChecker:
         work.source[:] = state
         for k, value in enumerate(control):
             work.control[k * LANE_WIDTH] = value
-        work.duration[0], work.steps[0] = duration, problem.option[at.STEPS]
-        if self.settings.quantum > 0.0 and duration > 0.0:
-            work.steps[0] = max(1, round(duration / self.settings.quantum))
-        if not 1 <= work.steps[0] <= problem.option[at.STEPS]:
-            raise ValueError(f"an edge of {duration} s is longer than the longest of {self.settings.longest} s")
+        work.duration[0], work.steps[0] = duration, self.steps_of(duration)
         self._search.edge(problem, work, start_time)
         return float(work.slack[0])
 

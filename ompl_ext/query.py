@@ -15,7 +15,17 @@ from ompl_ext.kernels.clearance import ClearanceField, cover, fields, grouped, m
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.fine_field import FineField
 from ompl_ext.kernels.functions import FUNCTIONS
-from ompl_ext.kernels.kernel_types import LANE_WIDTH, OPTIONS, Q_DIM, SCALARS, Lanes, Maps, Problem, Retained
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    LANE_WIDTH,
+    OPTIONS,
+    Q_DIM,
+    SCALARS,
+    Lanes,
+    Maps,
+    Problem,
+    Retained,
+    block_length,
+)
 from ompl_ext.kernels.posepath import PoseCostToGo
 from ompl_ext.kernels.posetogo import pose_cost_to_go
 from ompl_ext.motion import motion_key, motion_of
@@ -436,7 +446,7 @@ def make_lanes(nx: int, nu: int, inputs: int, steps: int) -> Lanes:
         control=np.zeros(nu * width),
         duration=np.ones(width),
         steps=np.full(width, steps),
-        block=np.zeros((nx + inputs + 5) * width),
+        block=np.zeros(block_length(nx, inputs)),
         trajectory=np.zeros((steps + 1) * nx * width),
         deviation=np.zeros((steps + 1) * width),
         end=np.zeros(Q_DIM * width),

@@ -149,10 +149,13 @@ class DirtSolver(QueryTree):
         iterations: int | None = None,
         seconds: float | None = None,
         stop: Callable[[], bool] | None = None,
+        *,
+        timed: bool = True,
     ) -> Progress:
         """Grow the tree until a budget is used up or `stop()` is true, and return the progress since `start`.
 
-        With `iterations` the result depends on the seed and the number of threads alone, not on the clock.
+        With `iterations` the result depends on the seed and the number of threads alone, not on the clock.  If that is
+        the only budget and the times of better solutions are not asked for (not `timed`), few calls of the kernel do.
 
         Raises:
             ValueError: there is no budget or no goal.
@@ -169,7 +172,8 @@ class DirtSolver(QueryTree):
             return self._grow_together(self._pool, iterations, seconds, stop)
         left = iterations if iterations is not None else 2**62
         base, began = self._progress.seconds, time.perf_counter()
-        chunk, elapsed = FIRST_CHUNK, 0.0
+        at_once = iterations is not None and seconds is None and stop is None and not timed
+        chunk, elapsed = iterations if at_once and iterations is not None else FIRST_CHUNK, 0.0
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
             count = min(chunk, left, PRUNE_EVERY - int(self._tree.count[at.ITERATIONS]) % PRUNE_EVERY)
             if self._polish is not None:
@@ -184,7 +188,7 @@ class DirtSolver(QueryTree):
                 prune(self._tree)
                 if not self._trees[0].has_room(fixed=iterations is not None):
                     break  # the remaining nodes are needed, and there is no memory for better ones
-            if self._progress.history:
+            if self._progress.history and not at_once:
                 chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
         self._insert_polished()
         return self._progress

@@ -8,7 +8,6 @@ car has its newest message on board, and a watchdog that stops it without poses 
 from __future__ import annotations
 
 import copy
-import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.control import Controller
+from kraft.driving.control import Controller, compiled_law
 from kraft.driving.messages import (
     Commitment,
     ContingencyOrigin,
@@ -31,6 +30,7 @@ from kraft.driving.method import PlannerSettings
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels.tracking import Ticks
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
@@ -158,39 +158,72 @@ class ClosedLoopPredictor:
 
         A copy of the controller tracks, so the controller keeps its state.
         """
-        controller = copy.deepcopy(self.controller)
         ticks = max(0, math.ceil((end - begin) / self.period - 1e-9))
         times = np.minimum(begin + self.period * np.arange(ticks + 1), end)
-        states, slack = [np.asarray(state, dtype=float)], math.inf
-        controls = np.zeros((ticks, len(self.dirt.vehicle.controls)))
-        for tick, (now, after) in enumerate(itertools.pairwise(times)):
-            estimate = Estimate(float(now), states[-1], 0.0)
-            control = controls[tick] = controller.command(estimate, commitment.reference_at(estimate.time))
-            trajectory, step_slack = self.dirt.edge(states[-1], control, float(after - now), float(now - begin))
-            states.append(trajectory[-1])
-            slack = min(slack, step_slack)
-        return PredictedMotion(times, np.array(states), slack, controls=controls)
+        on_board = [(commitment.reference, ticks)]
+        if commitment.contingency is not None:
+            switch = int(np.searchsorted(times[:-1], commitment.switch - 1e-9))
+            on_board = [(commitment.reference, switch), (commitment.contingency, ticks)]
+        controller, first, slack = copy.deepcopy(self.controller), 0, math.inf
+        at, controls = np.asarray(state, dtype=float), [np.zeros((0, len(self.dirt.vehicle.controls)))]
+        states = [at[None, :]]
+        for reference, last in on_board:
+            during = self._ticks(times[first:last], np.diff(times[first : last + 1]), times[first:last] - begin)
+            driven, commands, least = self._drive(controller, reference, at, during)
+            states.append(driven[1:])
+            controls.append(commands)
+            at, first, slack = driven[-1], last, min(slack, least)
+        return PredictedMotion(times, np.vstack(states), slack, controls=np.vstack(controls))
 
     def until_rest(self, state: Floats, begin: float, contingency: Reference) -> PredictedMotion:
         """Track a contingency from `state` at `begin` s until standstill, with SAFETY's clearance all the way.
 
         A vehicle that still moves when SAFETY's horizon is over after the end of the contingency has negative slack.
         """
-        controller, safety = copy.deepcopy(self.controller), self.dirt.safety
-        times, states = [begin], [np.asarray(state, dtype=float)]
-        worst = self.dirt.edge(states[0], np.zeros(len(self.dirt.vehicle.controls)), 0.0, 0.0)[1]
-        latest = max(begin, contingency.end) + safety.horizon
-        while times[-1] < contingency.end - 1e-9 or not is_resting(self.dirt, states[-1]):
-            if times[-1] > latest:
-                worst = -1.0
+        latest = max(begin, contingency.end) + self.dirt.safety.horizon
+        times = begin + self.period * np.arange(math.ceil((latest - begin) / self.period) + 2)
+        ticks = int(np.searchsorted(times, latest, side="right"))
+        during = self._ticks(times[:ticks], np.full(ticks, self.period), np.zeros(ticks))
+        start = np.asarray(state, dtype=float)
+        worst = self.dirt.edge(start, np.zeros(len(self.dirt.vehicle.controls)), 0.0, 0.0)[1]
+        controller = copy.deepcopy(self.controller)
+        states, _, slack = self._drive(controller, contingency, start, during, contingency.end - 1e-9)
+        worst = min(worst, slack)
+        if len(states) > ticks and not is_resting(self.dirt, states[-1]):
+            worst = -1.0
+        least = least_slack(self.dirt, states)
+        slack = min(worst, least) if worst < 0.0 else max(least, 0.0)
+        return PredictedMotion(times[: len(states)], states, slack)
+
+    def _ticks(self, times: Floats, durations: Floats, since: Floats) -> Ticks:
+        """Ticks at `times` (n,) s for `durations` (n,) s, all but the last for a period, `since` (n,) s after the begin."""
+        steps = np.full(len(times), self.dirt.steps_of(self.period))
+        if len(times) > 0:
+            steps[-1] = self.dirt.steps_of(float(durations[-1]))
+        return Ticks(times, durations, steps, since)
+
+    def _drive(
+        self, controller: Controller, reference: Reference, state: Floats, ticks: Ticks, until: float = math.inf
+    ) -> tuple[Matrix, Matrix, float]:
+        """Track a reference from `state` (nx,): states (n + 1, nx), controls (n, nu), and the least spare clearance.
+
+        It ends early at standstill at or after `until` (s).
+        """
+        law = compiled_law(controller, reference)
+        if law is not None:
+            return law.drive(self.dirt, reference, state, ticks, until)
+        states, controls, slack = [state], [np.zeros((0, len(self.dirt.vehicle.controls)))], math.inf
+        for time, duration, since in zip(
+            ticks.time.tolist(), ticks.duration.tolist(), ticks.since.tolist(), strict=True
+        ):
+            if time >= until and is_resting(self.dirt, states[-1]):
                 break
-            control = controller.command(Estimate(times[-1], states[-1], 0.0), contingency)
-            trajectory, step_slack = self.dirt.edge(states[-1], control, self.period, 0.0)
-            times.append(begin + self.period * len(states))
+            control = controller.command(Estimate(time, states[-1], 0.0), reference)
+            trajectory, step_slack = self.dirt.edge(states[-1], control, duration, since)
             states.append(trajectory[-1])
-            worst = min(worst, step_slack)
-        least = least_slack(self.dirt, np.array(states))
-        return PredictedMotion(np.array(times), np.array(states), min(worst, least) if worst < 0.0 else max(least, 0.0))
+            controls.append(control[None, :])
+            slack = min(slack, step_slack)
+        return np.array(states), np.vstack(controls), slack
 
 
 def is_resting(dirt: DirtSolver, state: Floats) -> bool:

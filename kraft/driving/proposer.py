@@ -376,7 +376,7 @@ class Proposer:
         most = self._budget if is_last else min(self._budget, max(patience, self._budget - patience))
         while spent < most:
             count = min(patience if spent == 0 else quarter, most - spent)
-            cost, progress = dirt.best_cost, dirt.grow(iterations=count)
+            cost, progress = dirt.best_cost, dirt.grow(iterations=count, timed=False)
             spent += count
             if not (is_last or dirt.best_node()[1]):
                 break
@@ -392,15 +392,15 @@ class Proposer:
         """
         iterations = self._settings.iterations
         if self._budget == 0:
-            return dirt.grow(iterations=iterations)
+            return dirt.grow(iterations=iterations, timed=False)
         chunk = max(1, iterations // 4)
         if iterations > chunk:
-            dirt.grow(iterations=iterations - chunk)
+            dirt.grow(iterations=iterations - chunk, timed=False)
         cost = dirt.best_cost
-        progress = dirt.grow(iterations=chunk)
+        progress = dirt.grow(iterations=chunk, timed=False)
         while self._budget > 0 and not _is_settled(dirt, left, cost):
             cost, count = dirt.best_cost, min(chunk, self._budget)
-            progress = dirt.grow(iterations=count)
+            progress = dirt.grow(iterations=count, timed=False)
             self._budget -= count
         return progress
 

@@ -22,6 +22,8 @@ from ompl_ext.vehicle import Vehicle
 
 MAX_STEP: Final = 0.05
 """Longest integration step, s."""
+ROUNDING: Final = 1e-9
+"""Share of an integration step that counts as an error of rounded times, not as time."""
 CHANGE: Final = 1e-5
 """Change of a component in a numeric derivative, SI."""
 INSTANT: Final = 1e-3
@@ -48,7 +50,8 @@ class VehicleModel:
         """
         check_state(vehicle)
         self.vehicle = vehicle
-        self._step = kernels(vehicle).advance
+        compiled = kernels(vehicle)
+        self._step, self._roll_out = compiled.advance, compiled.roll_out
         self._parameters = vehicle.parameter_array
         self.x, self.y, self.theta = (vehicle.index(name) for name in ("x", "y", "theta"))
         self.pose = [self.x, self.y, self.theta]
@@ -70,7 +73,7 @@ class VehicleModel:
         result = np.array(state, dtype=np.float64)
         if duration <= 0.0:
             return result
-        steps = math.ceil(duration / MAX_STEP - 1e-9)
+        steps = math.ceil(duration / MAX_STEP - ROUNDING)
         held = np.ascontiguousarray(control, dtype=np.float64)
         for _ in range(steps):
             self._step(result, held, self._parameters, duration / steps, result)
@@ -90,13 +93,31 @@ class VehicleModel:
         )  # fmt: skip
         return after, jacobian[:, :, :nx], jacobian[:, :, nx:]
 
+    def after(self, states: Matrix, control: Matrix | Floats, duration: float) -> Matrix:
+        """States (n, nx) after one integration step of `duration` s from states (n, nx).
+
+        `control` is that of each (n, nu) or of all (nu,).  As in `advance`, nothing moves in what rounding left of a
+        time.
+        """
+        if duration / MAX_STEP - ROUNDING <= 0.0:
+            return states.copy()
+        motions, controls = np.empty((len(states), 2, states.shape[1])), np.empty((len(states), len(self.low)))
+        motions[:, 0], controls[:] = states, control
+        self._roll_out(motions, controls, self._parameters, np.full(len(states), duration))
+        after: Matrix = motions[:, 1]
+        return after
+
     def rates(self, state: Floats, control: Floats, parameters: Matrix) -> Matrix:
         """Derivatives (n, nx) of a state (nx,) under a control (nu,) with each of `parameters` (n, np)."""
-        held, after = np.ascontiguousarray(control, dtype=np.float64), np.empty(len(state))
-        rates = np.empty((len(parameters), len(state)))
-        for k, values in enumerate(np.ascontiguousarray(parameters)):
-            self._step(state, held, values, INSTANT, after)
-            rates[k] = (after - state) / INSTANT
+        kernels, count = self._steps, len(parameters)
+        states = np.empty((2, count, len(state)))
+        start, controls = np.empty((count, len(state))), np.empty((1, count, len(control)))
+        start[:], controls[:] = state, control
+        kernels.simulate(
+            start, controls, np.ascontiguousarray(parameters), np.full((1, count), INSTANT),
+            np.zeros(kernels.block), states,
+        )  # fmt: skip
+        rates: Matrix = (states[1] - state) / INSTANT
         return rates
 
     @property
@@ -119,6 +140,10 @@ class VehicleModel:
         if (length := math.hypot(dx, dy)) < 1e-12:
             return 0.0, 0.0
         return turn / length, math.remainder(math.atan2(dy, dx) - float(state[self.theta]), math.tau)
+
+    def courses(self, states: Matrix, control: Floats) -> list[tuple[float, float]]:
+        """`course` of each of the states (n, nx)."""
+        return [self.course(state, control) for state in states]
 
     def velocity_drift(self, speed_drift: float) -> Floats:
         """Variance rate (nx,) of the velocities if the speed drifts by `speed_drift` m/s in one second.
@@ -203,6 +228,7 @@ UPDATED_TIME: Final = 6.0
 """Size of the tables, and time until a response is taken as steady (s), when parameters change during a drive."""
 Tables = tuple[list[float], list[float], list[float], list[float], list[float]]
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
+_UPDATED: Final[dict[tuple[str, bytes, bytes], Tables]] = {}  # those of the parameters that were learned last
 
 
 def model_of(vehicle: Vehicle) -> VehicleModel:
@@ -238,25 +264,46 @@ class CarModel(VehicleModel):
     def set_parameters(self, values: Floats) -> None:
         """Change the parameters (np,), in the vehicle's order, for all who use this model.
 
-        The tables are made of fewer and shorter simulations than at first, in 1 ms.  If the car does not move at full
-        throttle, the tables of the speed stay as they are.
+        The tables are made of fewer and shorter simulations than at first, in 1 ms, once for the models of a vehicle
+        that learn the same.  If the car does not move at full throttle, the tables of the speed stay as they are.
         """
         super().set_parameters(values)
+        known = _UPDATED.get(self._key)
+        if known is not None:
+            self._throttles, self._speeds, self._steerings, self._curvatures, self._slips = known
+            return
+        moves = self._update_speeds()
+        self._update_turns()
+        _UPDATED.clear()
+        if moves:  # else the tables depend on those before
+            _UPDATED[self._key] = self._throttles, self._speeds, self._steerings, self._curvatures, self._slips
+
+    def _update_speeds(self) -> bool:
+        """Make the tables of the speed for the present parameters; whether the car moves at full throttle."""
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], UPDATED_SIZE)
         speeds = self._responses(self.throttle, throttles, 0.0)[:, self.v]
-        if speeds[-1] > 0.0:
-            self._throttles, self._speeds = list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
+        if not speeds[-1] > 0.0:
+            return False
+        self._throttles, self._speeds = list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
+        return True
+
+    def _update_turns(self) -> None:
+        """Make the tables of curvature and slip for the present parameters."""
         steerings = np.linspace(self.low[self.steering], self.high[self.steering], UPDATED_SIZE)
         throttle = self.throttle_for(0.5 * self._speeds[-1])
         before = self._responses(self.steering, steerings, throttle)
         before[:, self.pose] = 0.0
-        curvatures, slips = [], []
-        for steering, state in zip(steerings.tolist(), before, strict=True):
-            curvature, slip = self._turn(state, self.command(throttle, steering))
-            curvatures.append(curvature)
-            slips.append(slip)
-        self._steerings, self._slips = list(map(float, steerings)), slips
+        controls = np.array([self.command(throttle, steering) for steering in steerings.tolist()])
+        after = self.after(before, controls, MAX_STEP)[:, self.pose].tolist()
+        turns = [_turn(float(x[self.v]), *moved) for x, moved in zip(before, after, strict=True)]
+        curvatures, slips = zip(*turns, strict=True)
+        self._steerings, self._slips = list(map(float, steerings)), list(slips)
         self._curvatures = list(map(float, np.maximum.accumulate(curvatures)))
+
+    @property
+    def _key(self) -> tuple[str, bytes, bytes]:
+        """What the tables depend on."""
+        return self.vehicle.hash, self._parameters.tobytes(), self.vehicle.control_bounds.tobytes()
 
     def _responses(self, varied: int, values: Floats, throttle: float) -> Matrix:
         """States (n, nx) after `UPDATED_TIME` s from standstill with each of `values` (n,) of the control `varied`."""
@@ -276,6 +323,10 @@ class CarModel(VehicleModel):
         """Curvature (1/m) and slip angle (rad) at a steering that is held."""
         steering = float(control[self.steering])
         return self.curvature(steering), self.slip(steering)
+
+    def courses(self, states: Matrix, control: Floats) -> list[tuple[float, float]]:
+        """`course` of each of the states (n, nx), the same for all."""
+        return [self.course(states[0], control)] * len(states)
 
     def velocity_drift(self, speed_drift: float) -> Floats:
         """None (nx,): the speed follows the throttle."""
@@ -332,8 +383,7 @@ class CarModel(VehicleModel):
 
     def _tabulate(self) -> None:
         """Make the tables of steady responses once per vehicle and process; this takes as long as planning a cycle."""
-        vehicle = self.vehicle
-        key = (vehicle.hash, self._parameters.tobytes(), vehicle.control_bounds.tobytes())
+        key = self._key
         if key not in _TABLES:
             self._throttles, self._speeds = self._steady_speeds()
             _TABLES[key] = self._throttles, self._speeds, *self._steady_turns()
@@ -354,21 +404,22 @@ class CarModel(VehicleModel):
         curvatures, slips = [], []
         for steering in steerings:
             control = self.command(throttle, float(steering))
-            curvature, slip = self._turn(self._steady_state(control), control)
+            before = self._steady_state(control)
+            curvature, slip = _turn(float(before[self.v]), *self.advance(before, control, MAX_STEP)[self.pose].tolist())
             curvatures.append(curvature)
             slips.append(slip)
         return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures))), slips
-
-    def _turn(self, before: Floats, control: Floats) -> tuple[float, float]:
-        """Curvature (1/m) and slip angle (rad) of a step from a state (nx,) at the origin."""
-        dx, dy, turn = (float(d) for d in self.advance(before, control, MAX_STEP)[self.pose])
-        return turn / (MAX_STEP * float(before[self.v])), math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau)
 
     def _steady_state(self, control: Floats) -> Floats:
         """Steady state after holding a control from standstill, moved to the origin."""
         state = self.advance(np.zeros(len(self.vehicle.state)), control, SETTLING_TIME)
         state[self.pose] = 0.0
         return state
+
+
+def _turn(speed: float, dx: float, dy: float, turn: float) -> tuple[float, float]:
+    """Curvature (1/m) and slip angle (rad) of a step of `MAX_STEP` s at a speed (m/s) from the origin."""
+    return turn / (MAX_STEP * speed), math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau)
 
 
 def _inverse(value: float, values: list[float], arguments: list[float]) -> float:

@@ -50,7 +50,7 @@ NX, X, Y, THETA = LAYOUT.components, LAYOUT.x, LAYOUT.y, LAYOUT.theta
 SPEED = LAYOUT.rest[0] if LAYOUT.rest else -1
 RESTING = LAYOUT.rest or (-1,)  # numba cannot iterate over an empty tuple
 WIDTH = LANE_WIDTH
-_, _, AT_OUTSIDE, AT_COS, AT_SIN, _ = block_layout(NX)
+_, _, AT_OUTSIDE, AT_COS, AT_SIN, _, _ = block_layout(NX)
 
 
 @inlined

@@ -123,17 +123,22 @@ class Lanes(NamedTuple):
     source: Floats  # (nx,) a state to start from
 
 
-def block_layout(nx: int) -> tuple[int, int, int, int, int, int]:
-    """Indices in the working block of step, deviation, outside, cosine, sine, input; the state is before them."""
+STAGES = 3  # of a Runge-Kutta step whose derivatives the working block has; those of the last one are used at once
+
+
+def block_layout(nx: int) -> tuple[int, int, int, int, int, int, int]:
+    """Indices in the working block of step, deviation, outside, cosine, sine, stages, input; the state is before them.
+
+    The input is last because its length is the vehicle's.
+    """
     begin = nx * LANE_WIDTH
-    return (
-        begin,
-        begin + LANE_WIDTH,
-        begin + 2 * LANE_WIDTH,
-        begin + 3 * LANE_WIDTH,
-        begin + 4 * LANE_WIDTH,
-        (begin + 5 * LANE_WIDTH),
-    )
+    step, deviation, outside, cosine, sine, stages = (begin + k * LANE_WIDTH for k in range(6))
+    return step, deviation, outside, cosine, sine, stages, stages + STAGES * begin
+
+
+def block_length(nx: int, inputs: int) -> int:
+    """Length of the working block for states of `nx` components and `inputs` of the vehicle."""
+    return block_layout(nx)[-1] + inputs * LANE_WIDTH
 
 
 class Tree(NamedTuple):

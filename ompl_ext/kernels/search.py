@@ -91,10 +91,16 @@ def _grow(
             return
 
 
-def _edge(problem: Problem, work: Lanes, start_time: float) -> None:
+@part
+def edge(problem: Problem, work: Lanes, start_time: float) -> None:
+    """Integrate and check one edge, in lane 0, from the source on."""
     lane, lanes = int64(0), int64(1)
     propagate(work.source, lanes, problem, work)
     work.slack[lane] = check(lane, start_time, problem, work)
+
+
+def _edge(problem: Problem, work: Lanes, start_time: float) -> None:
+    edge(problem, work, start_time)
 
 
 def _brake(problem: Problem, work: Lanes, brake: Lanes, start_time: float) -> int:

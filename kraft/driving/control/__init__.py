@@ -9,7 +9,7 @@ from kraft.driving.control.nmpc import NmpcController, casadi_of
 from kraft.driving.control.path_tracking import GeometricController, KinodynamicController
 from kraft.driving.control.sampling import DwaController, MppiController
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, OpenLoop, Predictive
-from kraft.driving.messages import Controller, Estimate, Reference
+from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Adaptive, Method
 from kraft.driving.vehicle_model import CarModel, VehicleModel
 from kraft.errors import Code, InputError
@@ -27,6 +27,7 @@ __all__ = [
     "MppiController",
     "NmpcController",
     "OpenLoopController",
+    "compiled_law",
     "kernel_modules",
     "make_controller",
     "needs_map",
@@ -115,6 +116,15 @@ def make_controller(
         case law_of_car:
             assert isinstance(model, CarModel), "laws for cars drive cars"
             return _law(law_of_car, model)
+
+
+def compiled_law(controller: Controller, reference: Reference) -> KinodynamicController | None:
+    """What tracks a reference for a controller, if that is compiled."""
+    if reference.kind is ReferenceKind.CONTINGENCY and isinstance(
+        controller, MppiController | DwaController | NmpcController
+    ):
+        controller = controller.law
+    return controller if isinstance(controller, KinodynamicController) else None
 
 
 def _law(settings: Geometric | Kinodynamic, model: CarModel) -> Controller:

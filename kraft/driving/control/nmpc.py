@@ -82,7 +82,7 @@ class NmpcController:
             MissingDependency: if CasADi is missing.
             InputError: if the vehicle's derivative cannot be written as an expression.
         """
-        self._settings, self._model, self._dirt, self._law = settings, model, dirt, law
+        self._settings, self._model, self._dirt, self.law = settings, model, dirt, law
         self._discs = cover(model.vehicle.footprint, settings.discs).discs
         self._problem = _Problem(settings, model, self._discs[:, :2])
         self._kernels = step_kernels(model.vehicle)
@@ -94,14 +94,14 @@ class NmpcController:
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the last solution and the law; share the solver, the model and the map."""
         result = copy.copy(self)
-        result._law = copy.deepcopy(self._law, memo)
+        result.law = copy.deepcopy(self.law, memo)
         return result
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         if reference.kind is ReferenceKind.CONTINGENCY:
             self._solution = None
-            return self._law.command(estimate, reference)
+            return self.law.command(estimate, reference)
         return self._model.clamped(self.solve(estimate, reference).controls[0])
 
     def solve(self, estimate: Estimate, reference: Reference) -> Solution:

@@ -72,7 +72,7 @@ class MppiController:
 
     def __init__(self, settings: Mppi, model: VehicleModel, dirt: DirtSolver, law: Controller, seed: int) -> None:
         """`law` tracks contingencies; the samples depend on `seed` alone."""
-        self._settings, self._model, self._law = settings, model, law
+        self._settings, self._model, self.law = settings, model, law
         self._deviation = settings.spread * (model.high - model.low)
         self._rollouts = Rollouts(dirt, model, settings, self._deviation**-2.0)
         self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed % 2**63, 0x3991])))
@@ -83,14 +83,14 @@ class MppiController:
         """Copy the plan of controls, the random generator and the law; share the model and the map."""
         result = copy.copy(self)
         result._nominal, result._random = self._nominal.copy(), copy.deepcopy(self._random, memo)
-        result._law = copy.deepcopy(self._law, memo)
+        result.law = copy.deepcopy(self.law, memo)
         return result
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         if reference.kind is ReferenceKind.CONTINGENCY:
             self._time = None
-            return self._law.command(estimate, reference)
+            return self.law.command(estimate, reference)
         settings = self._settings
         self._shift(estimate.time)
         for _ in range(settings.iterations):
@@ -139,7 +139,7 @@ class DwaController:
 
     def __init__(self, settings: Dwa, model: VehicleModel, dirt: DirtSolver, law: Controller) -> None:
         """`law` tracks contingencies."""
-        self._model, self._law = model, law
+        self._model, self.law = model, law
         self._rollouts = Rollouts(dirt, model, settings, np.ones(len(model.low)))
         self._collision = settings.collision
         samples = [np.linspace(low, high, settings.samples) for low, high in zip(model.low, model.high, strict=True)]
@@ -151,13 +151,13 @@ class DwaController:
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the law; the arcs never change."""
         result = copy.copy(self)
-        result._law = copy.deepcopy(self._law, memo)
+        result.law = copy.deepcopy(self.law, memo)
         return result
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time; if every arc collides, that of the first stopping manoeuvre."""
         if reference.kind is ReferenceKind.CONTINGENCY:
-            return self._law.command(estimate, reference)
+            return self.law.command(estimate, reference)
         costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs.copy())
         best = int(costs.argmin())
         if costs[best] >= self._collision:

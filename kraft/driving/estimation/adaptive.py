@@ -308,17 +308,17 @@ class CorrelatedFilter(PoseFilter):
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
         """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""
-        self._posteriors = [self._with_slope(posterior, slope, covariance) for posterior in self._posteriors]
+        floor, posteriors = self._part(FLOOR), self._posteriors
+        covariances = np.array([posterior.covariance for posterior in posteriors])
+        before = covariances[:, floor][:, :, floor]
+        gains = np.linalg.solve(before, covariances[:, floor]).transpose(0, 2, 1)  # by regression
+        after = covariances + gains @ (covariance - before) @ gains.transpose(0, 2, 1)
+        after = 0.5 * (after + after.transpose(0, 2, 1))
+        self._posteriors = [
+            replace(posterior, mean=posterior.mean + gain @ (slope - posterior.mean[floor]), covariance=changed)
+            for posterior, gain, changed in zip(posteriors, gains, after, strict=True)
+        ]
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
-
-    def _with_slope(self, posterior: Posterior, slope: Floats, covariance: Matrix) -> Posterior:
-        """Posterior with another estimate of the slope: what is correlated with it changes by regression."""
-        floor = self._part(FLOOR)
-        before = posterior.covariance[np.ix_(floor, floor)]
-        gain = np.linalg.solve(before, posterior.covariance[floor]).T
-        after = posterior.covariance + gain @ (covariance - before) @ gain.T
-        mean = posterior.mean + gain @ (slope - posterior.mean[floor])
-        return replace(posterior, mean=mean, covariance=0.5 * (after + after.T))
 
     def _part(self, part: slice) -> list[int]:
         """Indices of a part of the pose error, or of the floor, into the state."""

@@ -200,38 +200,44 @@ class ExcessSpeedModel:
     def __init__(self, model: VehicleModel) -> None:
         self._model = model
         self.size = len(model.vehicle.state) + 1
+        self._varied = [k for k in range(self.size) if k not in (model.x, model.y)]
+        """components on which the motion depends: the position is none of them"""
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx + 1,) after holding a control (nu,) for `duration` s."""
-        steps = max(1, math.ceil(duration / MAX_STEP - 1e-9))
-        for _ in range(steps if duration > 0.0 else 0):
-            state = self._step(state, control, duration / steps)
-        return state
+        return self._advanced(state[None, :], control, duration)[0]
 
     def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
         """State (nx + 1,) after `duration` s and its Jacobian (nx + 1, nx + 1) with respect to the state before."""
-        after = self.advance(state, control, duration)
+        varied = self._varied
+        states = np.tile(state, (1 + len(varied), 1))
+        states[range(1, 1 + len(varied)), varied] += DIFFERENCE_STEP
+        after = self._advanced(states, control, duration)
         jacobian = np.eye(self.size)
-        for k in range(self.size):
-            if k not in (self._model.x, self._model.y):  # the motion does not depend on the position
-                perturbed = state.copy()
-                perturbed[k] += DIFFERENCE_STEP
-                jacobian[:, k] = (self.advance(perturbed, control, duration) - after) / DIFFERENCE_STEP
-        return after, jacobian
+        jacobian[:, varied] = ((after[1:] - after[0]) / DIFFERENCE_STEP).T
+        return after[0], jacobian
 
-    def _step(self, state: Floats, control: Floats, duration: float) -> Floats:
-        model, excess = self._model, float(state[-1])
-        after = np.empty(self.size)
-        after[:-1] = model.advance(state[:-1], control, duration)
+    def _advanced(self, states: Matrix, control: Floats, duration: float) -> Matrix:
+        """States (n, nx + 1) after holding a control (nu,) for `duration` s."""
+        steps = max(1, math.ceil(duration / MAX_STEP - 1e-9))
+        for _ in range(steps if duration > 0.0 else 0):
+            states = self._stepped(states, control, duration / steps)
+        return states
+
+    def _stepped(self, states: Matrix, control: Floats, duration: float) -> Matrix:
+        model, after = self._model, np.empty(states.shape)
+        after[:, :-1] = model.after(states[:, :-1], control, duration)
         decay = math.exp(-duration / EXCESS_TIME_CONSTANT)
-        distance = excess * EXCESS_TIME_CONSTANT * (1.0 - decay)
-        curvature, slip = model.course(state[:-1], control)
-        turn = curvature * distance
-        direction = 0.5 * float(state[model.theta] + after[model.theta]) + 0.5 * turn + slip
-        after[model.x] += distance * math.cos(direction)
-        after[model.y] += distance * math.sin(direction)
-        after[model.theta] += turn
-        after[-1] = decay * excess
+        courses = model.courses(states[:, :-1], control)
+        for row, before, (curvature, slip) in zip(after, states, courses, strict=True):
+            excess = float(before[-1])
+            distance = excess * EXCESS_TIME_CONSTANT * (1.0 - decay)
+            turn = curvature * distance
+            direction = 0.5 * float(before[model.theta] + row[model.theta]) + 0.5 * turn + slip
+            row[model.x] += distance * math.cos(direction)
+            row[model.y] += distance * math.sin(direction)
+            row[model.theta] += turn
+            row[-1] = decay * excess
         return after
 
 
