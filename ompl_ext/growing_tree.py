@@ -53,14 +53,17 @@ class GrowingTree:
     def add(self, problem: Problem, edges: Retained) -> None:
         """Add the free and safe ones of some edges."""
         self.reserve(len(edges.parent))
-        self._run(problem, edges, 0)
+        self._run(problem, edges, 0, until_plan=False)
 
-    def grow(self, problem: Problem, iterations: int) -> None:
-        """Visit nodes; ends early if the memory is full."""
+    def grow(self, problem: Problem, iterations: int, *, until_plan: bool = False) -> None:
+        """Visit nodes; ends early if the memory is full, and with `until_plan` after the first plan to the goal.
+
+        SST does not end early with a plan.
+        """
         if self._sparse is not None:
             self._sparse.grow(self.tree, problem, self.work, self.brake, iterations)
             return
-        self._run(problem, self._no_edges, iterations)
+        self._run(problem, self._no_edges, iterations, until_plan=until_plan)
 
     def has_room(self, *, fixed: bool) -> bool:
         """Whether a tenth of the memory is free, or more can be had unless it is `fixed`."""
@@ -74,8 +77,8 @@ class GrowingTree:
         tree, best = self.tree, int(self.tree.count[at.BEST])
         return (float(tree.value[best, at.COST]) if best >= 0 else math.inf), float(tree.best[1])
 
-    def _run(self, problem: Problem, edges: Retained, iterations: int) -> None:
-        search().grow(self.tree, problem, self.work, self.brake, self._q, edges, iterations)
+    def _run(self, problem: Problem, edges: Retained, iterations: int, *, until_plan: bool) -> None:
+        search().grow(self.tree, problem, self.work, self.brake, self._q, edges, iterations, until_plan)
 
 
 class _SparseTree:

@@ -10,7 +10,8 @@ peak in the middle, where a constant curvature changes the steering least.
 
 Then the edges are followed with the tree's own propagation and checks.  Where they lack clearance, because the checks
 allow for the motion between samples and for the cells of the field, more is asked for, and the last round is repeated.
-What passes is added to the tree like the edges of an earlier plan, with all of its checks once more.
+What passes may take a little longer if its controls then change less: their changes cost more as long as the plan takes
+less time than that.  The result is added to the tree like the edges of an earlier plan, with all of its checks once more.
 
 The kernels are in `kernels/gauss_newton.py` and `kernels/riccati.py`; here are the rounds and their steps.
 """
@@ -18,6 +19,7 @@ The kernels are in `kernels/gauss_newton.py` and `kernels/riccati.py`; here are 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,28 +44,42 @@ RANGE = (0.2, 2.0)  # shortest and longest interval after an improvement, as mul
 CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
 HARD = 1e6  # last stiffness of the model
 INSIDE, NEAR_BORDER = 0.6, 1e-3  # share of the goal's tolerances that is aimed for; least distance from its border (m)
-TRIALS, LAST_TRIALS = 10, 20  # steps of a round, of a last one
+LAST_TRIALS = 20  # steps of a last round
 REPLAYS = 10  # last rounds, each with more clearance
 CONVERGED = 1e-4  # share of the time that a step must save
 ROUNDING = 1e-6  # of a time step by which a trajectory may exceed a multiple of it
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e8  # of the steps
 TRUST = 3.0  # damping of the states over that of the controls
+SMOOTHING_STEPS, SMOOTHING_TRIALS = 8, 14  # steps after which smoothing ends, refused ones not counted, and all of them
+ENOUGH_LONGER, MOST_LONGER = 1.3, 3.0  # times what a plan may take longer: at its end, and after repeated rounds
+SMOOTHER, LEAST_SMOOTHER, MOST_SMOOTHER = 2.0, 1.0, 8.0  # factor of the weight of changes in these steps: first, bounds
+SMOOTHER_STEP = 1.3  # factor from one to the next
+
+
+class Smoothness(NamedTuple):
+    """What changes of controls may cost, as shares of the plan's time."""
+
+    cost: float  # that they count for at most, in the last rounds
+    longer: float  # that the plan may take longer, about, if it changes its controls less
 
 
 class Weights(NamedTuple):
     """Weights of an optimisation, see `ompl_ext.kernels.gauss_newton`."""
 
+    trials: int  # steps of a round, at most
+    trials_again: int  # of a last round that is repeated
     soft: float  # first stiffness of the model
     hardening: float  # factor of the stiffness from round to round
     penalty: tuple[float, float]  # stiffness of the penalties (1/m^2, s): that of the model between these bounds
     smoothness: float  # of changes of controls: times the square of the time for a footprint's length, per interval
-    smoothness_costs: tuple[float, float]  # share of the time that they count for at most, in the last rounds; in turn
+    smoothnesses: tuple[Smoothness, Smoothness]  # in turn, until the result costs less than the guess
     small_change: float  # of a control, as a share of its range, beyond which a change counts in proportion
     evenness: float  # of the deviations of the durations from their mean, per interval
 
 
-USUAL = Weights(10.0, 30.0, (100.0, 3e3), 80.0, (0.03, 0.0005), 5e-4, 10.0)
-MANOEUVRE = Weights(30.0, 6.0, (1e4, 1e5), 0.02, (0.004, 0.0005), math.inf, 0.1)
+CHEAPEST = Smoothness(0.0005, 0.0)
+USUAL = Weights(5, 5, 10.0, 30.0, (100.0, 3e3), 80.0, (Smoothness(0.03, 0.0015), CHEAPEST), 5e-4, 10.0)
+MANOEUVRE = Weights(10, 20, 30.0, 6.0, (1e4, 1e5), 0.02, (Smoothness(0.004, 0.0), CHEAPEST), math.inf, 0.1)
 """With a heading: many changes of controls in little space."""
 
 
@@ -105,7 +121,7 @@ class Polish:
         goal: Goal,
         begin: float = 0.0,
         urgency: float = 1.0,
-        cost_of_smoothness: float | None = None,
+        smoothness: Smoothness | None = None,
     ) -> Guess | None:
         """Trajectory that obeys the model, passes all checks and takes less time, as far as one was found.
 
@@ -114,32 +130,77 @@ class Polish:
             goal: region to end in.
             begin: time of its first state since the begin of the query (s).
             urgency: weight of the time; a small one for a guess that has to become feasible first.
-            cost_of_smoothness: share of the time that the changes of the controls count for at most; by default the
-                first one of `weights_of` the goal.
+            smoothness: what changes of the controls may cost; by default the first one of `weights_of` the goal.
         """
         self._load(guess, goal, begin, urgency)
         damping, setting, stiffness = DAMPING, self._setting, self._weights.soft
         while stiffness < HARD:
-            damping = self._round(stiffness, TRIALS, damping)
+            damping = self._round(stiffness, self._weights.trials, damping)
             stiffness *= self._weights.hardening
-        if cost_of_smoothness is None:
-            cost_of_smoothness = self._weights.smoothness_costs[0]
-        setting[st.SMOOTHNESS_COST] = cost_of_smoothness
-        quantum, longer = float(self._problem.scalar[at.QUANTUM]), 0
+        smoothness = smoothness or self._weights.smoothnesses[0]
+        setting[st.SMOOTHNESS_COST] = smoothness.cost
+        quantum, longer, trials = float(self._problem.scalar[at.QUANTUM]), 0, LAST_TRIALS
         for replay in range(REPLAYS):
-            damping = self._round(HARD, LAST_TRIALS, damping)
+            damping = self._round(HARD, trials, damping)
             if quantum > 0.0 and (replay == 0 or (replay > 1 and self._lanes.at_goal[0] == 0)):
                 self._fix_durations(quantum, longer)
                 damping, longer = self._round(HARD, LAST_TRIALS, damping), 1
-            failed = self._kernels.replay(self._n, self._problem, setting, self._work, self._lanes, self._braking)
+            failed = self._replay()
             if failed == 0:
-                return self._result()
+                found = self._result()
+                return found if smoothness.longer == 0.0 else self._smoothed(found, smoothness.longer, damping)
             if failed >= st.UNSAFE:
                 break
+            trials = self._weights.trials_again
         return None
 
-    def _round(self, stiffness: float, trials: int, damping: float) -> float:
-        """Steps at one stiffness of the model, with Levenberg's damping; returns the damping that was found good."""
+    def _smoothed(self, found: Guess, longer: float, damping: float) -> Guess:
+        """The current trajectory, which is `found`, with smaller changes of controls, in up to `longer` of its time more.
+
+        Their weight rises while the trajectory takes less time than that, and falls where it takes more.  It is `found`
+        itself if the other one does not pass the checks.
+        """
+        self._setting[st.SMOOTHNESS_COST] = math.inf
+        damping = self._round(HARD, SMOOTHING_TRIALS, damping, self._weight_for(found.time, longer))
+        for _ in range(REPLAYS):
+            failed = self._replay()
+            if failed == 0:
+                result = self._result()
+                return result if result.time < (1.0 + MOST_LONGER * longer) * found.time else found
+            if failed >= st.UNSAFE:
+                break
+            damping = self._round(HARD, self._weights.trials_again, damping)
+        return found
+
+    def _weight_for(self, time: float, longer: float) -> Callable[[], bool]:
+        """Function that sets the weight of the changes for a step, and tells whether it is to be made."""
+        setting, least = self._setting, float(self._setting[st.SMOOTHNESS])
+        most, enough = (1.0 + longer) * time, (1.0 + ENOUGH_LONGER * longer) * time
+        factor, steps = SMOOTHER, 0
+
+        def set_weight() -> bool:
+            nonlocal factor, steps
+            takes = float(self._work.inputs[: self._n, -1].sum())
+            if steps > 0:
+                factor *= SMOOTHER_STEP if takes < most else 1.0 / SMOOTHER_STEP
+                factor = min(max(factor, LEAST_SMOOTHER), MOST_SMOOTHER)
+            setting[st.SMOOTHNESS] = factor * least
+            steps += 1
+            return steps <= SMOOTHING_STEPS or takes >= enough
+
+        return set_weight
+
+    def _replay(self) -> int:
+        """Edges of the current trajectory that fail, see `replay` of the kernels."""
+        return self._kernels.replay(self._n, self._problem, self._setting, self._work, self._lanes, self._braking)
+
+    def _round(
+        self, stiffness: float, trials: int, damping: float, set_weight: Callable[[], bool] | None = None
+    ) -> float:
+        """Steps at one stiffness of the model, with Levenberg's damping; returns the damping that was found good.
+
+        They end when a step saves little, or when `set_weight`, which is called before each, returns false.
+        """
         kernels, setting, n = self._kernels, self._setting, self._n
         work, stages, backward = self._work, self._stages, self._backward
         setting[st.STIFFNESS] = stiffness
@@ -150,6 +211,8 @@ class Polish:
         merit, improved = math.inf, True
         for _ in range(trials):
             if improved:
+                if set_weight is not None and not set_weight():
+                    break
                 kernels.approximate(*arguments)
                 merit = kernels.evaluate(*arguments, backward, False)
             found = math.inf
@@ -163,7 +226,7 @@ class Polish:
                 continue
             work.states[: n + 1], work.inputs[:n] = work.tried_states[: n + 1], work.tried_inputs[:n]
             damping = max(0.2 * damping, LEAST_DAMPING)
-            if merit - found < CONVERGED * setting[st.EVEN] * n:
+            if set_weight is None and merit - found < CONVERGED * setting[st.EVEN] * n:
                 break
         return min(damping, 1e3)
 

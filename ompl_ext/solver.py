@@ -22,7 +22,8 @@ from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to
 from ompl_ext.query_tree import Progress, QueryTree
 from ompl_ext.vehicle import Vehicle
 
-FIRST_CHUNK = 16  # iterations between readings of the clock until a solution is found
+FIRST_CHUNK = 64  # iterations between readings of the clock until a solution is found, which ends them early
+FIRST_ROUND = 16  # iterations of each thread before the first exchange of the best cost; doubled from one to the next
 PRUNE_EVERY = 4096  # iterations
 LONGEST_ROUND = 1024  # iterations of each thread between two exchanges of the best cost
 ROUNDS_TO_PRUNING = 4
@@ -181,15 +182,16 @@ class DirtSolver(QueryTree):
             if iterations is None:
                 self._trees[0].reserve(count * self._insertions)
             elapsed_before, before = elapsed, int(self._tree.count[at.ITERATIONS])
-            self._trees[0].grow(self._problem, count)
-            left -= int(self._tree.count[at.ITERATIONS]) - before
+            self._trees[0].grow(self._problem, count, until_plan=not at_once)
+            done = int(self._tree.count[at.ITERATIONS]) - before
+            left -= done
             elapsed = self._after_growing(base, began, seconds)
             if self._tree.count[at.FULL] or self._prunes_now():
                 prune(self._tree)
                 if not self._trees[0].has_room(fixed=iterations is not None):
                     break  # the remaining nodes are needed, and there is no memory for better ones
             if self._progress.history and not at_once:
-                chunk = _next_chunk(count, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
+                chunk = _next_chunk(done, elapsed - elapsed_before, None if seconds is None else seconds - elapsed)
         self._insert_polished()
         return self._progress
 
@@ -208,7 +210,7 @@ class DirtSolver(QueryTree):
         left = iterations if iterations is not None else 2**62
         base, began, elapsed, trees = self._progress.seconds, time.perf_counter(), 0.0, len(self._trees)
         while left > 0 and (seconds is None or elapsed < seconds) and not (stop is not None and stop()):
-            longest = min(FIRST_CHUNK << min(self._rounds, 10), LONGEST_ROUND)
+            longest = min(FIRST_ROUND << min(self._rounds, 10), LONGEST_ROUND)
             shares = [min(longest, left // trees + (k < left % trees)) for k in range(trees)]
             if iterations is None:
                 for each in self._trees:
@@ -405,8 +407,8 @@ class DirtSolver(QueryTree):
         assert self.goal is not None
         tree, nu = self._tree, len(self.vehicle.controls)
         begin = float(tree.value[head[-1], at.COST]) if head else 0.0
-        for share in weights_of(self.goal).smoothness_costs:
-            found = self._polish.improve(guess, self.goal, begin, urgency, share) if guess.time > 0.0 else None
+        for smoothness in weights_of(self.goal).smoothnesses:
+            found = self._polish.improve(guess, self.goal, begin, urgency, smoothness) if guess.time > 0.0 else None
             if found is None:
                 return False
             durations = np.concatenate([tree.edge[head, nu], found.durations])

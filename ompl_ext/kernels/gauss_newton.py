@@ -75,7 +75,7 @@ M = NU + 1
 SPEED = LAYOUT.rest[0] if LAYOUT.rest else -1
 WIDTH = LANE_WIDTH
 WITHIN_LIMITS = 1e-3  # share of a component's range, at most of 1, by which it is to stay within its limits
-LEAST_MARGIN = 0.2  # added to what an edge lacks, in cells of the field
+LEAST_MARGIN, MARGIN_SHARE = 0.1, 0.5  # what an edge gets more: cells of the field, and a share of what it lacks
 CHANGE = 1e-6  # of numerical derivatives, in a control as a share of its range
 
 edge, brake = search().edge, search().brake
@@ -368,10 +368,11 @@ def weigh(n: int, problem: Problem, setting: Floats, work: Shooting, stages: Sta
 def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: Lanes, braking: Lanes) -> int:
     """Edges that fail when the tree's own propagation and checks follow the controls, and 1 more outside the goal.
 
-    Where one fails, the states at its ends get more margin, by what it lacks and a little more, at most a cell.
+    Where one fails, the states at its ends get more margin, at most a cell.  It is less than what the edge lacks: a step
+    over the border of a cell of the field gains a whole cell, and margin that is not needed makes turns tighter.
     """
     cell = 1.0 / problem.scalar[GRID_INVERSE]
-    failed, time, first = int64(0), setting[BEGIN], int64(0)
+    failed, time, first, before = int64(0), setting[BEGIN], int64(0), 0.0
     for i in range(NX):
         lanes.source[i] = work.states[0, i]
     for k in range(n):
@@ -379,11 +380,13 @@ def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: La
             lanes.control[i * WIDTH] = work.inputs[k, i]
         set_duration(problem, lanes, first, work.inputs[k, NU])
         edge(problem, lanes, time)
+        more = 0.0
         if lanes.slack[0] < 0.0:
             failed += 1
-            more = min(LEAST_MARGIN * cell - lanes.slack[0], cell)
-            work.margin[k] += more
-            work.margin[k + 1] += more
+            more = min(LEAST_MARGIN * cell - MARGIN_SHARE * lanes.slack[0], cell)
+        work.margin[k] += max(more - before, 0.0)
+        work.margin[k + 1] += more
+        before = more
         if requires_safety(problem, time, first, lanes) and brake(problem, lanes, braking, time) < 0:
             failed += UNSAFE
         time += work.inputs[k, NU]

@@ -24,6 +24,7 @@ from ompl_ext.kernels.functions import (  # fmt: skip
     call_propagate,
 )
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    BEST,
     CUT_AT_GOAL,
     FULL,
     LANES,
@@ -82,12 +83,20 @@ def safe(lane: int, start_time: float, problem: Problem, work: Lanes, brake: Lan
 
 
 def _grow(
-    tree: Tree, problem: Problem, work: Lanes, brake: Lanes, q: Floats, retained: Retained, iterations: int
+    tree: Tree,
+    problem: Problem,
+    work: Lanes,
+    brake: Lanes,
+    q: Floats,
+    retained: Retained,
+    iterations: int,
+    until_plan: bool,
 ) -> None:
     dirt.retain(tree, problem, work, brake, retained, propagate, check, safe)
+    waiting = until_plan and tree.count[BEST] < 0
     for _ in range(iterations):
         dirt.visit(tree, problem, work, brake, q, propagate_to_goal, check, safe)
-        if tree.count[FULL] == 1:
+        if tree.count[FULL] == 1 or (waiting and tree.count[BEST] >= 0):
             return
 
 
@@ -125,9 +134,12 @@ def _pose(
 
 @dataclass(frozen=True)
 class Search:
-    """Compiled search: `grow` adds edges of an earlier plan and visits nodes; single edges, manoeuvres and poses."""
+    """Compiled search: single edges, manoeuvres, poses, and `grow`.
 
-    grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int], None]
+    `grow` adds edges of an earlier plan and visits nodes, so many or, if it is to, until there is a first plan to the goal.
+    """
+
+    grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int, bool], None]
     edge: Callable[[Problem, Lanes, float], None]
     brake: Callable[[Problem, Lanes, Lanes, float], int]
     pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
@@ -139,7 +151,10 @@ def search() -> Search:
     floats, matrix, number = types.float64[::1], types.float64[:, ::1], types.float64
     maps = types.float32[:, ::1], types.int32[:, ::1], types.uint16[:, ::1], matrix, floats
     return Search(
-        compiled(_grow, signature=types.void(TREE, PROBLEM, LANES, LANES, floats, RETAINED_EDGES, types.int64)),
+        compiled(
+            _grow,
+            signature=types.void(TREE, PROBLEM, LANES, LANES, floats, RETAINED_EDGES, types.int64, types.boolean),
+        ),
         compiled(_edge, signature=types.void(PROBLEM, LANES, number)),
         compiled(_brake, signature=types.int64(PROBLEM, LANES, LANES, number)),
         compiled(_pose, signature=number(*maps, number, number, number)),

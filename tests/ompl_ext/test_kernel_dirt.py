@@ -72,6 +72,17 @@ def test_looks_at_the_clock_change_nothing_when_memory_runs_out_either(monkeypat
     assert len(set(trees)) == 1
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_search_knows_of_its_first_plan_at_once(seed: int) -> None:
+    dirt = turns()
+    dirt.start(START, seed)
+    progress = dirt.grow(stop=lambda: bool(dirt.progress.history))
+    assert progress.iterations == progress.first_iteration
+    best = dirt.plan()
+    assert best is not None
+    assert best.cost == progress.history[0][1]
+
+
 def test_different_seeds_give_different_trees() -> None:
     dirt, trees = turns(), set()
     for seed in (0, 1, 2, -1, 2**63):

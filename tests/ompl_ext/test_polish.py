@@ -12,8 +12,9 @@ from kraft.planning.workspace import goal_of, settings_of, start_state, workspac
 from kraft.scenario import load_scenario
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.kernels import kernel_types as at
 from ompl_ext.plan import Plan
-from ompl_ext.polish import Guess, divided, interval_of
+from ompl_ext.polish import MOST_LONGER, USUAL, Guess, Polish, divided, guess_of, interval_of
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
@@ -46,6 +47,35 @@ def test_an_optimised_plan_costs_less_and_hardly_changes_its_controls(seed: int)
     usual, polished = (plan_of(turns(polish), START, seed) for polish in (False, True))
     assert polished.cost < 9.65 < usual.cost
     assert steering_changes(BENCHMARK, polished) < 0.2 * steering_changes(BENCHMARK, usual)
+
+
+@pytest.mark.parametrize("scenario", ["turns", "boxes"])
+def test_smoothing_reduces_the_changes_of_the_controls_and_takes_a_share_of_the_time_at_most(scenario: str) -> None:
+    task = load_scenario(scenario).task()
+    goal, start = goal_of(task), start_state(task, BENCHMARK)
+    dirt = DirtSolver(BENCHMARK, workspace_of(task, BENCHMARK), goal, NO_SAFETY, Settings(polish=False))
+    polish, smoothest = Polish(BENCHMARK, dirt.problem), USUAL.smoothnesses[0]
+    for seed in range(3):
+        plan = plan_of(dirt, start, seed)
+        guess = guess_of(BENCHMARK, plan.times, plan.trajectory, plan.controls, plan.durations)
+        rough, smooth = (polish.improve(guess, goal, smoothness=each) for each in (smoothest._replace(longer=0.0), None))
+        assert rough is not None
+        assert smooth is not None
+        changes = [np.abs(np.diff(each.controls[:, 1])).sum() for each in (rough, smooth)]
+        assert changes[1] < 0.98 * changes[0]
+        assert smooth.time < (1.0 + MOST_LONGER * smoothest.longer) * rough.time
+
+
+def test_edges_that_fail_beside_each_other_do_not_add_up_what_clearance_they_ask_for() -> None:
+    dirt = turns(polish=False)
+    polish, count = Polish(BENCHMARK, dirt.problem), 60
+    states = np.linspace(START, START + [0.0, 6.0, 0.0, 0.6], count + 1)  # straight through both obstacles
+    ahead = np.column_stack([np.ones(count), np.zeros(count)])
+    polish._load(Guess(states, ahead, np.full(count, 0.16)), GOAL, 0.0, 1.0)
+    assert polish._replay() > 10
+    margin = polish._work.margin[: count + 1]
+    cell = 1.0 / float(dirt.problem.scalar[at.GRID_INVERSE])
+    assert margin.max() == pytest.approx(cell)  # the walls are thicker than a cell
 
 
 @pytest.mark.parametrize(("scenario", "name"), [("boxes", "mushr"), ("posts", "jackal"), ("turns", "unicycle2")])
