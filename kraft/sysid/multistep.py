@@ -39,8 +39,6 @@ curves; others, which follow from the commands, in their unit."""
 CONVERGED = 1e-5
 """Relative decrease of the cost by a step below which a fit has converged, if the one before was as small."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-7, 1e7
-STEP_SHARES = (1.0, 0.5, 0.0)
-"""Shares of the step of its linearised problem that are tried for the initial state of a window."""
 LEAD, SETTLING = 1.0, 1.0
 """Time before a window whose commands show components of its initial state that poses do not show, and time for which
 the command before is held, s."""
@@ -241,9 +239,7 @@ class MultiStep:
 
     def residuals(self, point: Point) -> Floats:
         """(W, n, 3) predicted less observed, 0 where there is no pose."""
-        return self._residuals(self.predict([point.states], [point.rho])[0])
-
-    def _residuals(self, predicted: Floats) -> Floats:
+        predicted = self.predict([point.states], [point.rho])[0]
         off: Floats = (predicted - self.windows.poses) * self.windows.seen[..., None]
         if not self.problem.observation.turns:
             off[..., 2] = 0.0
@@ -251,19 +247,13 @@ class MultiStep:
 
     def cost(self, point: Point) -> float:
         """Half of the sum of squared residuals in standard deviations, with the robust loss for poses."""
-        means = self._means(point.states)[0]
-        own = self._window_costs(self.residuals(point), point.states, self.prior_states(point.rho), means)
-        total = float(own.sum() + 0.5 * np.sum(means**2 * self._between))
-        total += 0.5 * float(np.sum(self.problem.prior_residuals(point.rho) ** 2))
+        off = (point.states - self.prior_states(point.rho))[:, : self._nx] / self._observed[1]
+        means, varied = self._means(point.states)
+        share = self._misfit(self.residuals(point)) / MISFIT_FREEDOM
+        total = 0.5 * float(np.sum(self._counts * (MISFIT_FREEDOM + 1.0) * np.log1p(share)))
+        total += 0.5 * float(np.sum(varied**2 * self._within) + np.sum(means**2 * self._between))
+        total += 0.5 * float(np.sum(off**2) + np.sum(self.problem.prior_residuals(point.rho) ** 2))
         return total if np.isfinite(total) else np.inf
-
-    def _window_costs(self, off: Floats, states: Matrix, expected: Matrix, means: Matrix) -> Floats:
-        """(W,) cost of each window with residuals `off` (W, n, 3), given the means (folds, nv) of the drives."""
-        begun = (states - expected)[:, : self._nx] / self._observed[1]
-        varied = states[:, self._nx :] - means[self.windows.fold]
-        costs: Floats = self._counts * (MISFIT_FREEDOM + 1.0) * np.log1p(self._misfit(off) / MISFIT_FREEDOM)
-        costs += np.sum(begun**2, axis=1) + np.sum(varied**2 * self._within, axis=1)
-        return 0.5 * costs
 
     def _means(self, states: Matrix) -> tuple[Matrix, Matrix]:
         """Best means (folds, nv) of the parameters that vary, and the deviations (W, nv) of the windows from them."""
@@ -388,27 +378,13 @@ class MultiStep:
         return Variation.of(self.variation.names, np.clip(found, VARIATION_MIN * before, before / VARIATION_MIN))
 
     def moved(self, change: Floats) -> Point:
-        """Point with rho changed, each window beginning where it fits best on the way to the linearised problem's best.
-
-        The step of a window whose motion is far from linear, such as one about standstill, may be too long.  The step
-        of the other windows and of rho would be refused with it, and the fit would end beside its minimum.
-        """
+        """Point with rho changed, each window beginning at the best of the linearised problem."""
         rho, known = self.problem.parameters.within_bounds(self._point.rho + change), len(self._free)
-        means = -(self._mean_solved[..., :-1] @ change[self._free] + self._mean_solved[..., -1])[self.windows.fold]
+        means = -(self._mean_solved[..., :-1] @ change[self._free] + self._mean_solved[..., -1])
         step = -(self._solved[..., :known] @ change[self._free] + self._solved[..., -1])
-        step -= np.einsum("wxv,wv->wx", self._solved[..., known:-1], means)
-        expected = self.prior_states(rho)
-        begin = self._shifted(self._point.states, self._point.rho, rho, expected)
-        begin[:, self._nx :] += means  # a window stays as far from the mean of its drive
-        step[:, self._nx :] -= means
-        starts = [begin + share * step for share in STEP_SHARES]
-        means = self._means(starts[0])[0]
-        costs = np.array([
-            self._window_costs(self._residuals(poses), states, expected, means)
-            for poses, states in zip(self.predict(starts, [rho] * len(starts)), starts, strict=True)
-        ])  # fmt: skip
-        best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
-        return replace(self._point, states=np.array(starts)[best, np.arange(len(best))], rho=rho)
+        step -= np.einsum("wxv,wv->wx", self._solved[..., known:-1], means[self.windows.fold])
+        states = self.shifted(self._point.states, self._point.rho, rho) + step
+        return replace(self._point, states=states, rho=rho)
 
 
 def fit(
