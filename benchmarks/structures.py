@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
-from benchmarks.synthetic_logs import CommandSeries, synthetic_logs
+from benchmarks.synthetic_logs import FINE, CommandSeries, synthetic_logs
 from kraft.logs.log import Log
 from kraft.sysid.acceptance import identify_car
 from kraft.sysid.interface import Settings
@@ -109,9 +109,13 @@ def terms_of(truth: Mapping[str, float]) -> frozenset[str]:
 
 
 def commands(rng: np.random.Generator) -> CommandSeries:
-    """Levels of throttle and steering, among them coasting and braking."""
+    """Levels of throttle and steering, among them coasting and braking.
+
+    They change where a step of the synthetic drive begins.  Otherwise every change would act up to half a step earlier
+    or later than recorded, which moves the car by far more than the noise of its poses: no term is such an effect.
+    """
     times = np.cumsum([0.0, *rng.uniform(0.5, 1.8, round(2 * SECONDS))])
-    times = times[times < SECONDS]
+    times = FINE * np.round(times[times < SECONDS - FINE] / FINE)
     throttle = rng.uniform(0.2, 1.0, len(times))
     kind = rng.random(len(times))
     throttle = np.where(kind < 0.12, 0.0, np.where(kind < 0.24, -0.6 * throttle, throttle))

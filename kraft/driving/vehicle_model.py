@@ -314,7 +314,7 @@ class CarModel(VehicleModel):
         states = np.empty((steps + 1, count, len(self.vehicle.state)))
         kernels.simulate(
             np.zeros((count, len(self.vehicle.state))), controls, np.tile(self._parameters, (count, 1)),
-            np.full((steps, count), MAX_STEP), np.zeros(kernels.block), states,
+            np.full((steps, count), MAX_STEP), False, np.zeros(kernels.block), states,
         )  # fmt: skip
         last: Matrix = states[-1]
         return last

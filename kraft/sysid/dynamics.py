@@ -411,7 +411,8 @@ class DiscreteModel:
         `h` is (m,) or (steps, m), s.
         """
         states = np.empty((len(u) + 1, *start.shape))
-        self._kernels.simulate(start, u, p, np.array(np.broadcast_to(h, u.shape[:2]), order="C"), self._block(), states)
+        steps = np.array(np.broadcast_to(h, u.shape[:2]), order="C")
+        self._kernels.simulate(start, u, p, steps, True, self._block(), states)
         return states
 
     def _block(self) -> Floats:

@@ -152,17 +152,18 @@ def identify_terms(
     path = search.path()
     simplest = search.converged(chosen(path))
     best = search.completed(simplest, path)
+    best, final = search.in_long_windows(best, path)
     trials = [simplest if s.terms == simplest.terms else s for s in path]
     trials += [] if best is simplest else [best]
     if simpler is not None and steered.changes:
         other = StructureSearch(simpler, usable, settings, on_iteration)
         other.growth = search.growth
         alike = other.alike(best)
-        search.iterations += other.iterations
+        final.iterations += other.iterations
         trials.append(alike)
         if set(best.terms) <= set(alike.terms) and is_near(alike, best_of(path), NEGLIGIBLE):
             vehicle, best = simpler, alike
-    identification = _identified(best, search, usable, settings)
+    identification = _identified(best, final, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
     notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))

@@ -13,6 +13,9 @@ that effects of the discrete steps would be taken for terms.
 Errors of predictions depend on the few windows with the largest ones, so that a term which acts in other windows does
 not show in them.  The likelihood of all poses shows it: a term that was switched off is switched on again if the cost
 falls by more than noise and differences between folds explain, and the predictions do not get worse.
+
+A model whose error does not grow beyond the noise of the poses is also compared in longer windows, which tell more:
+fewer unknown states at their beginnings explain what a term does.
 """
 
 from __future__ import annotations
@@ -87,6 +90,12 @@ SIZE_MIN: Final = 0.15
 """Least size of a term that is switched on again, over the standard deviation of what is known of cars.
 
 The discrete steps of the model look like a term of up to 0.13."""
+LONG_WINDOW: Final = 15.0
+"""Length of the windows in which models are compared whose error does not grow, s."""
+SURELY_NEEDED: Final = 200.0
+"""Linearised decrease of the cost by a term from which its likelihood needs no fit without it.
+
+The effect of a term may rise with the fourth power of its size (`slide`): its decrease is then a sixteenth of that."""
 REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
 DIVERGED: Final = 1e6
@@ -128,21 +137,22 @@ class StructureSearch:
         logs: Sequence[Log],
         settings: Settings,
         on_iteration: OnIteration,
+        window: float | None = None,
     ) -> None:
-        """Cut the logs into windows, and measure the noise of the poses."""
+        """Cut the logs into windows of the horizon, or of about `window` s, and measure the noise of the poses."""
         self.vehicle, self.settings = vehicle, settings
         chosen = settings.auxiliary
         self.auxiliary = chosen if isinstance(chosen, tuple) else () if chosen == "none" else AUXILIARY
         self.model: Vehicle = vehicle_of(vehicle)
         self.iterations, self._on_iteration = 0, on_iteration
-        self._logs = len(logs)
+        self._logs = logs
         parts = [part for log in logs for part in log.parts]
         noise = settings.noise or measured_noise([p.pose_times for p in parts], [p.poses for p in parts])
         found = [
             (segment, part)
             for i, log in enumerate(logs)
             for part in log.parts
-            for segment in _windows(thinned(part, settings.step), i, settings)
+            for segment in _windows(thinned(part, settings.step), i, settings, window)
         ]
         segments = [segment for segment, _ in found]
         self.noise: NoiseModel = noise_model(self.model, settings, noise)
@@ -262,6 +272,56 @@ class StructureSearch:
             if np.allclose(self.variation.between, before.between, rtol=VARIATION_CHANGE):
                 break
         return replace(self._judged(structure.terms, graph, optimum), without=structure.without)
+
+    def is_exact(self, structure: Structure) -> bool:
+        """Whether the model's error stays below the noise of the poses over the longest window."""
+        growth = _error_growth(structure.graph, structure.optimum.point)
+        longest = float(self.windows.since.max())
+        return bool(np.all(growth * longest <= structure.graph.noise.pose_sigmas))
+
+    def in_long_windows(self, structure: Structure, path: Sequence[Structure]) -> tuple[Structure, StructureSearch]:
+        """The structure with the terms that the likelihood of long windows shows, and the search in these.
+
+        The structure as it is, and this search, if the model's error grows or the logs are short.
+        """
+        longer = StructureSearch(self.vehicle, self._logs, self.settings, self._on_iteration, LONG_WINDOW)
+        longer.growth, longer.variation, longer.iterations = self.growth, self.variation, self.iterations
+        if longer.windows.folds != self.windows.folds or not self.is_exact(structure):
+            return structure, self
+        graph = longer.graph(structure.terms)
+        begin = graph.start(structure.optimum.point.rho)
+        found = longer.converged(longer._judged(structure.terms, graph, longer._optimise(graph, begin)))
+        if not longer.is_exact(found):
+            return structure, self
+        found = longer._shown(longer._with_shown(found, path))
+        return (found, longer) if is_near(found, structure, NEGLIGIBLE) else (structure, self)
+
+    def _with_shown(self, structure: Structure, path: Sequence[Structure]) -> Structure:
+        """The structure with those of the other terms on that the likelihood shows, the one with the largest gain first."""
+        tried = {name: self._with(structure, name, _last_with(path, name)) for name in self.candidates
+                 if name not in structure.terms}  # fmt: skip
+        for name in sorted(tried, key=lambda name: tried[name].optimum.cost):
+            more = tried[name]
+            if not _gains(more, name, structure.optimum.cost - more.optimum.cost):
+                continue
+            if structure.added:  # another term is on by now
+                more = self._with(structure, name, more)
+            if _gains(more, name, structure.optimum.cost - more.optimum.cost) and is_near(more, structure, 0.0):
+                structure = replace(more, added=", ".join(filter(None, (structure.added, name))))
+        return structure
+
+    def _shown(self, structure: Structure) -> Structure:
+        """The structure without those terms that the likelihood does not show, and that predictions do not need."""
+        for name in sorted(structure.terms, key=lambda name: linearised_cost(structure)[name]):
+            if linearised_cost(structure).get(name, 0.0) > SURELY_NEEDED:
+                continue
+            less = self.converged(self.without(structure, name))
+            if not _is_shown(structure, name, less.optimum.cost - structure.optimum.cost) and is_near(
+                less, structure, NEGLIGIBLE
+            ):
+                without = ", ".join(filter(None, (structure.without, name)))
+                structure = replace(less, added=structure.added, without=without)
+        return structure
 
     def completed(self, structure: Structure, path: Sequence[Structure]) -> Structure:
         """The structure with those terms on again that the likelihood shows, and with which it predicts as well."""
@@ -418,8 +478,24 @@ def _is_shown(structure: Structure, name: str, gain: float) -> bool:
     return gain / disagreement > max(narrowed, GAIN_MIN)
 
 
+def _gains(structure: Structure, name: str, gain: float) -> bool:
+    """Whether a term is as large as in cars, and more probable than none by the decrease `gain` of the cost."""
+    return _size(structure, name) >= SIZE_MIN and _is_shown(structure, name, gain)
+
+
+def _last_with(path: Sequence[Structure], name: str) -> Structure:
+    """The last structure of a path that has a term."""
+    return next(structure for structure in reversed(path) if name in structure.terms)
+
+
 def _cheapest(structure: Structure) -> str:
     """Term whose switching off raises the linearised cost least."""
+    cost = linearised_cost(structure)
+    return min(cost, key=lambda name: cost[name])
+
+
+def linearised_cost(structure: Structure) -> dict[str, float]:
+    """Increase of the linearised cost by switching off each term."""
     p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
     held = held_at_bounds(factors, p.low - rho, p.high - rho)
     cost = {}
@@ -434,8 +510,8 @@ def _cheapest(structure: Structure) -> str:
             total[k, k]
             - total[k, others] @ np.linalg.lstsq(total[np.ix_(others, others)], total[others, k], rcond=None)[0]
         )
-        cost[name] = schur * move**2
-    return min(cost, key=lambda name: cost[name])
+        cost[name] = float(0.5 * schur * move**2)
+    return cost
 
 
 def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, chosen: Bools) -> Floats:
@@ -469,13 +545,13 @@ def _error_growth(graph: MultiStep, point: Point) -> Floats:
     return growth
 
 
-def _windows(part: Part, log: int, settings: Settings) -> list[Segment]:
-    """Windows of the horizon, one after the other; the whole part if it is shorter."""
+def _windows(part: Part, log: int, settings: Settings, wanted: float | None) -> list[Segment]:
+    """Windows of the horizon, one after the other, or of about the `wanted` length; the whole part if it is shorter."""
     times = part.pose_times
     if part.duration < WINDOW_MIN:
         return []
-    count = max(1, int(part.duration / settings.horizon + 1e-6))
-    length = min(part.duration, settings.horizon)
+    count = max(1, round(part.duration / wanted) if wanted else int(part.duration / settings.horizon + 1e-6))
+    length = part.duration / count if wanted else min(part.duration, settings.horizon)
     resting = begins_at_rest(part)
     found = []
     for k in range(count):

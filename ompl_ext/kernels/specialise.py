@@ -66,7 +66,7 @@ class StepKernels:
     """Compiled steps of one vehicle's model, see `steps`; `block` is the length of the working block."""
 
     linearise: Callable[[Matrix, Matrix, Floats, Floats, Floats, Floats, Matrix, Floats], None]
-    simulate: Callable[[Matrix, Floats, Matrix, Matrix, Floats, Floats], None]
+    simulate: Callable[[Matrix, Floats, Matrix, Matrix, bool, Floats, Floats], None]
     block: int
 
 

@@ -26,6 +26,8 @@ AT_CONTROL = NX * WIDTH  # the working block: state, control, parameters, step, 
 AT_PARAMETERS = AT_CONTROL + NU * WIDTH
 AT_STEP = AT_PARAMETERS + NP * WIDTH
 AT_NEXT = AT_STEP + WIDTH
+SPEED = VEHICLE.rest_indices[0] if VEHICLE.rest else -1  # of its direction forces depend: brakes, friction
+CROSSING_ROUNDS = 4  # false position on a nearly linear speed: to the order of 1e-6 of a step
 BLOCK = AT_NEXT + NX * WIDTH
 
 derivative = VEHICLE.derivative
@@ -45,6 +47,26 @@ def step_lanes(block: Floats, lanes: int) -> None:
         u = actuation(load_control(block, i), p)
         after, _, _ = rk4_step(load_state(block, i), u, p, block[AT_STEP + i])
         store_next(block, AT_NEXT, i, after)
+
+
+@part
+def step_over_standstill(block: Floats, i: int) -> None:
+    """Repeat the step of lane i, in which the speed changes its sign, as one step to standstill and one from there.
+
+    Forces jump at standstill.  A step across a jump has an error of its own order, which depends on where in the step
+    the jump is, so that motions are not smooth functions of the parameters.
+    """
+    p = load_parameters(block, i)
+    u = actuation(load_control(block, i), p)
+    x = load_state(block, i)
+    whole, speed, reached = block[AT_STEP + i], x[SPEED], block[AT_NEXT + SPEED * WIDTH + i]
+    until, middle = whole, x
+    for _ in range(CROSSING_ROUNDS):
+        until = min(until * speed / (speed - reached), whole)
+        middle, _, _ = rk4_step(x, u, p, until)
+        reached = middle[SPEED]
+    after, _, _ = rk4_step(middle, u, p, whole - until)
+    store_next(block, AT_NEXT, i, after)
 
 
 @part
@@ -94,10 +116,13 @@ def _linearise(
                 block[j * WIDTH + i] += change[j]
 
 
-def _simulate(start: Matrix, u: Floats, p: Matrix, h: Matrix, block: Floats, states: Floats) -> None:
+def _simulate(
+    start: Matrix, u: Floats, p: Matrix, h: Matrix, to_standstill: bool, block: Floats, states: Floats
+) -> None:
     """Open-loop motions: `states` (steps + 1, m, nx) from `start` (m, nx) with controls `u` (steps, m, nu).
 
-    Lane i of m has parameters `p` (m, np); its step k takes h[k, i] s.
+    Lane i of m has parameters `p` (m, np); its step k takes h[k, i] s.  With `to_standstill` a step in which the speed
+    changes its sign is split there.
     """
     for first in range(0, len(start), WIDTH):
         lanes = min(WIDTH, len(start) - first)
@@ -113,6 +138,10 @@ def _simulate(start: Matrix, u: Floats, p: Matrix, h: Matrix, block: Floats, sta
                 for k in range(NU):
                     block[AT_CONTROL + k * WIDTH + i] = u[step, first + i, k]
             step_lanes(block, lanes)
+            if to_standstill and SPEED >= 0:
+                for i in range(lanes):
+                    if block[SPEED * WIDTH + i] * block[AT_NEXT + SPEED * WIDTH + i] < 0.0:
+                        step_over_standstill(block, i)
             for i in range(lanes):
                 for k in range(NX):
                     value = block[AT_NEXT + k * WIDTH + i]
@@ -126,4 +155,4 @@ linearise = compiled(
     folder=FOLDER,
     signature=types.void(_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _CUBE),
 )
-simulate = compiled(_simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _MATRIX, _VECTOR, _CUBE))
+simulate = compiled(_simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _MATRIX, types.boolean, _VECTOR, _CUBE))

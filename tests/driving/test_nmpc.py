@@ -148,7 +148,7 @@ def costs_of(settings: Nmpc, plan: Reference, state: Any, controls: Any) -> Any:
     states = np.empty((settings.steps + 1, count, 4))
     kernels.simulate(
         np.tile(state, (count, 1)), np.ascontiguousarray(controls.transpose(1, 0, 2)),
-        np.tile(model().parameters, (count, 1)), np.full((settings.steps, count), settings.step), np.zeros(kernels.block), states,
+        np.tile(model().parameters, (count, 1)), np.full((settings.steps, count), settings.step), False, np.zeros(kernels.block), states,
     )  # fmt: skip
     total, last = np.zeros(count), np.tile(model().rest, (count, 1))
     for k in range(settings.steps):

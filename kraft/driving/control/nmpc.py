@@ -135,7 +135,7 @@ class NmpcController:
         begin = np.asarray(estimate.state, dtype=float)
         self._kernels.simulate(
             np.tile(begin, (count, 1)), controls, np.tile(model.parameters, (count, 1)),
-            np.full((settings.steps, count), settings.step), np.empty(self._kernels.block), states,
+            np.full((settings.steps, count), settings.step), False, np.empty(self._kernels.block), states,
         )  # fmt: skip
         away = ((states[1:, :, [model.x, model.y]] - targets[:, None, :2]) ** 2).sum(axis=(0, 2))
         best = int(away.argmin())
