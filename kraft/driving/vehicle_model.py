@@ -114,7 +114,7 @@ class VehicleModel:
         start, controls = np.empty((count, len(state))), np.empty((1, count, len(control)))
         start[:], controls[:] = state, control
         kernels.simulate(
-            start, controls, np.ascontiguousarray(parameters), np.full((1, count), INSTANT),
+            start, controls, np.ascontiguousarray(parameters), np.full((1, count), INSTANT), False,
             np.zeros(kernels.block), states,
         )  # fmt: skip
         rates: Matrix = (states[1] - state) / INSTANT
