@@ -196,7 +196,7 @@ class ClosedLoopPredictor:
         return PredictedMotion(times[: len(states)], states, slack)
 
     def _ticks(self, times: Floats, durations: Floats, since: Floats) -> Ticks:
-        """Ticks at `times` (n,) s for `durations` (n,) s, all but the last for a period, `since` (n,) s after the begin."""
+        """Ticks at `times` (n,) s, `since` s after the begin, for `durations` (n,): a period, but for the last."""
         steps = np.full(len(times), self.dirt.steps_of(self.period))
         if len(times) > 0:
             steps[-1] = self.dirt.steps_of(float(durations[-1]))

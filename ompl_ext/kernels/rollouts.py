@@ -49,9 +49,15 @@ load_state, load_control, store_input = _planner.load_state, _planner.load_contr
 load_parameters, load_low, load_high = _planner.load_parameters, _planner.load_low, _planner.load_high
 AT_INPUT, AT_STEP, AT_OUTSIDE = _planner.AT_INPUT, _planner.AT_STEP, _planner.AT_OUTSIDE
 AT_COS, AT_SIN = _checks.AT_COS, _checks.AT_SIN
-AT_CONTROL = AT_INPUT + _planner.NI * WIDTH  # the working block: that of `lanes`, controls, whether a rollout goes on
-AT_GOING = AT_CONTROL + NU * WIDTH
-BLOCK = AT_GOING + WIDTH
+# The working block: that of `lanes`, the controls of all rollouts of a batch, those of the lanes; the rollout of a
+# lane, its clearance and the one that is enough, a place in the clearance field and the value there
+AT_CUT = AT_INPUT + _planner.NI * WIDTH
+AT_CONTROL = AT_CUT + NU * WIDTH
+AT_ROLLOUT = AT_CONTROL + NU * WIDTH
+AT_CLEARANCE = AT_ROLLOUT + WIDTH
+AT_ENOUGH = AT_CLEARANCE + WIDTH
+AT_ROW, AT_COLUMN, AT_VALUE = AT_ENOUGH + WIDTH, AT_ENOUGH + 2 * WIDTH, AT_ENOUGH + 3 * WIDTH
+BLOCK = AT_VALUE + WIDTH
 
 
 @inlined
@@ -78,11 +84,13 @@ def clearance(problem: Problem, x: float, y: float, c: float, s: float, enough: 
 
 
 @part
-def control_lanes(
+def cut_controls(
     first: int,
-    lanes: int,
+    count: int,
     t: int,
     nominal: Matrix,
+    drawn: Floats32Cube,
+    hold: int,
     noise: Floats32Cube,
     precision: Floats,
     gamma: float,
@@ -90,15 +98,97 @@ def control_lanes(
     block: Floats,
     costs: Floats,
 ) -> None:
-    """Set the controls of every lane in step t, within their bounds; `noise` becomes what remains of it there."""
+    """Controls of a batch of rollouts in step t, within their bounds; `noise` becomes what remains of `drawn` there.
+
+    Each loop reads and writes one array beside the block, so that LLVM can vectorise it.
+    """
     for k in range(NU):
         low, high, planned = problem.controls[k, 0], problem.controls[k, 1], nominal[t, k]
-        weight = gamma * precision[k] * planned
+        weight, at = gamma * precision[k] * planned, AT_CUT + k * WIDTH
+        added, left, cost = drawn[t // hold, k, first:], noise[t, k, first:], costs[first:]
+        for i in range(count):
+            block[at + i] = min(max(planned + added[i], low), high)
+        for i in range(count):
+            left[i] = block[at + i] - planned
+        for i in range(count):
+            cost[i] += weight * (block[at + i] - planned)
+
+
+@part
+def look_up(lanes: int, ahead: float, aside: float, problem: Problem, block: Floats) -> None:
+    """Read the clearance field for a point of the body (m), in the block's value, for every lane.
+
+    The places are computed apart from the reading of the field, so that LLVM can vectorise that.
+    """
+    field, ox, oy = problem.field, problem.scalar[GRID_X], problem.scalar[GRID_Y]
+    inverse, last_row, last_column = problem.scalar[GRID_INVERSE], field.shape[0] - 1.0, field.shape[1] - 1.0
+    for i in range(lanes):
+        c, s = block[AT_COS + i], block[AT_SIN + i]
+        px = block[X * WIDTH + i] + ahead * c - aside * s
+        py = block[Y * WIDTH + i] + ahead * s + aside * c
+        block[AT_ROW + i] = min(max(0.0, (py - oy) * inverse), last_row)  # lanes outside count as collisions
+        block[AT_COLUMN + i] = min(max(0.0, (px - ox) * inverse), last_column)
+    for i in range(lanes):
+        block[AT_VALUE + i] = field[int(block[AT_ROW + i]), int(block[AT_COLUMN + i])]
+
+
+@part
+def clearances(lanes: int, weight: Floats, problem: Problem, block: Floats) -> None:
+    """Clearance of every lane (m), see `clearance`, and the one that is enough."""
+    discs, reach, origin = problem.discs, problem.scalar[REACH], 0.0
+    margin, at_rest, per_speed = weight[ROLLOUT_MARGIN], problem.scalar[DELTA], problem.scalar[DELTA_PER_SPEED]
+    for i in range(lanes):
+        speed = abs(block[SPEED * WIDTH + i]) if SPEED >= 0 else 0.0
+        block[AT_ENOUGH + i] = margin + (at_rest + per_speed * speed)
+    if has_groups(problem):
         for i in range(lanes):
-            value = min(max(planned + noise[t, k, first + i], low), high)
-            block[AT_CONTROL + k * WIDTH + i] = value
-            noise[t, k, first + i] = value - planned
-            costs[first + i] += weight * (value - planned)
+            x, y, c, s = block[X * WIDTH + i], block[Y * WIDTH + i], block[AT_COS + i], block[AT_SIN + i]
+            if block[AT_OUTSIDE + i] == 0.0:
+                block[AT_CLEARANCE + i] = clearance(problem, x, y, c, s, block[AT_ENOUGH + i])
+        return
+    for i in range(lanes):
+        block[AT_CLEARANCE + i] = block[AT_ENOUGH + i]
+    for k in range(len(discs)):
+        radius = discs[k, 2]
+        look_up(lanes, discs[k, 0], discs[k, 1], problem, block)
+        for i in range(lanes):
+            block[AT_CLEARANCE + i] = min(block[AT_CLEARANCE + i], block[AT_VALUE + i] - radius)
+    look_up(lanes, origin, origin, problem, block)
+    for i in range(lanes):
+        block[AT_CLEARANCE + i] = max(block[AT_CLEARANCE + i], block[AT_VALUE + i] - reach)  # of the disc round it all
+
+
+@inlined
+def has_groups(problem: Problem) -> bool:
+    """Whether there is a fine field, or discs that contain others: then most poses take few discs, each its own."""
+    grouped = problem.scalar[FINE_INVERSE] > 0.0
+    for k in range(len(problem.discs)):
+        grouped = grouped or problem.discs[k, 3] > 0.0
+    return grouped
+
+
+@part
+def load_controls(lanes: int, batch: int, problem: Problem, block: Floats) -> None:
+    """Give every lane the input that its rollout's controls cause; lane i has rollout i while all of them go on."""
+    p = load_parameters(problem.parameters)
+    for k in range(NU):
+        if lanes == batch:
+            for i in range(lanes):
+                block[AT_CONTROL + k * WIDTH + i] = block[AT_CUT + k * WIDTH + i]
+        else:
+            for i in range(lanes):
+                block[AT_CONTROL + k * WIDTH + i] = block[AT_CUT + k * WIDTH + int(block[AT_ROLLOUT + i])]
+    for i in range(lanes):
+        store_input(block, AT_INPUT, i, actuation(load_control(block, AT_CONTROL, i), p))
+
+
+@inlined
+def move_lane(block: Floats, before: int, after: int) -> None:
+    """Move a rollout that goes on to another lane."""
+    for k in range(NX):
+        block[k * WIDTH + after] = block[k * WIDTH + before]
+    block[AT_OUTSIDE + after] = 0.0
+    block[AT_ROLLOUT + after] = block[AT_ROLLOUT + before]
 
 
 @inlined
@@ -122,78 +212,83 @@ def add_costs(
     problem: Problem,
     block: Floats,
     costs: Floats,
-) -> None:
-    """Add the costs of every lane after step t; a rollout ends in a collision or in the goal."""
-    scalar, h = problem.scalar, weight[ROLLOUT_STEP]
+) -> int:
+    """Add the costs of every lane after step t; a rollout ends in a collision or in the goal.
+
+    Rollouts that go on are moved to the first lanes; returns their number.
+    """
+    h, going = weight[ROLLOUT_STEP], int64(0)
     for i in range(lanes):
-        if block[AT_GOING + i] == 0.0:
+        rollout, start, ends = first + int(block[AT_ROLLOUT + i]), int64(0), False
+        distance = block[AT_CLEARANCE + i]
+        if block[AT_OUTSIDE + i] != 0.0 or distance < 0.0:
+            costs[rollout] += weight[ROLLOUT_COLLISION] * (1.0 + (steps - t) / steps)
             continue
-        cost, distance, enough, start = 0.0, -1.0, weight[ROLLOUT_MARGIN], int64(0)
-        if block[AT_OUTSIDE + i] == 0.0:
-            speed = abs(block[SPEED * WIDTH + i]) if SPEED >= 0 else 0.0
-            enough += scalar[DELTA] + scalar[DELTA_PER_SPEED] * speed
-            x, y, c, s = block[X * WIDTH + i], block[Y * WIDTH + i], block[AT_COS + i], block[AT_SIN + i]
-            distance = clearance(problem, x, y, c, s, enough)
-        if distance < 0.0:
-            block[AT_GOING + i] = 0.0
-            costs[first + i] += weight[ROLLOUT_COLLISION] * (1.0 + (steps - t) / steps)
-            continue
-        if distance < enough:
-            lack = 1.0 - distance / enough
-            cost += weight[ROLLOUT_NEAR] * h * lack * lack
+        lack = max(1.0 - distance / block[AT_ENOUGH + i], 0.0)
+        cost = weight[ROLLOUT_NEAR] * h * lack * lack
         if weight[ROLLOUT_GOAL] > 0.0:
             cost += weight[ROLLOUT_GOAL] * h
             if in_goal(problem, block, start, i):
-                block[AT_GOING + i] = 0.0
+                ends = True
             elif t == steps - 1:
                 togo = cost_to_go(problem, block, i)
                 cost += weight[ROLLOUT_GOAL] * togo if togo < UNREACHABLE else weight[ROLLOUT_COLLISION]
         if len(reference) > 0:
             cost += h * tracking_cost(block, i, t, reference, weight)
-        costs[first + i] += cost
+        costs[rollout] += cost
+        if not ends:
+            if i != going:
+                move_lane(block, i, going)
+            going += 1
+    return going
 
 
 def _roll_out_costs(
     start: Floats,
     nominal: Matrix,
-    noise: Floats32Cube,
+    drawn: Floats32Cube,
+    hold: int,
     reference: Matrix,
     weight: Floats,
     precision: Floats,
     problem: Problem,
     block: Floats,
+    noise: Floats32Cube,
     costs: Floats,
 ) -> None:
-    """Costs (n,) of rollouts from `start` (nx,) with the controls `nominal` (steps, nu) + `noise` (steps, nu, n).
+    """Costs (n,) of rollouts from `start` (nx,) with the controls `nominal` (steps, nu) and what is `drawn` added.
 
-    The controls are kept within their bounds, and `noise` is changed to the difference that is left.  `reference`
-    (steps, 5) has x, y, cosine and sine of the heading and speed after each step; it is empty if none is tracked.
-    `precision` (nu,) is one over the variance of the noise.
+    Each of `drawn` (holds, nu, n) is held for `hold` steps.  The controls are kept within their bounds; `noise` (steps,
+    nu, n) receives the difference that is left.  `reference` (steps, 5) has x, y, cosine and sine of the heading and
+    speed after each step; it is empty if none is tracked.  `precision` (nu,) is one over the variance of the noise.
     """
     steps, count = int64(len(nominal)), int64(len(costs))
     p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
     for first in range(0, count, WIDTH):
-        lanes = min(int64(WIDTH), count - first)
-        for i in range(lanes):
+        batch = min(int64(WIDTH), count - first)
+        lanes = batch
+        for i in range(batch):
             for k in range(NX):
                 block[k * WIDTH + i] = start[k]
-            block[AT_STEP + i] = weight[ROLLOUT_STEP]
-            block[AT_GOING + i], costs[first + i] = 1.0, 0.0
+            block[AT_STEP + i], block[AT_ROLLOUT + i], costs[first + i] = weight[ROLLOUT_STEP], i, 0.0
             block[AT_OUTSIDE + i] = outside(load_state(block, 0, i), low, high)
         for t in range(steps):
-            control_lanes(first, lanes, t, nominal, noise, precision, weight[ROLLOUT_GAMMA], problem, block, costs)
-            for i in range(lanes):
-                store_input(block, AT_INPUT, i, actuation(load_control(block, AT_CONTROL, i), p))
-            integrate_lanes(block, lanes, p, low, high, problem.scalar[REACH])
-            turn_lanes(block, lanes)
-            add_costs(first, lanes, t, steps, reference, weight, problem, block, costs)
+            cut_controls(
+                first, batch, t, nominal, drawn, hold, noise, precision, weight[ROLLOUT_GAMMA], problem, block, costs
+            )
+            if lanes > 0:
+                load_controls(lanes, batch, problem, block)
+                integrate_lanes(block, lanes, p, low, high, problem.scalar[REACH])
+                turn_lanes(block, lanes)
+                clearances(lanes, weight, problem, block)
+                lanes = add_costs(first, lanes, t, steps, reference, weight, problem, block, costs)
 
 
-_VECTOR, _MATRIX = types.float64[::1], types.float64[:, ::1]
+_VECTOR, _MATRIX, _CUBE = types.float64[::1], types.float64[:, ::1], types.float32[:, :, ::1]
 roll_out_costs = compiled(
     _roll_out_costs,
     folder=FOLDER,
     signature=types.void(
-        _VECTOR, _MATRIX, types.float32[:, :, ::1], _MATRIX, _VECTOR, _VECTOR, PROBLEM, _VECTOR, _VECTOR
+        _VECTOR, _MATRIX, _CUBE, types.int64, _MATRIX, _VECTOR, _VECTOR, PROBLEM, _VECTOR, _CUBE, _VECTOR
     ),
 )

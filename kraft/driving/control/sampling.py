@@ -45,16 +45,26 @@ class Rollouts:
             self._weights[at.ROLLOUT_GOAL] = cost.goal
 
     def costs(
-        self, estimate: Estimate, reference: Reference, nominal: Matrix, noise: Floats32Cube, gamma: float = 0.0
+        self,
+        estimate: Estimate,
+        reference: Reference,
+        nominal: Matrix,
+        drawn: Floats32Cube,
+        noise: Floats32Cube,
+        hold: int = 1,
+        gamma: float = 0.0,
     ) -> Floats:
-        """Costs (n,) of the controls `nominal` (steps, nu) + `noise` (steps, nu, n), which is cut to the bounds."""
+        """Costs (n,) of the controls `nominal` (steps, nu) + `drawn` (holds, nu, n), each held for `hold` steps.
+
+        `noise` (steps, nu, n) receives what is left of the latter when the controls are kept within their bounds.
+        """
         self._weights[at.ROLLOUT_GAMMA] = gamma
-        found = np.empty(noise.shape[2])
+        found = np.empty(drawn.shape[2])
         problem, parameters = self._dirt.problem, self._model.parameters
         followed = self._followed(estimate.time, reference, len(nominal)) if self._follows else np.zeros((0, 5))
         self._costs(
-            np.ascontiguousarray(estimate.state, dtype=np.float64), nominal, noise, followed, self._weights,
-            self._precision, problem._replace(parameters=parameters), self._block, found,
+            np.ascontiguousarray(estimate.state, dtype=np.float64), nominal, drawn, hold, followed, self._weights,
+            self._precision, problem._replace(parameters=parameters), self._block, noise, found,
         )  # fmt: skip
         return found
 
@@ -77,10 +87,11 @@ class MppiController:
         self._rollouts = Rollouts(dirt, model, settings, self._deviation**-2.0)
         self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed % 2**63, 0x3991])))
         self._nominal = self._at_rest()
+        self._noise = np.empty((settings.steps, len(self._deviation), settings.rollouts), np.float32)  # working memory
         self._time: float | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Copy the plan of controls, the random generator and the law; share the model and the map."""
+        """Copy the plan of controls, the random generator and the law; share model, map and working memory."""
         result = copy.copy(self)
         result._nominal, result._random = self._nominal.copy(), copy.deepcopy(self._random, memo)
         result.law = copy.deepcopy(self.law, memo)
@@ -94,20 +105,20 @@ class MppiController:
         settings = self._settings
         self._shift(estimate.time)
         for _ in range(settings.iterations):
-            noise = self._noise()
-            costs = self._rollouts.costs(estimate, reference, self._nominal, noise, settings.gamma)
-            self._nominal = self._model.clamped(updated(self._nominal, noise, costs, settings.temperature))
+            costs = self._rollouts.costs(
+                estimate, reference, self._nominal, self._drawn(), self._noise, settings.hold, settings.gamma
+            )
+            self._nominal = self._model.clamped(updated(self._nominal, self._noise, costs, settings.temperature))
         first: Floats = self._nominal[0].copy()
         return first
 
-    def _noise(self) -> Floats32Cube:
-        """Samples (steps, nu, rollouts) of what is added to the controls, each held for some steps."""
+    def _drawn(self) -> Floats32Cube:
+        """Samples (holds, nu, rollouts) of what is added to the controls, each for some steps."""
         settings = self._settings
         size = (-(-settings.steps // settings.hold), len(self._deviation), settings.rollouts)
-        drawn = self._random.standard_normal(size, dtype=np.float32)
+        drawn: Floats32Cube = self._random.standard_normal(size, dtype=np.float32)
         drawn *= self._deviation.astype(np.float32)[None, :, None]
-        noise: Floats32Cube = np.repeat(drawn, settings.hold, axis=0)[: settings.steps]
-        return np.ascontiguousarray(noise)
+        return drawn
 
     def _at_rest(self) -> Matrix:
         return np.tile(self._model.rest, (self._settings.steps, 1))
@@ -146,7 +157,8 @@ class DwaController:
         self._controls = np.array(list(itertools.product(*samples)))
         steps = max(1, round(settings.horizon / settings.step))
         self._nominal = np.zeros((steps, len(model.low)))
-        self._arcs = np.repeat(self._controls.T[None].astype(np.float32), steps, axis=0)
+        self._arcs = np.ascontiguousarray(self._controls.T[None], dtype=np.float32)
+        self._noise = np.empty((steps, *self._arcs.shape[1:]), np.float32)  # working memory
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the law; the arcs never change."""
@@ -158,7 +170,7 @@ class DwaController:
         """Control (nu,) at the estimate's time; if every arc collides, that of the first stopping manoeuvre."""
         if reference.kind is ReferenceKind.CONTINGENCY:
             return self.law.command(estimate, reference)
-        costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs.copy())
+        costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs, self._noise, len(self._nominal))
         best = int(costs.argmin())
         if costs[best] >= self._collision:
             return self._model.clamped(stop_control(self._model.vehicle, estimate.state, 0))
