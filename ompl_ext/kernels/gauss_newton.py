@@ -368,8 +368,8 @@ def weigh(n: int, problem: Problem, setting: Floats, work: Shooting, stages: Sta
 def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: Lanes, braking: Lanes) -> int:
     """Edges that fail when the tree's own propagation and checks follow the controls, and 1 more outside the goal.
 
-    Where one fails, the states at its ends get more margin, at most a cell.  It is less than what the edge lacks: a step
-    over the border of a cell of the field gains a whole cell, and margin that is not needed makes turns tighter.
+    Where one fails, the states at its ends get more margin, at most a cell.  That is less than what the edge lacks: a
+    step over the border of a cell of the field gains a whole cell, and margin that is not needed makes turns tighter.
     """
     cell = 1.0 / problem.scalar[GRID_INVERSE]
     failed, time, first, before = int64(0), setting[BEGIN], int64(0), 0.0
