@@ -213,8 +213,7 @@ class Polish:
             if improved:
                 if set_weight is not None and not set_weight():
                     break
-                kernels.approximate(*arguments)
-                merit = kernels.evaluate(*arguments, backward, False)
+                merit = kernels.approximate(*arguments)
             found = math.inf
             if kernels.solve(stages, n, damping, stiffness, backward):
                 found = kernels.evaluate(*arguments, backward, True)
