@@ -82,7 +82,7 @@ def kernel_caller(dirt: DirtSolver) -> Callable[[int], None]:
     brake = lanes_of(vehicle, int(problem.option[at.BRAKE_STEPS]))
     q, nothing = np.zeros(at.Q_DIM), edges_to_retain([], np.zeros((0, len(vehicle.controls))), np.zeros(0))
     kernel = search().grow
-    return lambda iterations: kernel(dirt.tree_arrays, problem, work, brake, q, nothing, iterations)
+    return lambda iterations: kernel(dirt.tree_arrays, problem, work, brake, q, nothing, iterations, False)
 
 
 def cost_at(windows: list[Window], size: int) -> float:

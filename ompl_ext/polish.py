@@ -11,7 +11,7 @@ peak in the middle, where a constant curvature changes the steering least.
 Then the edges are followed with the tree's own propagation and checks.  Where they lack clearance, because the checks
 allow for the motion between samples and for the cells of the field, more is asked for, and the last round is repeated.
 What passes may take a little longer if its controls then change less: their changes cost more as long as the plan takes
-less time than that.  The result is added to the tree like the edges of an earlier plan, with all of its checks once more.
+less time than that.  The result is added to the tree like the edges of an earlier plan, with all checks once more.
 
 The kernels are in `kernels/gauss_newton.py` and `kernels/riccati.py`; here are the rounds and their steps.
 """
@@ -155,10 +155,10 @@ class Polish:
         return None
 
     def _smoothed(self, found: Guess, longer: float, damping: float) -> Guess:
-        """The current trajectory, which is `found`, with smaller changes of controls, in up to `longer` of its time more.
+        """The current trajectory, which is `found`, with smaller changes of controls: `longer` by a share of its time.
 
-        Their weight rises while the trajectory takes less time than that, and falls where it takes more.  It is `found`
-        itself if the other one does not pass the checks.
+        Their weight rises while the trajectory takes less time than that, and falls while it takes more.  It is `found`
+        itself if the other one does not pass the checks or takes far too long.
         """
         self._setting[st.SMOOTHNESS_COST] = math.inf
         damping = self._round(HARD, SMOOTHING_TRIALS, damping, self._weight_for(found.time, longer))
@@ -213,8 +213,7 @@ class Polish:
             if improved:
                 if set_weight is not None and not set_weight():
                     break
-                kernels.approximate(*arguments)
-                merit = kernels.evaluate(*arguments, backward, False)
+                merit = kernels.approximate(*arguments)
             found = math.inf
             if kernels.solve(stages, n, damping, stiffness, backward):
                 found = kernels.evaluate(*arguments, backward, True)

@@ -293,14 +293,14 @@ def state_penalties(
 
 
 @inlined
-def merit(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> float:
-    """Cost of the trajectory `tried` with its penalties (s); `after` receives what the model predicts."""
-    states, inputs = work.tried_states, work.tried_inputs
-    predict(n, problem, states, inputs, work.after, work.block)
+def merit(
+    n: int, setting: Floats, stages: Stages, states: Matrix, inputs: Matrix, after: Matrix, violation: float
+) -> float:
+    """Cost of a trajectory with its penalties (s), from what the model predicts and what is violated."""
     defect, rough, time = 0.0, 0.0, 0.0
     for k in range(n):
         for i in range(NX):
-            d = work.after[k, i] - states[k + 1, i]
+            d = after[k, i] - states[k + 1, i]
             defect += d * d
         time += inputs[k, NU]
         uneven = inputs[k, NU] - setting[EVEN]
@@ -309,24 +309,23 @@ def merit(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Sho
             for i in range(NU):
                 jump = inputs[k, i] - inputs[k - 1, i]
                 rough += stages.jump_weight[k, i] * jump * jump
-    violation = state_penalties(n, problem, signed, setting, work, stages, states, inputs, 0.0)
     return setting[URGENCY] * time + 0.5 * (setting[PENALTY] * violation + setting[STIFFNESS] * defect + rough)
 
 
 @inlined
-def expand(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> None:
-    """Fill the linear-quadratic problem around the current trajectory, whose prediction is in `after`."""
+def expand(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> float:
+    """Fill the linear-quadratic problem around the current trajectory, whose prediction is in `after`; its merit."""
     linearise(n, problem, work, stages)
     for k in range(n + 1):
         for i in range(NX):
             stages.q[k, i] = 0.0
             for j in range(NX):
                 stages.q_matrix[k, i, j] = 0.0
-    state_penalties(n, problem, signed, setting, work, stages, work.states, work.inputs, setting[PENALTY])
-    inputs = work.inputs
+    states, inputs = work.states, work.inputs
+    violation = state_penalties(n, problem, signed, setting, work, stages, states, inputs, setting[PENALTY])
     for k in range(n):
         for i in range(NX):
-            stages.c[k, i] = work.after[k, i] - work.states[k + 1, i]
+            stages.c[k, i] = work.after[k, i] - states[k + 1, i]
         for i in range(NU):
             stages.r[k, i], stages.r_diagonal[k, i] = 0.0, 0.0
             stages.jump[k, i] = inputs[k, i] - inputs[k - 1, i] if k > 0 else 0.0
@@ -337,6 +336,7 @@ def expand(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Sh
         fixed = setting[SHORTEST] >= setting[LONGEST]
         stages.low[k, NU] = 0.0 if fixed else setting[SHORTEST] - inputs[k, NU]
         stages.high[k, NU] = 0.0 if fixed else setting[LONGEST] - inputs[k, NU]
+    return merit(n, setting, stages, states, inputs, work.after, violation)
 
 
 @inlined
@@ -368,8 +368,8 @@ def weigh(n: int, problem: Problem, setting: Floats, work: Shooting, stages: Sta
 def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: Lanes, braking: Lanes) -> int:
     """Edges that fail when the tree's own propagation and checks follow the controls, and 1 more outside the goal.
 
-    Where one fails, the states at its ends get more margin, at most a cell.  It is less than what the edge lacks: a step
-    over the border of a cell of the field gains a whole cell, and margin that is not needed makes turns tighter.
+    Where one fails, the states at its ends get more margin, at most a cell.  That is less than what the edge lacks: a
+    step over the border of a cell of the field gains a whole cell, and margin that is not needed makes turns tighter.
     """
     cell = 1.0 / problem.scalar[GRID_INVERSE]
     failed, time, first, before = int64(0), setting[BEGIN], int64(0), 0.0
@@ -395,10 +395,13 @@ def _replay(n: int, problem: Problem, setting: Floats, work: Shooting, lanes: La
     return failed + (0 if lanes.at_goal[0] == 1 else 1)
 
 
-def _approximate(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> None:
-    """Weights, and the linear-quadratic problem around the current trajectory, whose prediction is in `after`."""
+def _approximate(n: int, problem: Problem, signed: Matrix32, setting: Floats, work: Shooting, stages: Stages) -> float:
+    """Weights, and the linear-quadratic problem around the current trajectory, whose prediction is in `after`.
+
+    Returns its merit with these weights.
+    """
     weigh(n, problem, setting, work, stages)
-    expand(n, problem, signed, setting, work, stages)
+    return expand(n, problem, signed, setting, work, stages)
 
 
 def _evaluate(
@@ -418,11 +421,14 @@ def _evaluate(
     for k in range(n):
         for i in range(M):
             work.tried_inputs[k, i] = work.inputs[k, i] + (backward.du[k, i] if stepping else 0.0)
-    return merit(n, problem, signed, setting, work, stages)
+    states, inputs = work.tried_states, work.tried_inputs
+    predict(n, problem, states, inputs, work.after, work.block)
+    violation = state_penalties(n, problem, signed, setting, work, stages, states, inputs, 0.0)
+    return merit(n, setting, stages, states, inputs, work.after, violation)
 
 
 _ARGUMENTS = types.int64, PROBLEM, types.float32[:, ::1], types.float64[::1], SHOOTING, STAGES
-approximate = compiled(_approximate, folder=FOLDER, signature=types.void(*_ARGUMENTS))
+approximate = compiled(_approximate, folder=FOLDER, signature=types.float64(*_ARGUMENTS))
 evaluate = compiled(_evaluate, folder=FOLDER, signature=types.float64(*_ARGUMENTS, BACKWARD, types.boolean))
 replay = compiled(
     _replay, folder=FOLDER, signature=types.int64(types.int64, PROBLEM, types.float64[::1], SHOOTING, LANES, LANES)

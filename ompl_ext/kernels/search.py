@@ -136,7 +136,7 @@ def _pose(
 class Search:
     """Compiled search: single edges, manoeuvres, poses, and `grow`.
 
-    `grow` adds edges of an earlier plan and visits nodes, so many or, if it is to, until there is a first plan to the goal.
+    `grow` adds edges of an earlier plan and visits nodes: so many or, if asked to, until the first plan to the goal.
     """
 
     grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int, bool], None]

@@ -138,7 +138,7 @@ def step_kernels(vehicle: Vehicle) -> StepKernels:
 class PolishKernels:
     """Compiled parts of the local optimisation for one vehicle, see `gauss_newton`, `riccati` and `shooting`."""
 
-    approximate: Callable[..., None]
+    approximate: Callable[..., float]
     evaluate: Callable[..., float]
     replay: Callable[..., int]
     solve: Callable[..., bool]

@@ -58,7 +58,9 @@ def test_smoothing_reduces_the_changes_of_the_controls_and_takes_a_share_of_the_
     for seed in range(3):
         plan = plan_of(dirt, start, seed)
         guess = guess_of(BENCHMARK, plan.times, plan.trajectory, plan.controls, plan.durations)
-        rough, smooth = (polish.improve(guess, goal, smoothness=each) for each in (smoothest._replace(longer=0.0), None))
+        rough, smooth = (
+            polish.improve(guess, goal, smoothness=each) for each in (smoothest._replace(longer=0.0), None)
+        )
         assert rough is not None
         assert smooth is not None
         changes = [np.abs(np.diff(each.controls[:, 1])).sum() for each in (rough, smooth)]
@@ -69,7 +71,7 @@ def test_smoothing_reduces_the_changes_of_the_controls_and_takes_a_share_of_the_
 def test_edges_that_fail_beside_each_other_do_not_add_up_what_clearance_they_ask_for() -> None:
     dirt = turns(polish=False)
     polish, count = Polish(BENCHMARK, dirt.problem), 60
-    states = np.linspace(START, START + [0.0, 6.0, 0.0, 0.6], count + 1)  # straight through both obstacles
+    states = np.linspace(START, START + np.array([0.0, 6.0, 0.0, 0.6]), count + 1)  # straight through both obstacles
     ahead = np.column_stack([np.ones(count), np.zeros(count)])
     polish._load(Guess(states, ahead, np.full(count, 0.16)), GOAL, 0.0, 1.0)
     assert polish._replay() > 10
