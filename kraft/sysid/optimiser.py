@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import gtsam
@@ -194,6 +194,25 @@ def bounded_step(factors: RhoFactors, damping: float, low: Floats, high: Floats,
         change = np.where(outside, np.clip(change, low, high), change)
         free &= ~outside
     return change
+
+
+def step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, chosen: Bools) -> Floats:
+    """Change of rho that moves the chosen components by `low` and the other free ones to their best."""
+    shift = np.where(chosen, low, 0.0)
+    moved = RhoFactors(
+        factors.information,
+        factors.gradient + factors.information @ shift,
+        factors.prior_information,
+        factors.prior_gradient + factors.prior_information * shift,
+    )
+    step: Floats = bounded_step(moved, 0.0, low, high, free & ~chosen) + shift
+    return step
+
+
+def without_fold(factors: RhoFactors, fold: int) -> RhoFactors:
+    """Costs of all logs, or folds, but one."""
+    keep = np.arange(len(factors.information)) != fold
+    return replace(factors, information=factors.information[keep], gradient=factors.gradient[keep])
 
 
 def _solve(factors: RhoFactors, damping: float, free: Bools, fixed: Floats) -> Floats:

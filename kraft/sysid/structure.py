@@ -29,37 +29,35 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.initial_values import InitialSearch, drive_values
 from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit, in_parallel
 from kraft.sysid.optimiser import (
     OnIteration,
     Optimum,
-    RhoFactors,
     bounded_step,
     held_at_bounds,
     inverse,
+    step_with,
+    without_fold,
 )
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import NoiseModel, Point, noise_model
-from kraft.sysid.smoothing import begins_at_rest, measured_noise, thinned
-from kraft.sysid.windows import Variation, windows_of
+from kraft.sysid.smoothing import measured_noise, thinned
+from kraft.sysid.windows import Variation, cut, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
-from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from kraft.logs.log import Log, Part
+    from kraft.logs.log import Log
 
 
 AUXILIARY: Final = ("delay",)
 """Auxiliary parameters beside the terms of the model; all others are terms of it."""
 OFFSETS: Final = ("lever", "yaw_offset")
 """Terms of the poses alone, which no effect of discrete steps looks like."""
-WINDOW_MIN: Final = 0.5
-"""Least length of a window, s."""
 FIRST_GROWTH: Final = (0.2, 0.2, 0.3)
 """Growth of the model's error in the first fit: m/s, m/s, rad/s."""
 GROWTH_ROUNDS: Final = 2
@@ -68,8 +66,6 @@ LARGE_SHARE: Final = 0.99
 """Quantile of the squared residuals up to which they count in full for the growth."""
 FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
-FOLDS_MIN: Final = 5
-"""Least number of folds: fewer logs are cut into blocks of windows."""
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
 """Most iterations of a fit whose weights are not final, and the relative decrease of its cost below which it ends."""
 VARIATION_ROUNDS, VARIATION_CHANGE = 3, 0.3
@@ -152,14 +148,14 @@ class StructureSearch:
             (segment, part)
             for i, log in enumerate(logs)
             for part in log.parts
-            for segment in _windows(thinned(part, settings.step), i, settings, window)
+            for segment in cut(thinned(part, settings.step), i, settings, window)
         ]
         segments = [segment for segment, _ in found]
         self.noise: NoiseModel = noise_model(self.model, settings, noise)
         self.growth: Floats = np.array(FIRST_GROWTH)
         stated = variation_of(self.parameters(()), settings)
         self.variation = Variation.of(tuple(stated), np.array(list(stated.values())))
-        self.windows = windows_of(segments, [part for _, part in found], _folds(segments, len(logs)))
+        self.windows = windows_of(segments, [part for _, part in found], folds_of(segments, len(logs)))
         self._pieces = pieces_of(logs, settings, settings.horizon)
         self._predictors: list[Predictor] = []
 
@@ -251,7 +247,7 @@ class StructureSearch:
         chosen = np.isin(p.names, off)
         low, high = p.low - before.rho, p.high - before.rho
         low[chosen] = high[chosen] = (p.nominal - before.rho)[chosen]
-        rho = p.within_bounds(before.rho + _step_with(structure.optimum.factors, low, high, p.free, chosen))
+        rho = p.within_bounds(before.rho + step_with(structure.optimum.factors, low, high, p.free, chosen))
         kept = before.rho.copy()
         rho[chosen] = kept[chosen] = p.nominal[chosen]
         points = [replace(before, states=graph.shifted(before.states, before.rho, r), rho=r) for r in (rho, kept)]
@@ -282,40 +278,42 @@ class StructureSearch:
     def in_long_windows(self, structure: Structure, path: Sequence[Structure]) -> tuple[Structure, StructureSearch]:
         """The structure with the terms that the likelihood of long windows shows, and the search in these.
 
-        The structure as it is, and this search, if the model's error grows or the logs are short.
+        The structure as it is, and this search, if the model's error grows, or if few logs are cut into other folds.
         """
+        if not self.is_exact(structure):
+            return structure, self
         longer = StructureSearch(self.vehicle, self._logs, self.settings, self._on_iteration, LONG_WINDOW)
         longer.growth, longer.variation, longer.iterations = self.growth, self.variation, self.iterations
-        if longer.windows.folds != self.windows.folds or not self.is_exact(structure):
+        if longer.windows.folds != self.windows.folds:
             return structure, self
         graph = longer.graph(structure.terms)
         begin = graph.start(structure.optimum.point.rho)
         found = longer.converged(longer._judged(structure.terms, graph, longer._optimise(graph, begin)))
         if not longer.is_exact(found):
             return structure, self
-        found = longer._shown(longer._with_shown(found, path))
+        found = replace(found, without=structure.without, added=structure.added)
+        found = longer._pruned(longer._extended(found, path))
         return (found, longer) if is_near(found, structure, NEGLIGIBLE) else (structure, self)
 
-    def _with_shown(self, structure: Structure, path: Sequence[Structure]) -> Structure:
-        """The structure with those of the other terms on that the likelihood shows, the one with the largest gain first."""
+    def _extended(self, structure: Structure, path: Sequence[Structure]) -> Structure:
+        """The structure with those of the other terms on that the likelihood shows, those of large gain first."""
         tried = {name: self._with(structure, name, _last_with(path, name)) for name in self.candidates
                  if name not in structure.terms}  # fmt: skip
         for name in sorted(tried, key=lambda name: tried[name].optimum.cost):
             more = tried[name]
             if not _gains(more, name, structure.optimum.cost - more.optimum.cost):
                 continue
-            if structure.added:  # another term is on by now
+            if set(structure.terms) - set(more.terms):  # another term is on by now
                 more = self._with(structure, name, more)
             if _gains(more, name, structure.optimum.cost - more.optimum.cost) and is_near(more, structure, 0.0):
                 structure = replace(more, added=", ".join(filter(None, (structure.added, name))))
         return structure
 
-    def _shown(self, structure: Structure) -> Structure:
+    def _pruned(self, structure: Structure) -> Structure:
         """The structure without those terms that the likelihood does not show, and that predictions do not need."""
-        for name in sorted(structure.terms, key=lambda name: linearised_cost(structure)[name]):
-            if linearised_cost(structure).get(name, 0.0) > SURELY_NEEDED:
-                continue
-            less = self.converged(self.without(structure, name))
+        costs = _linearised_costs(structure)
+        for name in sorted((name for name in costs if costs[name] <= SURELY_NEEDED), key=lambda name: costs[name]):
+            less = self.without(structure, name)
             if not _is_shown(structure, name, less.optimum.cost - structure.optimum.cost) and is_near(
                 less, structure, NEGLIGIBLE
             ):
@@ -336,7 +334,7 @@ class StructureSearch:
                 continue
             more = self._with(structure, name, before)
             gain = structure.optimum.cost - more.optimum.cost
-            if _size(more, name) >= SIZE_MIN and _is_shown(more, name, gain) and is_near(more, structure, 0.0):
+            if _gains(more, name, gain) and is_near(more, structure, 0.0):
                 structure = replace(more, added=", ".join(filter(None, (structure.added, name))))
         return structure
 
@@ -360,7 +358,7 @@ class StructureSearch:
         low, high = p.low - point.rho, p.high - point.rho
         left = bounded_step(optimum.factors, 0.0, low, high, p.free)  # far too long where the fit is not at its end
         steps = [
-            bounded_step(_without_fold(optimum.factors, fold), 0.0, low, high, p.free) for fold in range(windows.folds)
+            bounded_step(without_fold(optimum.factors, fold), 0.0, low, high, p.free) for fold in range(windows.folds)
         ]
         rhos = [p.within_bounds(point.rho + step - left) for step in steps]
         errors = np.full((windows.folds, len(HORIZON_SHARES)), np.nan)
@@ -490,11 +488,11 @@ def _last_with(path: Sequence[Structure], name: str) -> Structure:
 
 def _cheapest(structure: Structure) -> str:
     """Term whose switching off raises the linearised cost least."""
-    cost = linearised_cost(structure)
+    cost = _linearised_costs(structure)
     return min(cost, key=lambda name: cost[name])
 
 
-def linearised_cost(structure: Structure) -> dict[str, float]:
+def _linearised_costs(structure: Structure) -> dict[str, float]:
     """Increase of the linearised cost by switching off each term."""
     p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
     held = held_at_bounds(factors, p.low - rho, p.high - rho)
@@ -514,24 +512,6 @@ def linearised_cost(structure: Structure) -> dict[str, float]:
     return cost
 
 
-def _step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, chosen: Bools) -> Floats:
-    """Change of rho that moves the chosen components by `low` and the other free ones to their best."""
-    shift = np.where(chosen, low, 0.0)
-    moved = RhoFactors(
-        factors.information,
-        factors.gradient + factors.information @ shift,
-        factors.prior_information,
-        factors.prior_gradient + factors.prior_information * shift,
-    )
-    step: Floats = bounded_step(moved, 0.0, low, high, free & ~chosen) + shift
-    return step
-
-
-def _without_fold(factors: RhoFactors, fold: int) -> RhoFactors:
-    keep = np.arange(len(factors.information)) != fold
-    return replace(factors, information=factors.information[keep], gradient=factors.gradient[keep])
-
-
 def _error_growth(graph: MultiStep, point: Point) -> Floats:
     """(3,) growth of the model's error in x, y and yaw per second, from typical residuals of a fit."""
     windows = graph.windows
@@ -543,33 +523,3 @@ def _error_growth(graph: MultiStep, point: Point) -> Floats:
     position = max(0.5 * (square[0] + square[1]), 0.0)
     growth: Floats = np.sqrt([position, position, max(square[2], 0.0)])
     return growth
-
-
-def _windows(part: Part, log: int, settings: Settings, wanted: float | None) -> list[Segment]:
-    """Windows of the horizon, one after the other, or of about the `wanted` length; the whole part if it is shorter."""
-    times = part.pose_times
-    if part.duration < WINDOW_MIN:
-        return []
-    count = max(1, round(part.duration / wanted) if wanted else int(part.duration / settings.horizon + 1e-6))
-    length = part.duration / count if wanted else min(part.duration, settings.horizon)
-    resting = begins_at_rest(part)
-    found = []
-    for k in range(count):
-        first = int(np.searchsorted(times, times[0] + k * length - 1e-9))
-        last = int(np.searchsorted(times, times[0] + (k + 1) * length + 0.5 * settings.step, side="right"))
-        if last - first >= 4 and times[last - 1] - times[first] >= WINDOW_MIN:
-            found.append(segment_between(part, log, settings.step, first, last, resting and k == 0))
-    return found
-
-
-def _folds(segments: Sequence[Segment], logs: int) -> Ints:
-    """(windows,) fold of each window: its log, or a block of a log if there are few logs."""
-    log = np.array([s.log for s in segments])
-    if logs >= FOLDS_MIN:
-        return np.unique(log, return_inverse=True)[1].astype(np.int64)
-    blocks = math.ceil(FOLDS_MIN / max(logs, 1)) if logs > 1 else FOLDS_MIN
-    fold = np.zeros(len(segments), dtype=np.int64)
-    for i in np.unique(log):
-        own = np.flatnonzero(log == i)
-        fold[own] = i * blocks + np.arange(len(own)) * blocks // max(len(own), 1)
-    return np.unique(fold, return_inverse=True)[1].astype(np.int64)

@@ -6,21 +6,29 @@ drive and, less, from window to window of a drive.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.chains import Chains, Segment, pose_steps
+from kraft.sysid.chains import Chains, Segment, pose_steps, segment_between
 from kraft.sysid.dynamics import ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses
+from kraft.sysid.interface import Settings
 from kraft.sysid.problem import padded
-from kraft.sysid.smoothing import smoothed
+from kraft.sysid.smoothing import begins_at_rest, smoothed
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
+
+
+WINDOW_MIN: Final = 0.5
+"""Least length of a window, s."""
+FOLDS_MIN: Final = 5
+"""Least number of folds: fewer logs are cut into blocks of windows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +89,36 @@ def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, k
     h, steps = np.array([s.h for s in segments]), max(s.steps for s in segments)
     known = np.zeros(len(segments)) if known is None else known
     return Windows(tuple(segments), steps, h, poses, seen, since, step, share, fold, known, first, interval)
+
+
+def cut(part: Part, log: int, settings: Settings, wanted: float | None) -> list[Segment]:
+    """Windows of the horizon, one after the other, or of about the `wanted` length; the whole part if it is shorter."""
+    times = part.pose_times
+    if part.duration < WINDOW_MIN:
+        return []
+    count = max(1, round(part.duration / wanted) if wanted else int(part.duration / settings.horizon + 1e-6))
+    length = part.duration / count if wanted else min(part.duration, settings.horizon)
+    resting = begins_at_rest(part)
+    found = []
+    for k in range(count):
+        first = int(np.searchsorted(times, times[0] + k * length - 1e-9))
+        last = int(np.searchsorted(times, times[0] + (k + 1) * length + 0.5 * settings.step, side="right"))
+        if last - first >= 4 and times[last - 1] - times[first] >= WINDOW_MIN:
+            found.append(segment_between(part, log, settings.step, first, last, resting and k == 0))
+    return found
+
+
+def folds_of(segments: Sequence[Segment], logs: int) -> Ints:
+    """(windows,) fold of each window: its log, or a block of a log if there are few logs."""
+    log = np.array([s.log for s in segments])
+    if logs >= FOLDS_MIN:
+        return np.unique(log, return_inverse=True)[1].astype(np.int64)
+    blocks = math.ceil(FOLDS_MIN / max(logs, 1)) if logs > 1 else FOLDS_MIN
+    fold = np.zeros(len(segments), dtype=np.int64)
+    for i in np.unique(log):
+        own = np.flatnonzero(log == i)
+        fold[own] = i * blocks + np.arange(len(own)) * blocks // max(len(own), 1)
+    return np.unique(fold, return_inverse=True)[1].astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)

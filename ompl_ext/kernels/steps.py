@@ -155,4 +155,8 @@ linearise = compiled(
     folder=FOLDER,
     signature=types.void(_MATRIX, _MATRIX, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _CUBE),
 )
-simulate = compiled(_simulate, folder=FOLDER, signature=types.void(_MATRIX, _CUBE, _MATRIX, _MATRIX, types.boolean, _VECTOR, _CUBE))
+simulate = compiled(
+    _simulate,
+    folder=FOLDER,
+    signature=types.void(_MATRIX, _CUBE, _MATRIX, _MATRIX, types.boolean, _VECTOR, _CUBE),
+)

@@ -81,6 +81,20 @@ def test_friction_that_vanishes_has_no_effect_on_a_coasting_car() -> None:
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-4)
 
 
+@pytest.mark.parametrize("speed", [1.0, 1.01, 1.02, 1.03])
+def test_brakes_that_jump_at_standstill_are_as_exact_with_long_steps(speed: float) -> None:
+    model = load_vehicle("car-lag", parameters={"brake": 2.8})
+    start, ends = np.zeros((1, 6)), {}
+    start[0, model.index("v")] = speed
+    for step in (0.05, 0.0005):
+        controls = np.tile([-0.5, 0.3], (round(1.5 / step), 1, 1))
+        ends[step] = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))[
+            -1, 0
+        ]
+    assert ends[0.05][model.index("v")] < -0.5
+    np.testing.assert_allclose(ends[0.05], ends[0.0005], atol=0.005)
+
+
 def test_the_wheels_at_the_beginning_of_a_window_follow_from_the_commands_before_it() -> None:
     model = load_vehicle("car-lag", parameters={**TRUTH, "tau_steer": 0.3, "rate_limit": 0.1})
     log = drive(model, 4, 12.0)
@@ -145,6 +159,42 @@ def test_the_terms_of_a_car_are_chosen_and_predict_other_drives() -> None:
     assert errors.position[3.0] < 0.2 * constant.position[3.0]
     assert sum(trial.chosen for trial in found.trials) == 1
     assert len(found.without_log) == len(fitted)
+
+
+def search_for_slide(slide: float) -> StructureSearch:
+    """Search for a limit of the lateral acceleration, in drives of a car that hardly reaches it."""
+    model = car(slide=slide)
+    open_ = ("slide", "phi_diff", "steer", "a_drive", "damping", "L", "full_throttle", "full_steering", "full_reverse")
+    values = {name: value for name, value in model.parameters.items() if name not in open_} | {"lever": LEVER}
+    logs = [drive(model, seed, 30.0) for seed in range(5)]
+    return StructureSearch(car_file(), logs, Settings(values=values, auxiliary="none"), lambda *_: None)
+
+
+@pytest.mark.parametrize(("slide", "shown"), [(0.06, True), (0.0, False)])
+def test_long_windows_show_a_term_of_an_exact_model_that_short_ones_do_not(slide: float, shown: bool) -> None:
+    search = search_for_slide(slide)
+    path = search.path()
+    without = search.converged(path[-1])
+    assert search.completed(without, path).terms == without.terms == ()
+    found, longer = search.in_long_windows(without, path)
+    assert ("slide" in found.terms) is shown
+    assert longer.windows.since.max() > 10.0
+
+
+def test_long_windows_switch_a_term_off_that_they_do_not_show() -> None:
+    search = search_for_slide(0.0)
+    path = search.path()
+    assert path[0].terms == ("slide",)
+    assert search.in_long_windows(search.converged(path[0]), path)[0].terms == ()
+
+
+def test_a_model_whose_error_grows_is_not_compared_in_long_windows() -> None:
+    model = car(drag=0.2)
+    values = {name: value for name, value in TRUTH.items() if name != "slide"} | {"lever": LEVER}
+    logs = [drive(model, seed, 30.0) for seed in range(5)]
+    search = StructureSearch(car_file(), logs, Settings(values=values, auxiliary="none"), lambda *_: None)
+    path = search.path()
+    assert search.in_long_windows(path[-1], path) == (path[-1], search)
 
 
 def test_a_drive_that_differs_between_logs_is_found_and_used_in_predictions() -> None:
