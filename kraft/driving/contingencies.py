@@ -181,7 +181,7 @@ class ClosedLoopPredictor:
         A vehicle that still moves when SAFETY's horizon is over after the end of the contingency has negative slack.
         """
         latest = max(begin, contingency.end) + self.dirt.safety.horizon
-        times = begin + self.period * np.arange(math.ceil((latest - begin) / self.period) + 2)
+        times: Floats = begin + self.period * np.arange(math.ceil((latest - begin) / self.period) + 2, dtype=float)
         ticks = int(np.searchsorted(times, latest, side="right"))
         during = self._ticks(times[:ticks], np.full(ticks, self.period), np.zeros(ticks))
         start = np.asarray(state, dtype=float)

@@ -31,6 +31,7 @@ from ompl_ext.kernels.specialise import (
     polish_kernels,
     step_kernels,
 )
+from ompl_ext.kernels.tracking import tracking
 from ompl_ext.obstacles import OccupancyGrid, Workspace, box
 from ompl_ext.query import Goal
 from ompl_ext.solver import DirtSolver
@@ -113,6 +114,7 @@ def _exercise(vehicle: Vehicle) -> None:
     with interrupts_between_passes() as check:
         with _maps_meanwhile() as maps:
             kernels(vehicle)
+            tracking()
             while maps is not None and maps.poll() is None:
                 check()
                 time.sleep(POLL)

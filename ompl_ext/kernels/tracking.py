@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from numba import types
 
@@ -44,7 +44,7 @@ IS_PLAN, BRAKES_AT, MANOEUVRE = range(3)
 K_PATH, K_HEADING, K_ALONG, SOFTENING, LOOK, OFFSET = range(6)
 GAINS = 6
 
-# Indices of Law.index: components of the state and of a control, and the number of samples to each side of the last
+# Indices of Law.where: components of the state and of a control, and the number of samples to each side of the last
 # nearest one among which the next one is searched
 AT_X, AT_Y, AT_THETA, AT_V, AT_THROTTLE, AT_STEERING, AT_WINDOW = range(7)
 
@@ -70,7 +70,7 @@ class Law(NamedTuple):
     """Gains of the kinodynamic law, and the car: bounds of its controls, parameters and compiled functions."""
 
     gain: Floats  # (6,)
-    index: Ints  # (7,)
+    where: Ints  # (7,)
     low: Floats  # (nu,)
     high: Floats  # (nu,)
     parameters: Floats  # (np,) those of the manoeuvres that stop it
@@ -147,7 +147,7 @@ def nearest(track: Track, law: Law, path: int, x: float, y: float, start: int) -
     The search repeats while it finds nearer samples.  It does not skip a loop of a path that crosses itself, and it
     recovers after the car was moved.
     """
-    first, count, window = track.first[path], samples_of(track, path), law.index[AT_WINDOW]
+    first, count, window = track.first[path], samples_of(track, path), law.where[AT_WINDOW]
     while True:
         low, high = max(start - window, 0), min(start + window + 1, count)
         found, least = low, math.inf
@@ -167,11 +167,11 @@ def project(track: Track, at: Ints, law: Law, state: Floats) -> tuple[float, flo
     Returns the arc length up to the projection (m), along the tangents beyond the ends, and the offset of the car to
     the left of the path, left as seen by the car (m).
     """
-    path, theta = at[PATH], state[law.index[AT_THETA]]
+    path, theta = at[PATH], state[law.where[AT_THETA]]
     direction = track.direction[path]
     offset = law.gain[OFFSET] * direction
-    x = state[law.index[AT_X]] + offset * math.cos(theta)
-    y = state[law.index[AT_Y]] + offset * math.sin(theta)
+    x = state[law.where[AT_X]] + offset * math.cos(theta)
+    y = state[law.where[AT_Y]] + offset * math.sin(theta)
     at[SAMPLE] = nearest(track, law, path, x, y, at[SAMPLE])
     k = track.first[path] + at[SAMPLE]
     dx, dy = x - track.samples[X, k], y - track.samples[Y, k]
@@ -190,7 +190,7 @@ def is_past_end(track: Track, path: int, arc_length: float) -> bool:
 @part
 def planned_throttle(track: Track, law: Law, time: float) -> float:
     """Throttle that the reference holds at `time` (s)."""
-    times, throttle = track.times, law.index[AT_THROTTLE]
+    times, throttle = track.times, law.where[AT_THROTTLE]
     if time >= times[-1] or len(track.controls) == 0:
         return track.rest[throttle]
     k = max(count_until(times, int64(0), len(times), time) - 1, 0)
@@ -219,7 +219,7 @@ def slower(direction: int, one: float, other: float) -> float:
 @part
 def held_throttle(track: Track, law: Law, path: int, arc_length: float) -> float:
     """Throttle at rest; one that holds the car against a force is corrected by the way it has drifted."""
-    throttle: float = track.rest[law.index[AT_THROTTLE]]
+    throttle: float = track.rest[law.where[AT_THROTTLE]]
     if throttle != 0.0:
         length = track.spacing[path] * (samples_of(track, path) - 1)
         throttle += track.direction[path] * K_HOLD * (length - arc_length)
@@ -233,11 +233,11 @@ def limited(track: Track, law: Law, path: int, throttle: float, time: float, sta
     A car that is faster than planned would otherwise coast on where the planned throttle fades.  `control` is working
     memory.
     """
-    speed = track.direction[path] * state[law.index[AT_V]]
+    speed = track.direction[path] * state[law.where[AT_V]]
     if time + law.gain[LOOK] < track.kind[BRAKES_AT] or speed <= MOVING:
         return throttle
     call_stop(law.functions[functions.STOP], (state, law.parameters, int(track.kind[MANOEUVRE]), control))
-    return slower(track.direction[path], throttle, control[law.index[AT_THROTTLE]])
+    return slower(track.direction[path], throttle, control[law.where[AT_THROTTLE]])
 
 
 @part
@@ -269,7 +269,7 @@ def steering_feedback(track: Track, law: Law, at: Ints, aside: float, speed: flo
     other way, so the heading error changes its sign; the cross-track error does not.
     """
     gain, path = law.gain, at[PATH]
-    heading = angle_between(track.samples[THETA, track.first[path] + at[SAMPLE]], state[law.index[AT_THETA]])
+    heading = angle_between(track.samples[THETA, track.first[path] + at[SAMPLE]], state[law.where[AT_THETA]])
     return track.direction[path] * gain[K_HEADING] * heading - math.atan2(gain[K_PATH] * aside, speed + gain[SOFTENING])
 
 
@@ -282,13 +282,13 @@ def command(track: Track, at: Ints, law: Law, time: float, state: Floats, contro
     if path == len(track.direction) - 1 and is_past_end(track, path, arc_length):
         held = held_throttle(track, law, path, arc_length)
         throttle = limited(track, law, path, held, time, state, control)
-        steering = track.rest[law.index[AT_STEERING]]
+        steering = track.rest[law.where[AT_STEERING]]
     else:
-        speed = abs(state[law.index[AT_V]])
+        speed = abs(state[law.where[AT_V]])
         ahead = track.first[path] + index_at(track, path, arc_length + law.gain[LOOK] * speed)
         steering = track.samples[STEERING, ahead] + steering_feedback(track, law, at, aside, speed, state)
         throttle = tracking_throttle(track, law, path, arc_length, time, state, control)
-    for k, value in ((law.index[AT_THROTTLE], throttle), (law.index[AT_STEERING], steering)):
+    for k, value in ((law.where[AT_THROTTLE], throttle), (law.where[AT_STEERING], steering)):
         control[k] = min(max(value, law.low[k]), law.high[k])
 
 
@@ -370,7 +370,8 @@ def tracking() -> Tracking:
     """The compiled functions; compiled, or loaded from the cache, on the first call."""
     track, law, ticks = numba_type(Track), numba_type(Law), numba_type(Ticks)
     number, floats, ints, matrix = types.float64, types.float64[::1], types.int64[::1], types.float64[:, ::1]
-    projection, loop = types.UniTuple(number, 2), types.Tuple((types.int64, number))
+    pair: Any = types.Tuple
+    projection, loop = pair((number, number)), pair((types.int64, number))
     of_loop = loop(track, ints, law, PROBLEM, LANES, ticks, number, ints, number, matrix, matrix)
     return Tracking(
         compiled(_command, signature=types.void(track, ints, law, number, floats, floats)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from kraft.driving.contingencies import (
     plan_reference,
     required_clearance,
 )
-from kraft.driving.messages import ContingencyOrigin, Estimate, Reference, ReferenceKind
+from kraft.driving.control import Controller, KinodynamicController
+from kraft.driving.messages import Commitment, ContingencyOrigin, Estimate, Reference, ReferenceKind
 from kraft.driving.replanner import Replanner
 from ompl_ext.arrays import Floats
 
@@ -68,6 +70,38 @@ def test_the_best_is_committed_whatever_its_origin(state: Floats, monkeypatch: p
         assert best.slack >= max(one.slack for one in each if one.is_verified) - 1
     else:
         assert best.origin is ContingencyOrigin.EMERGENCY
+
+
+class Uncompiled:
+    """Controller whose closed loop is predicted tick by tick."""
+
+    def __init__(self, law: Controller) -> None:
+        self._law = law
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        """Control (nu,) at the estimate's time."""
+        return self._law.command(estimate, reference)
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: Floats) -> None:
+    found = subject()
+    predict, plan = found._predict, plan_from(found, state)
+    assert plan is not None
+    assert isinstance(predict.controller, KinodynamicController)
+    slowly = replace(predict, controller=Uncompiled(predict.controller))
+    contingency = next(ranking(found)._immediate(state, 2.3, None)).reference()
+    for switch in (2.0, 2.11, 2.4, 3.0):
+        one, other = (each(state, 2.0, 2.4, Commitment(plan, switch, contingency)) for each in (predict, slowly))
+        assert one.controls is not None
+        assert other.controls is not None
+        assert np.array_equal(one.states, other.states)
+        assert np.array_equal(one.controls, other.controls)
+        assert one.slack == other.slack
+    one, other = (each.until_rest(state, 2.3, contingency) for each in (predict, slowly))
+    assert np.array_equal(one.times, other.times)
+    assert np.array_equal(one.states, other.states)
+    assert one.slack == other.slack
 
 
 def test_what_is_verified_keeps_the_clearance_until_standstill() -> None:

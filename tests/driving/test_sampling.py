@@ -24,7 +24,7 @@ from kraft.driving.replanner import Replanner
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import pose_of
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Floats32Cube
 
 GEODESIC = PlannerSettings(mode="replanning", type="geodesic")
 SMALL = Mppi(kind="mppi", rollouts=64, steps=20)
@@ -99,19 +99,40 @@ def rolled_out(settings: Mppi, start: Floats, nominal: Floats, noise: Floats, pr
     return cost + settings.goal * togo
 
 
-def test_costs_are_those_of_the_model_in_the_map() -> None:
+@pytest.mark.parametrize("hold", [1, 8, 30])
+def test_costs_are_those_of_the_model_in_the_map(hold: int) -> None:
     settings, precision = Mppi(kind="mppi", steps=30), np.array([4.0, 9.0])
     random = np.random.default_rng(5)
     nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
-    noise = np.repeat(random.normal(0.0, 0.3, (1, 2, 50)), 30, axis=0).astype(np.float32)
-    given = noise.astype(float)
+    drawn = np.repeat(random.normal(0.0, 0.3, (1, 2, 50)), math.ceil(30 / hold), axis=0).astype(np.float32)
+    noise = np.empty((30, 2, 50), np.float32)
     found = Rollouts(solvers().checking, model(), settings, precision).costs(
-        Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, noise, settings.gamma
+        Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, drawn, noise, hold, settings.gamma
     )
+    given = np.repeat(drawn.astype(float), hold, axis=0)[:30]
     expected = [rolled_out(settings, MOVING, nominal, given[:, :, k], precision) for k in range(50)]
     assert found == pytest.approx(expected, rel=1e-3)
     assert max(found) > settings.collision > min(found)
     assert np.all(nominal[:, 0, None] + noise[:, 0] <= 1.0 + 1e-6)
+
+
+def test_the_cost_of_a_rollout_does_not_depend_on_those_beside_it() -> None:
+    settings, precision = Mppi(kind="mppi", steps=30), np.array([4.0, 9.0])
+    nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
+    drawn = np.repeat(np.random.default_rng(5).normal(0.0, 0.3, (1, 2, 70)), 30, axis=0).astype(np.float32)
+    rollouts = Rollouts(solvers().checking, model(), settings, precision)
+
+    def costs(chosen: list[int]) -> tuple[Floats, Floats32Cube]:
+        noise = np.empty((30, 2, len(chosen)), np.float32)
+        samples = np.ascontiguousarray(drawn[:, :, chosen])
+        return rollouts.costs(Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, samples, noise), noise
+
+    together, noise = costs(list(range(70)))
+    assert 10 < int((together > settings.collision).sum()) < 60  # some end early, and others go on in their place
+    for k in range(70):
+        alone, left = costs([k])
+        assert alone[0] == together[k]
+        assert np.array_equal(left[:, :, 0], noise[:, :, k])
 
 
 def test_a_copy_sends_the_same_commands_and_leaves_the_controller_as_it_is() -> None:

@@ -122,7 +122,7 @@ class PathTracker:
             gain[[at.SOFTENING, at.LOOK]] = settings.softening, settings.look
         self.law = Law(
             gain=gain,
-            index=np.array([*model.pose, model.v, model.throttle, model.steering, window]),
+            where=np.array([*model.pose, model.v, model.throttle, model.steering, window]),
             low=model.low,
             high=model.high,
             parameters=model.vehicle.parameter_array,

@@ -205,7 +205,8 @@ class ExcessSpeedModel:
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx + 1,) after holding a control (nu,) for `duration` s."""
-        return self._advanced(state[None, :], control, duration)[0]
+        after: Floats = self._advanced(state[None, :], control, duration)[0]
+        return after
 
     def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
         """State (nx + 1,) after `duration` s and its Jacobian (nx + 1, nx + 1) with respect to the state before."""
