@@ -110,6 +110,11 @@ class EdgeChecker:
         self._problem.scalar[[at.DELTA, at.DELTA_PER_SPEED]] = delta, per_speed
         self._problem.scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = per_time, horizon
 
+    def set_far(self, near: float, delta: float, per_speed: float) -> None:
+        """Set the clearance `delta` + `per_speed` |v| of the time after `near` s, see `Safety`."""
+        self.safety = replace(self.safety, near=near, far_delta=delta, far_delta_per_speed=per_speed)
+        self._problem.scalar[[at.NEAR, at.DELTA_FAR, at.DELTA_FAR_PER_SPEED]] = near, delta, per_speed
+
     def set_cycle(self, seconds: float) -> None:
         """Set the time for which plans keep the clearance and after which they have a contingency, s."""
         self.safety = replace(self.safety, cycle=seconds)

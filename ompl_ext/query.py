@@ -83,7 +83,8 @@ class Safety:
     """Clearance delta(t, v) inside the first cycle and of contingencies.
 
     It is `delta` + `delta_per_speed` |v| + `delta_per_time` t (m) for t s since the begin of the query, t being at most
-    `delta_horizon`.  The planner takes a contingency to begin at the end of the cycle.
+    `delta_horizon`.  After `near` s it is `far_delta` + `far_delta_per_speed` |v| instead.  The planner takes a
+    contingency to begin at the end of the cycle.
 
     With `enabled`, every edge that crosses the end of the cycle must pass SAFETY (Alg. 2).  A vehicle is at standstill
     when each of its `rest` components is below `rest_speed`; a manoeuvre without standstill within `horizon` s is not
@@ -96,6 +97,9 @@ class Safety:
     delta_per_speed: float = 0.0
     delta_per_time: float = 0.0
     delta_horizon: float = 0.0
+    near: float = math.inf
+    far_delta: float = 0.0
+    far_delta_per_speed: float = 0.0
     rest_speed: float = 0.01
     step: float = 0.1
     horizon: float = 10.0
@@ -107,8 +111,8 @@ class Safety:
             ValueError: a number is negative or not finite, or a manoeuvre has too many steps.
         """
         numbers = (self.cycle, self.delta, self.delta_per_speed, self.delta_per_time, self.delta_horizon,
-                   self.rest_speed, self.step, self.horizon)  # fmt: skip
-        if not all(math.isfinite(value) and value >= 0 for value in numbers) or self.step == 0:
+                   self.far_delta, self.far_delta_per_speed, self.rest_speed, self.step, self.horizon)  # fmt: skip
+        if not all(math.isfinite(value) and value >= 0 for value in (*numbers, min(self.near, 0.0))) or self.step == 0:
             raise ValueError(f"safety: numbers must be finite and not negative, got {self}")
         if self.horizon / self.step > MAX_STEPS:
             raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")
@@ -116,7 +120,9 @@ class Safety:
     def clearance(self, speed: Floats, time: Floats) -> Floats:
         """delta(t, v) (n,) at speeds (n,), m/s, and times (n,) since the begin of the query, s."""
         growth = self.delta_per_time * np.clip(time, 0.0, self.delta_horizon)
-        delta: Floats = self.delta + self.delta_per_speed * np.abs(speed) + growth
+        near = self.delta + self.delta_per_speed * np.abs(speed) + growth
+        far = self.far_delta + self.far_delta_per_speed * np.abs(speed)
+        delta: Floats = np.where(np.asarray(time) <= self.near, near, far)
         return delta
 
 
@@ -144,6 +150,8 @@ class Settings:
     heading_weight: float = 0.05
     resolution: float = 0.01
     discs: int = 4
+    excess: float = 0.0
+    """by how much the discs over the footprint may exceed it, as a share of its width; 0: `discs` equal ones"""
     cell: float = 0.02
     pose_cost_to_go: bool | None = None
     """whether the cost-to-go knows the heading; by default it does if the goal has one"""
@@ -171,6 +179,7 @@ class Settings:
             f"goal_bias is {self.goal_bias}, not 0 to 1": 0 <= self.goal_bias <= 1,
             f"exploration is {self.exploration}, not 0 to 1": 0 <= self.exploration <= 1,
             f"discs is {self.discs}, not 1 to 1000": 1 <= self.discs <= 1000,
+            f"excess is {self.excess}, not 0 to 1": 0.0 <= self.excess <= 1.0,
             "lengths are not finite, or not positive": all(
                 math.isfinite(value) and value >= low
                 for value, low in (
@@ -200,8 +209,9 @@ def make_problem(
     spacing = _spacing(vehicle, goal)
     precise = spacing < math.inf
     settings = settings_for(settings, vehicle, goal)
+    excess = EXCESS if precise else settings.excess
     few = cover(vehicle.footprint, settings.discs).discs
-    discs = _tight_cover(vehicle.footprint, EXCESS) if precise else np.column_stack([few, np.zeros(len(few))])
+    discs = _tight_cover(vehicle.footprint, excess) if excess > 0.0 else np.column_stack([few, np.zeros(len(few))])
     delta = _largest_delta(vehicle, safety)
     smallest = float(discs[:, 2].min())
     field, fine = _fields(workspace, vehicle.footprint, smallest, settings.cell, delta, spacing)
@@ -254,6 +264,7 @@ def _scalars(
     scalar[[at.HEADING_WEIGHT, at.RESOLUTION]] = settings.heading_weight, settings.resolution
     scalar[[at.CYCLE, at.DELTA, at.DELTA_PER_SPEED]] = safety.cycle, safety.delta, safety.delta_per_speed
     scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = safety.delta_per_time, safety.delta_horizon
+    scalar[[at.NEAR, at.DELTA_FAR, at.DELTA_FAR_PER_SPEED]] = safety.near, safety.far_delta, safety.far_delta_per_speed
     scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
     scalar[[at.LENGTH, at.TOP_SPEED]] = vehicle.footprint.length, vehicle.top_speed
     scalar[[at.GOAL_BIAS, at.EXPLORATION]] = settings.goal_bias, settings.exploration

@@ -80,7 +80,8 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     stop = plan.contingency
     stopping = _Clearance(dirt, _poses(dirt, stop.states))
     every = np.ones(len(stop.times), bool)
-    problems += _clearance_violations(dirt, "contingency", stop.times, stop.states, stopping, every)
+    times = stop.times - stop.times[0] + dirt.safety.cycle
+    problems += _clearance_violations(dirt, "contingency", times, stop.states, stopping, every)
     final_speeds = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
     if np.any(final_speeds > dirt.safety.rest_speed):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
@@ -127,7 +128,8 @@ def _clearance_violations(
 ) -> list[Violation]:
     """Violation at the sample that violates delta(v) most, if any does."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
-    delta = dirt.safety.clearance(speed, times)
+    rounding = 1e-9  # of the time at which another clearance begins
+    delta = np.minimum(dirt.safety.clearance(speed, times - rounding), dirt.safety.clearance(speed, times + rounding))
     asked = np.flatnonzero(required & (clearance.values < delta + SPREAD))
     if not len(asked):
         return []

@@ -25,6 +25,10 @@ from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
+NEAR = 1.5  # time after a commit for which plans keep the bound as it is now (s)
+LATER_DELTA = 0.1  # bound at rest that is expected afterwards, at least (m)
+LATER_GROWTH, LATER_DELAY = 0.08, 0.1  # growth of the bound, and its part for the speed, at most (m/s, s)
+EXCESS = 0.05  # of the discs that cover the footprint where the bound is measured, as a share of its width
 UNCORRECTED = 0.5  # time for which a wrong acceleration moves the vehicle until the controller corrects its effect (s)
 
 
@@ -47,6 +51,19 @@ class DeviationBound:
     def scaled(self, factor: float) -> DeviationBound:
         """Bound times a factor."""
         return DeviationBound(factor * self.delta, factor * self.per_speed, factor * self.per_time, self.horizon)
+
+    def kept(self, share: float, part: float) -> DeviationBound:
+        """`part` of the clearance that plans keep: a share of the bound at rest, and all that is for the speed.
+
+        A place may be too narrow for the bound at rest; for the rest of the bound the vehicle only has to drive slowly.
+        """
+        return replace(self.scaled(share * part), per_speed=part * self.per_speed)
+
+    @property
+    def later(self) -> DeviationBound:
+        """Bound that is expected for the later part of a plan: delay and drive will be known better then."""
+        growth = min(self.per_time, LATER_GROWTH) * self.horizon
+        return DeviationBound(max(self.delta, LATER_DELTA) + growth, min(self.per_speed, LATER_DELAY))
 
 
 class BoundCalibration:
@@ -131,6 +148,8 @@ class Solvers:
         search = replace(settings_of(task, vehicle), polish=settings.polish, planner=planner)
         if settings.cost_to_go == "pose" and vehicle.index("theta") >= 0:
             search = replace(search, pose_cost_to_go=True, way_margin=WAY_MARGIN)
+        if settings.bound is not None:
+            search = replace(search, excess=EXCESS)
         checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
         clearance = settings.bound or settings.safety
         foresight = clearance.foresight if clearance else 0.0
@@ -238,9 +257,12 @@ class Levels:
     def set(self, number: int, eased: bool) -> DirtSolver:
         """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""
         level, part = self.all[number], HYSTERESIS if eased else 1.0
-        bound, dirt = self.bound.scaled(level.share * part), self._solvers.planning
-        self._solvers.checking.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
-        dirt.set_bound(bound.delta + part * level.margin, bound.per_speed, bound.per_time, bound.horizon)
+        dirt, near = self._solvers.planning, self.bound.kept(level.share, part)
+        self._solvers.checking.set_bound(near.delta, near.per_speed, near.per_time, near.horizon)
+        dirt.set_bound(near.delta + part * level.margin, near.per_speed, near.per_time, near.horizon)
+        if dirt is not self._solvers.checking:
+            later = self.bound.later.kept(level.share, part)
+            dirt.set_far(NEAR, later.delta + part * level.margin, later.per_speed)
         dirt.set_cycle(level.foresight)
         return dirt
 
@@ -254,7 +276,7 @@ class Levels:
 
     def require(self) -> None:
         """Require what suffices when the last plan is checked again."""
-        self._solvers.set_bound(self.bound.scaled(self.share * self._settings.recheck))
+        self._solvers.set_bound(self.bound.kept(self.share, self._settings.recheck))
 
     def keep(self, number: int, stalled: bool) -> None:
         """Record that a plan of a level is proposed; if the vehicle is `stalled`, the next level is tried as well.

@@ -234,7 +234,7 @@ class Adaptive(StrictModel):
     """estimate the delay of commands and make up for it"""
     correlated: bool = True
     """take a share of the pose error as correlated in time"""
-    window: Annotated[Seconds, Field(ge=1, le=60)] = 6.0
+    window: Annotated[Seconds, Field(ge=1, le=60)] = 10.0
     """moving time from which parameters and delay are identified, s"""
     step: Annotated[Seconds, Field(ge=0.02, le=0.5)] = 0.1
     """time between two states of the identification, s"""

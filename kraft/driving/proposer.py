@@ -41,6 +41,10 @@ STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if t
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
 LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than the last one (s)
+PROGRESS_TIME, PROGRESS = (
+    2.0,
+    0.4,
+)  # time (s) in which plans get at least that share of it cheaper if the vehicle gets on
 RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
 PROBES = 2  # attempts at retaining a rest at another level
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
@@ -107,6 +111,8 @@ class Proposer:
         self._recovering = False
         self._levels = Levels(solvers, settings)
         self._grown: tuple[DirtSolver, Plan] | None = None
+        self._costs: list[float] = []  # of the latest plans at one level or lower ones, s
+        self._gets_on = True
         self._budget = 0  # iterations of the cycle's largest budget that are left
 
     def set_settings(self, settings: PlannerSettings) -> None:
@@ -156,8 +162,20 @@ class Proposer:
 
         To keep less clearance than the last plan has to save `LEVEL_GAIN`; to keep more may cost `RISE`.
         """
-        levels, rest, self._budget = self._levels, query.rest, self._settings.largest_budget
+        levels, self._budget = self._levels, self._settings.largest_budget
         was_recovering, self._recovering = self._recovering, False
+        proposal = self._search_at_levels(query)
+        if proposal.plan is not None:
+            levels.require()
+        elif self._recovers(query.root, was_recovering):
+            self._recovering = True
+            proposal = self._search(query, self.dirt, 1.0, is_last=True)
+            self._grown = None if proposal.plan is None else (self.dirt, proposal.plan)
+        return replace(proposal, iterations=self._settings.largest_budget - self._budget)
+
+    def _search_at_levels(self, query: _Query) -> Proposal:
+        """Plan of the first level that leaves a way to the goal, or of a later one that saves enough."""
+        levels, rest = self._levels, query.rest
         kept, chosen, proposal = levels.kept, levels.kept, Proposal(None)
         waiting, self._grown = self._first_levels(query), None
         while waiting and self._budget > 0:
@@ -166,22 +184,31 @@ class Proposer:
             found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting)
             if number < kept and not _leads_to_goal(found):
                 continue
-            gain = RISE if chosen < kept else LEVEL_GAIN
+            gain = RISE if chosen < kept else LEVEL_GAIN if self._gets_on else 0.0
             if proposal.plan is None or _is_better(found, proposal, gain):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
             self._grown = (dirt, found.plan) if chosen == number and found.plan is not None else None
             if _leads_to_goal(proposal) and not self._is_compared(number, found, rest):
                 break
         if proposal.plan is not None:
-            levels.keep(chosen, stalled=total_cost(proposal.plan) > query.left + STALLED)
-            levels.require()
-        elif self._recovers(query.root, was_recovering):
-            self._recovering = True
-            proposal = self._search(query, self.dirt, 1.0, is_last=True)
-            self._grown = None if proposal.plan is None else (self.dirt, proposal.plan)
+            cost = total_cost(proposal.plan)
+            self._note_progress(cost, rises=chosen < kept)
+            levels.keep(chosen, stalled=cost > query.left + STALLED or not self._gets_on)
         elif waiting:
             levels.keep(waiting[0], stalled=False)
-        return replace(proposal, iterations=self._settings.largest_budget - self._budget)
+        return proposal
+
+    def _note_progress(self, cost: float, rises: bool) -> None:
+        """Note the cost of a plan (s), and whether plans have become cheaper in the latest cycles.
+
+        Each plan may put off the part that asks for more clearance than there is, so that the vehicle never gets on.
+        A level with more clearance than before (`rises`) gets the whole time.
+        """
+        latest = round(PROGRESS_TIME / self._settings.cycle)
+        self._costs = [cost] if rises else [*self._costs[-latest:], cost]
+        self._gets_on = len(self._costs) <= latest or self._costs[0] - cost >= PROGRESS * PROGRESS_TIME
+        if not self._gets_on:
+            self._costs = [cost]
 
     def _is_compared(self, number: int, found: Proposal, rest: Rest | None) -> bool:
         """Whether the plan found at a level costs more than what was left, and the next level is tried as well.

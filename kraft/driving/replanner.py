@@ -50,6 +50,7 @@ from ompl_ext.plan import Plan
 
 SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
 FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)
+ROOM = 0.02  # clearance that the place of a vehicle at rest is taken to have, so that it can leave (m)
 NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
 
@@ -213,7 +214,8 @@ class Replanner:
         assert self._decision is not None, "a cycle was decided"
         if not self._one_shot:
             decision = self._decision
-            self._proposal = self._proposer.propose(self._number, decision.predicted.final_state, decision.plan)
+            root = self._with_room(decision.predicted.final_state)
+            self._proposal = self._proposer.propose(self._number, root, decision.plan)
 
     def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> None:
         """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way."""
@@ -273,7 +275,11 @@ class Replanner:
         self._in_transit = [sent for sent in self._in_transit if sent[0] > time + 1e-9]
         for arrives, following in self._in_transit:
             state, time, current = self._predict(state, time, arrives, current).final_state, arrives, following
-        return self._predict(state, time, cycle_start, current).final_state, current
+        return self._with_room(self._predict(state, time, cycle_start, current).final_state), current
+
+    def _with_room(self, root: Floats) -> Floats:
+        """Predicted start of a cycle; that of a vehicle at rest, by its estimate in an obstacle, has a little room."""
+        return self._nearest_free(root, ROOM) if self._switches and is_resting(self.dirt, root) else root
 
     def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Commitment) -> Decision:
         """Safety check right before a cycle, from the latest estimate."""
@@ -383,24 +389,24 @@ class Replanner:
             required_clearance(self.dirt, expected[None, :], 0.0)[0]
         )
 
-    def _nearest_free(self, state: Floats) -> Floats:
+    def _nearest_free(self, state: Floats, slack: float = 0.0) -> Floats:
         """Nearest collision-free state within 0.3 m: a vehicle that still drives has not collided."""
         vehicle = self.dirt.vehicle
         x, y, theta = pose_of(state, vehicle)
-        if self._is_free(x, y, theta):
+        if self._is_free(x, y, theta, slack):
             return state
         for ring in range(1, 16):
             for k in range(24):
                 dx, dy = 0.02 * ring * math.cos(k * math.pi / 12), 0.02 * ring * math.sin(k * math.pi / 12)
-                if self._is_free(x + dx, y + dy, theta):
+                if self._is_free(x + dx, y + dy, theta, slack):
                     moved = state.copy()
                     moved[[vehicle.index("x"), vehicle.index("y")]] = x + dx, y + dy
                     return moved
         return state
 
-    def _is_free(self, x: float, y: float, theta: float) -> bool:
+    def _is_free(self, x: float, y: float, theta: float, slack: float) -> bool:
         (x0, x1), (y0, y1) = self.dirt.workspace.bounds
-        return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= 0.0
+        return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= slack
 
     def _with_delta(self, motion: PredictedMotion, cycle_start: float) -> PredictedMotion:
         """A motion with its bound, or with the clearance that SAFETY asks of it, if it asks for any."""

@@ -18,6 +18,8 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKING,
     CYCLE,
     DELTA,
+    DELTA_FAR,
+    DELTA_FAR_PER_SPEED,
     DELTA_HORIZON,
     DELTA_PER_SPEED,
     DELTA_PER_TIME,
@@ -33,6 +35,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     LANE_WIDTH,
     LENGTH,
     MANOEUVRES,
+    NEAR,
     POSE_HEADINGS,
     REACH,
     REST_SPEED,
@@ -175,8 +178,11 @@ def delta(work: Lanes, step: int, lane: int, time: float, problem: Problem) -> f
     speed = 0.0
     if SPEED >= 0:
         speed = abs(work.trajectory[(step * NX + SPEED) * WIDTH + lane])
-    growth = problem.scalar[DELTA_PER_TIME] * min(time, problem.scalar[DELTA_HORIZON])
-    return problem.scalar[DELTA] + problem.scalar[DELTA_PER_SPEED] * speed + growth
+    scalar = problem.scalar
+    if time > scalar[NEAR]:
+        return scalar[DELTA_FAR] + scalar[DELTA_FAR_PER_SPEED] * speed
+    growth = scalar[DELTA_PER_TIME] * min(time, scalar[DELTA_HORIZON])
+    return scalar[DELTA] + scalar[DELTA_PER_SPEED] * speed + growth
 
 
 def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:

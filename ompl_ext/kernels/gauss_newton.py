@@ -20,6 +20,8 @@ from ompl_ext.kernels.functions import call_intervals
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CYCLE,
     DELTA,
+    DELTA_FAR,
+    DELTA_FAR_PER_SPEED,
     DELTA_HORIZON,
     DELTA_PER_SPEED,
     DELTA_PER_TIME,
@@ -35,6 +37,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     GRID_Y,
     LANE_WIDTH,
     LANES,
+    NEAR,
     PROBLEM,
     REACH,
     Lanes,
@@ -193,8 +196,12 @@ def clearance_penalty(
     """Sum of squared lacks of clearance at a state; with a positive `penalty` the stages get it, too."""
     scalar, required, growth = problem.scalar, work.margin[k], 0.0
     if time <= scalar[CYCLE]:
-        growth = scalar[DELTA_PER_SPEED] if SPEED >= 0 else 0.0
-        required += scalar[DELTA] + scalar[DELTA_PER_TIME] * min(time, scalar[DELTA_HORIZON])
+        if time <= scalar[NEAR]:
+            growth = scalar[DELTA_PER_SPEED] if SPEED >= 0 else 0.0
+            required += scalar[DELTA] + scalar[DELTA_PER_TIME] * min(time, scalar[DELTA_HORIZON])
+        else:
+            growth = scalar[DELTA_FAR_PER_SPEED] if SPEED >= 0 else 0.0
+            required += scalar[DELTA_FAR]
         required += growth * abs(state[SPEED])
     x, y = state[X], state[Y]
     if distance(problem, signed, x, y) > scalar[REACH] + required:

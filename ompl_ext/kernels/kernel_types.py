@@ -87,7 +87,9 @@ GOAL_SPEED = 42  # largest speed in the goal (m/s)
 GOAL_NEAR = 43  # distance from the goal's centre beyond which no edge that begins there reaches the goal (m)
 SHORTEST_NEAR_GOAL = 44  # duration of the shortest edge from nodes that are near a goal that CUT_AT_GOAL (s)
 POSE_HEADING = 45  # heading of the first layer of pose_togo (rad)
-SCALARS = 46
+NEAR = 46  # time since the begin of the query after which another clearance is kept (s)
+DELTA_FAR, DELTA_FAR_PER_SPEED = 47, 48  # that is DELTA_FAR + DELTA_FAR_PER_SPEED |v| (m, s)
+SCALARS = 49
 
 # Indices of Problem.option
 STEPS, BRAKE_STEPS = 0, 1  # integration steps of the longest edge, of the longest manoeuvre

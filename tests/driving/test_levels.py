@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -11,7 +12,12 @@ import pytest
 from support.replanner import mushr, proposals, replanner, start, turns
 
 from kraft.driving.clearance import (
+    HYSTERESIS,
+    LATER_DELAY,
+    LATER_DELTA,
+    LATER_GROWTH,
     NARROW,
+    NEAR,
     SOON,
     STEADY,
     BoundCalibration,
@@ -111,9 +117,36 @@ def test_a_level_asks_for_its_share_its_margin_and_its_foresight() -> None:
     for number, level in enumerate(subject.all):
         safety = subject.set(number, eased=False).safety
         assert safety.delta == pytest.approx(0.1 * level.share + level.margin)
-        assert (safety.delta_per_speed, safety.delta_per_time) == pytest.approx((0.2 * level.share, 0.05 * level.share))
+        assert safety.delta_per_time == pytest.approx(0.05 * level.share)
         assert (safety.cycle, safety.delta_horizon) == (level.foresight, 1.5)
     assert solvers().checking.safety.cycle == 1.0
+
+
+def test_every_level_keeps_all_of_the_bound_that_is_for_the_speed() -> None:
+    subject = levels()
+    subject.bound = DeviationBound(0.1, 0.2, 0.05, 1.5)
+    for number in range(len(subject.all)):
+        assert subject.set(number, eased=False).safety.delta_per_speed == 0.2
+        assert subject.set(number, eased=True).safety.delta_per_speed == pytest.approx(0.2 * HYSTERESIS)
+        assert solvers().checking.safety.delta_per_speed == pytest.approx(0.2 * HYSTERESIS)
+
+
+def test_the_later_part_of_a_plan_keeps_what_the_bound_is_expected_to_be_then() -> None:
+    subject = levels()
+    subject.bound = DeviationBound(0.2, 0.4, 0.3, 1.5)
+    later = subject.bound.later
+    assert later.at(np.zeros(1), np.ones(1)) == pytest.approx(0.2 + 1.5 * LATER_GROWTH + LATER_DELAY)
+    safety = subject.set(1, eased=False).safety
+    assert (safety.near, safety.far_delta_per_speed) == (NEAR, LATER_DELAY)
+    assert safety.far_delta == pytest.approx(0.5 * later.delta + MARGIN)
+    assert solvers().checking.safety.near == math.inf
+
+
+def test_the_bound_that_is_expected_later_is_no_larger_than_it_is_now_but_for_the_least_error_of_a_pose() -> None:
+    now = DeviationBound(0.15, 0.05, 0.02, 1.5)
+    times, speeds = np.full(2, 1.5), np.array([0.0, 0.7])
+    assert now.later.at(times, speeds) == pytest.approx(now.at(times, speeds))
+    assert DeviationBound(0.01).later.delta == LATER_DELTA
 
 
 # Search
@@ -122,7 +155,7 @@ def test_a_level_asks_for_its_share_its_margin_and_its_foresight() -> None:
 def test_the_searches_of_a_cycle_share_its_budget() -> None:
     """The bound leaves no way at any level that keeps the margin."""
     for most in (600, 700, 1200):
-        _, found = driven(*[DeviationBound(1.2)] * 2, max_iterations=most)
+        _, found = driven(*[DeviationBound(1.0)] * 2, max_iterations=most)
         assert all(proposal.iterations <= most for proposal in found)
 
 
@@ -150,7 +183,7 @@ def test_a_rest_can_be_retained_without_a_search_at_the_levels_whose_clearance_i
     assert plan is not None
     root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
     query = _Query(1, root, proposer._rest(plan), 0.0)
-    for bound, expected in ((0.04, [True, True, True]), (0.1, [False, True, True]), (0.2, [False, False, True])):
+    for bound, expected in ((0.04, [True, True, True]), (0.2, [False, True, True]), (0.4, [False, False, True])):
         proposer._levels.bound = DeviationBound(bound)
         assert [proposer._holds(query, number) for number in range(3)] == expected
 
@@ -162,7 +195,7 @@ def test_plans_of_a_bound_that_grows_cost_hardly_more_than_what_was_left() -> No
         assert all(after <= before - 1.0 + STALLED for before, after in itertools.pairwise(costs))
 
 
-@pytest.mark.parametrize(("bound", "level"), [(0.1, 0), (0.35, 1)])
+@pytest.mark.parametrize(("bound", "level"), [(0.1, 0), (0.3, 1)])
 def test_a_vehicle_without_progress_keeps_less_clearance_only_if_that_saves_time(bound: float, level: int) -> None:
     """The plan that was left states a cost that no plan has."""
     subject, (found,) = driven(DeviationBound(0.001))
@@ -202,6 +235,30 @@ def test_a_plan_keeps_more_clearance_than_the_last_one_only_if_it_costs_little_m
     proposer.propose(1, start(), replace(plan, cost=2.0))
     assert tried == [1, 2]
     assert levels.kept == level
+
+
+def test_a_vehicle_that_does_not_get_on_takes_any_gain_of_less_clearance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each plan costs as much as the last one, and one with less clearance only a little less."""
+    subject, (found,) = driven(DeviationBound(0.3))
+    plan, proposer = found.plan, subject._proposer
+    assert plan is not None
+    levels, tried = proposer._levels, list[int]()
+    levels.kept = 0
+    chosen = levels.set
+
+    def recorded(number: int, eased: bool) -> DirtSolver:
+        tried.append(number)
+        return chosen(number, eased)
+
+    monkeypatch.setattr(levels, "set", recorded)
+    monkeypatch.setattr(proposer, "_holds", lambda *_: False)
+    monkeypatch.setattr(proposer, "_search", lambda *_, **__: Proposal(replace(plan, cost=10.0 - 0.3 * tried[-1])))
+    kept = []
+    for number in range(1, 6):
+        proposer.propose(number, start(), replace(plan, cost=10.5))
+        kept.append(levels.kept)
+    assert kept[:2] == [0, 0]
+    assert kept[2] == 1
 
 
 def test_the_same_rest_is_retained_in_every_run() -> None:

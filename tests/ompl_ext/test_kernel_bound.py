@@ -35,7 +35,31 @@ def test_clearance_is_the_sum_of_its_parts() -> None:
     assert safety.clearance(speeds, times) == pytest.approx([0.1, 0.2, 0.24, 0.16, 0.1])
 
 
-@pytest.mark.parametrize("name", ["delta_per_time", "delta_horizon"])
+def test_another_clearance_is_kept_after_the_near_time() -> None:
+    safety = Safety(
+        delta=0.1, delta_per_time=0.04, delta_horizon=2.0, near=1.0, far_delta=0.05, far_delta_per_speed=0.2
+    )
+    speeds, times = np.array([0.0, 0.0, -0.5, 0.0]), np.array([0.0, 1.0, 1.1, np.inf])
+    assert safety.clearance(speeds, times) == pytest.approx([0.1, 0.14, 0.15, 0.05])
+
+
+def test_an_edge_keeps_one_clearance_until_the_near_time_and_another_one_after_it() -> None:
+    clearance = solver(NO_SAFETY).edge(STATE, REST, 0.0)[1]
+    dirt = solver(Safety(True, 5.0, clearance - SPARE))
+    dirt.set_far(0.5, clearance + SPARE, 0.0)
+    assert dirt.edge(STATE, REST, 0.5, 0.0)[1] == pytest.approx(SPARE)
+    assert dirt.edge(STATE, REST, 0.6, 0.0)[1] < 0.0
+    dirt.set_far(0.5, clearance - 2 * SPARE, 1.0)
+    assert dirt.edge(STATE, REST, 0.3, 0.6)[1] == pytest.approx(2 * SPARE)
+
+
+@pytest.mark.parametrize("near", [-0.1, float("nan")])
+def test_a_near_time_that_is_no_time_is_refused(near: float) -> None:
+    with pytest.raises(ValueError, match="not negative"):
+        Safety(near=near)
+
+
+@pytest.mark.parametrize("name", ["far_delta", "far_delta_per_speed", "delta_per_time", "delta_horizon"])
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
 def test_a_growth_that_is_no_number_is_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match="not negative"):

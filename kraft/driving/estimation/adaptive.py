@@ -40,8 +40,12 @@ SAME_ACCELERATION: Final = 0.25
 """Time for which the error of an acceleration by wrong parameters counts as the same, s."""
 SIGNIFICANT: Final = 1.0
 """Squared change of the parameters, by their covariance, up to which those in use are kept."""
+SLOW: Final = 0.2
+"""Speed or turning rate below which identified parameters are used at once, m/s or rad/s."""
 SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
+MOVED_AFTER: Final = 1.0
+"""Time with larger errors of poses than the noise explains after which the vehicle may have been moved instead, s."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
 DRIVE_MAX: Final = 30.0
@@ -176,12 +180,13 @@ class AdaptiveEstimator:
         """Use the identified parameters if they differ significantly from those in use.
 
         The costs of plans are those of the parameters.  Within what is not known of these they would change in every
-        cycle, and plans with them.
+        cycle, and plans with them.  Of a slow vehicle they decide whether it stands, so they are used at once.
         """
         values, covariance = self._window.parameters.model_values(identified.rho), self._covariance_of(identified)
         free = np.flatnonzero(np.diag(covariance) > 0.0)
         change = (values - self._values)[free]
-        if change @ np.linalg.solve(covariance[np.ix_(free, free)], change) > SIGNIFICANT:
+        slow = bool((np.abs(self._filter.posterior.mean[self._model.velocities]) < SLOW).all())
+        if slow or change @ np.linalg.solve(covariance[np.ix_(free, free)], change) > SIGNIFICANT:
             self._values = values
         self._model.set_parameters(self._values)
 
@@ -406,18 +411,43 @@ class CorrelatedFilter(PoseFilter):
         after[:, floor] = after[floor, :].T
         return gain, after
 
-    def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
-        """Posterior after outliers that agree: either the vehicle was moved, or the errors of its poses are as large.
+    _outliers_before_reset = math.inf  # of a burst of correlated errors all poses are outliers
 
-        Both get the variance of the innovation; what follows tells, for the errors decay.
+    def _doubted(self, covariance: Matrix, innovation: Floats, distance: float) -> tuple[Matrix, Matrix]:
+        """With the correlated errors as uncertain as it takes to make an outlier as likely as the limit is."""
+        covariance, correlated = covariance.copy(), self._part(CORRELATED)
+        covariance[np.ix_(correlated, correlated)] += (self._limit**-2.0 - distance**-2.0) * np.outer(
+            innovation, innovation
+        )
+        return covariance, self._noise
+
+    def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
+        """Posterior after a pose; errors that the noise does not explain are believed for a while."""
+        after = super()._update(posterior, pose)
+        error = after.mean[self._part(CORRELATED)]
+        stated = 0.5 * self._variance_rate[self._part(CORRELATED)] * self._errors.times[CORRELATED]
+        if (error**2 / np.maximum(stated, 1e-12)).sum() <= self._limit**2:
+            return after
+        since = min(posterior.doubted_since, pose.time)
+        if pose.time - since < MOVED_AFTER:
+            return replace(after, doubted_since=since)
+        return self._reset(pose, after.mean, after.covariance, error)
+
+    def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
+        """Posterior after errors of poses that stay: either the vehicle was moved by as much, or they are that large.
+
+        Both get half of it and the variance; what follows tells, for the errors decay.
         """
         covariance, unexpected = covariance.copy(), np.outer(innovation, innovation)
         correlated = self._part(CORRELATED)
         covariance[self._pose_block] += unexpected
         covariance[np.ix_(correlated, correlated)] += unexpected
         _, cross, expected = self._expected(mean, covariance)
-        gain, after = self._gain(covariance, cross, expected + self._noise)
-        return Posterior(pose.time, mean + gain @ innovation, 0.5 * (after + after.T), pose)
+        _, after = self._gain(covariance, cross, expected + self._noise)
+        change = np.zeros(len(mean))
+        change[self._pose] = 0.5 * innovation
+        change[correlated] = -0.5 * innovation
+        return Posterior(pose.time, mean + change, 0.5 * (after + after.T), pose)
 
 
 class PoseErrorModel:

@@ -38,13 +38,17 @@ DIFFERENCE_STEP: Final = 1e-5
 
 @dataclass(frozen=True)
 class Posterior:
-    """Mean (nx + 1,) and covariance after `observation`; `outliers` are the latest outliers' whitened innovations."""
+    """Mean (nx + 1,) and covariance after `observation`; `outliers` are the latest outliers' whitened innovations.
+
+    Since `doubted_since` (s) poses have had larger errors than the noise explains, if the filter estimates errors.
+    """
 
     time: float
     mean: Floats
     covariance: Matrix
     observation: Observation | None = None
     outliers: tuple[Floats, ...] = ()
+    doubted_since: float = math.inf
 
 
 class ProcessModel(Protocol):
@@ -67,6 +71,7 @@ class PoseFilter:
     """
 
     horizon: Final = 0.0
+    _outliers_before_reset: float = OUTLIERS_BEFORE_RESET
 
     def __init__(
         self, settings: Filter, model: VehicleModel, start_state: Floats, process_model: ProcessModel | None = None
@@ -163,11 +168,17 @@ class PoseFilter:
         if (distance := float(np.linalg.norm(whitened))) > self._limit:
             outliers = (*posterior.outliers, whitened)
             agree = float(np.linalg.norm(np.mean(outliers, axis=0))) > self._limit
-            if len(outliers) >= OUTLIERS_BEFORE_RESET and agree:
+            if len(outliers) >= self._outliers_before_reset and agree:
                 return self._reset(pose, mean, covariance, innovation)
-            outliers, noise = outliers[-OUTLIERS_BEFORE_RESET:], noise * (distance / self._limit)
+            outliers = outliers[-OUTLIERS_BEFORE_RESET:]
+            covariance, noise = self._doubted(covariance, innovation, distance)
+            _, cross_covariance, pose_covariance = self._expected(mean, covariance)
         gain, after = self._gain(covariance, cross_covariance, pose_covariance + noise)
         return Posterior(pose.time, mean + gain @ innovation, 0.5 * (after + after.T), pose, outliers)
+
+    def _doubted(self, covariance: Matrix, innovation: Floats, distance: float) -> tuple[Matrix, Matrix]:
+        """Covariance (n, n) and noise (3, 3) with which an outlier at a whitened `distance` is processed."""
+        return covariance, self._noise * (distance / self._limit)
 
     def _gain(self, covariance: Matrix, cross_covariance: Matrix, innovation: Matrix) -> tuple[Matrix, Matrix]:
         """Gain (n, 3) of a pose, and the covariance (n, n) after it.

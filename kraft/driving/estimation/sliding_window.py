@@ -214,11 +214,11 @@ def _joined(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     return joined
 
 
-PRIOR_POSES: Final = 40.0
-"""Number of poses that the stated noise counts for beside the measured residuals."""
+PRIOR_SAMPLES: Final = 8.0
+"""Number of independent poses that the stated noise counts for beside the measured residuals."""
 PRIOR_CORRELATION: Final = 4.0
 """Number of correlation times of residuals that weigh as much as the stated share."""
-LAG: Final = 0.2
+LAG: Final = 0.05
 """Time over which the correlation of residuals is measured, s."""
 SHARE_MAX: Final = 0.95
 """Largest share of the pose error that counts as correlated."""
@@ -242,10 +242,15 @@ class NoiseEstimate:
         return cls(sigmas**2, share, settings.correlation_time, sigmas**2, share)
 
     def updated(self, identified: Identified, interval: float) -> NoiseEstimate:
-        """Noise measured by residuals, weighed with the stated noise as `PRIOR_POSES` poses."""
+        """Noise measured by residuals, weighed with the stated noise as `PRIOR_SAMPLES` independent poses.
+
+        Correlated residuals count as fewer independent ones, with the same information together.
+        """
         residuals, count = identified.residuals, len(identified.residuals)
         squares = np.minimum(residuals**2, 16.0 * self.variance)  # outliers are the robust loss's
-        variance = (PRIOR_POSES * self.stated_variance + squares.sum(axis=0)) / (PRIOR_POSES + count)
+        part = 1.0 / self._inflation(interval)
+        total = PRIOR_SAMPLES * self.stated_variance + part * squares.sum(axis=0)
+        variance = total / (PRIOR_SAMPLES + part * count)
         share = self.share
         lag = max(1, round(LAG / interval))
         if self.stated_share.any() and count > 2 * lag:
@@ -256,9 +261,12 @@ class NoiseEstimate:
             share = (self.stated_share + weight * measured) / (1.0 + weight)
         return NoiseEstimate(variance, share, self.time, self.stated_variance, self.stated_share)
 
+    def _inflation(self, interval: float) -> Floats:
+        """Number (3,) of poses, `interval` s apart, with the information of an independent one."""
+        kept = math.exp(-interval / self.time)
+        return 1.0 - self.share + self.share * (1.0 + kept) / (1.0 - kept)
+
     def of_one_pose(self, interval: float) -> Noise:
         """Noise of a pose as if poses, `interval` s apart, were independent: with the same information together."""
-        kept = math.exp(-interval / self.time)
-        inflation = 1.0 - self.share + self.share * (1.0 + kept) / (1.0 - kept)
-        sigma = np.sqrt(self.variance * inflation)
+        sigma = np.sqrt(self.variance * self._inflation(interval))
         return Noise(float(math.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2))), float(sigma[2]))
