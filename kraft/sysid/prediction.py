@@ -50,7 +50,7 @@ WINDOW_LENGTH = 3.0
 HISTORY_PROCESS_FACTOR = 3.0
 """Process noise in the history of a window over that of an identification: the initial state shall follow the poses
 even if the parameters are wrong."""
-HISTORY_ITERATIONS, HISTORY_CONVERGED = 15, 1e-4
+HISTORY_ITERATIONS, HISTORY_CONVERGED = 15, 1e-3
 """Most iterations of the fit of a history, and the relative decrease of its cost below which it has converged."""
 HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
@@ -185,8 +185,7 @@ class Predictor:
             states[w, : self.graph.problem.dynamics.nx] = _at_rest(
                 self.graph.problem.parameters, rho, self.observed[w, 0]
             )
-        found: Floats = self._windows.predict([states], [rho])[0]
-        return found
+        return self._windows.predict(states, rho)
 
 
 def _history(piece: Piece) -> Segment:

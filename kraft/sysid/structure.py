@@ -155,7 +155,8 @@ class StructureSearch:
         self.growth: Floats = np.array(FIRST_GROWTH)
         stated = variation_of(self.parameters(()), settings)
         self.variation = Variation.of(tuple(stated), np.array(list(stated.values())))
-        self.windows = windows_of(segments, [part for _, part in found], folds_of(segments, len(logs)))
+        windows = windows_of(segments, [part for _, part in found], folds_of(segments, len(logs)))
+        self.windows = replace(windows, halved=window is not None)  # errors of steps add up in long windows
         self._pieces = pieces_of(logs, settings, settings.horizon)
         self._predictors: list[Predictor] = []
 
