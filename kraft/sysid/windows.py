@@ -17,7 +17,7 @@ from kraft.sysid.chains import Chains, Segment, pose_steps, segment_between
 from kraft.sysid.dynamics import ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.interface import Settings
-from kraft.sysid.smoothing import begins_at_rest, smoothed
+from kraft.sysid.smoothing import begins_at_rest, smoothed_each
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 
 if TYPE_CHECKING:
@@ -71,10 +71,7 @@ def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, k
 
     With `known` (W,) the windows are histories up to that time, whose later poses are not seen.
     """
-    beginnings = [
-        smoothed(part.pose_times, part.poses, np.array([s.begin])) for s, part in zip(segments, parts, strict=True)
-    ]
-    first = SmoothedPoses(*(np.concatenate(each) for each in zip(*beginnings, strict=True)))
+    first = SmoothedPoses(*smoothed_each(parts, np.array([s.begin for s in segments])))
     apart = [np.median(np.diff(part.pose_times)) for part in parts if len(part.pose_times) > 1]
     interval = float(np.median(apart)) if apart else max(s.h for s in segments)
     most = max(len(s.part.pose_times[s.poses]) for s in segments)
