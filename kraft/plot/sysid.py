@@ -60,6 +60,7 @@ from kraft.plot.sysid_logs import (
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import Identification, ModelTrial, ParameterEstimate, PartFit
+from kraft.sysid.prediction import error_over_time, median_error_log
 from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -67,7 +68,6 @@ from ompl_ext.vehicle import Vehicle
 if TYPE_CHECKING:
     from kraft.logs.log import Log, Part
     from kraft.sysid.acceptance import PredictionPair
-    from kraft.sysid.prediction import Window
 
 
 WIDTH: Final = 11.5
@@ -258,8 +258,6 @@ BETWEEN: Final = 0.12
 """Room between columns of the table."""
 DOWNWEIGHTED: Final = 0.5
 """Weight below which observations are marked."""
-BIN: Final = 0.1
-"""Width of a bin of time since a window's beginning, s."""
 
 
 def draw_parameters(
@@ -482,25 +480,6 @@ def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -
         axes.plot(window.predicted[:, 0], window.predicted[:, 1], color=INITIAL, linewidth=0.9, zorder=3)
     draw_paths(axes, [window.predicted for window in after], IDENTIFIED, width=1.3, zorder=4)
     set_floor_limits(axes, [*observed, *(window.predicted for window in (*after, *before))], part)
-
-
-def median_error_log(windows: Sequence[Window]) -> str:
-    """Name of the log with the median error."""
-    errors: dict[str, list[float]] = {}
-    for window in windows:
-        errors.setdefault(window.log, []).append(float(np.mean(np.hypot(*(window.predicted - window.poses)[:, :2].T))))
-    means = sorted((float(np.mean(found)), name) for name, found in errors.items())
-    return means[len(means) // 2][1]
-
-
-def error_over_time(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, Floats]:
-    """Time since the start of the windows (s), and the root mean square error of pose columns at it."""
-    since = np.concatenate([window.times - window.times[0] for window in windows])
-    off = np.concatenate([(window.predicted - window.poses)[:, list(columns)] for window in windows])
-    squared = np.sum(off**2, axis=1)
-    bins = np.round(since / BIN).astype(int)
-    known = np.unique(bins[bins > 0])
-    return known * BIN, np.sqrt([float(np.mean(squared[bins == k])) for k in known])
 
 
 def draw_error_over_time(

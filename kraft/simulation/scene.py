@@ -15,7 +15,7 @@ from kraft.scenario.truth import FrictionPatch, MovableBox, SpeedBump
 from kraft.simulation import appearance, contacts
 from kraft.simulation.contacts import GROUND
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion, yaw_rotation
-from kraft.vehicles.config import GRAVITY
+from kraft.vehicles import GRAVITY
 from ompl_ext.arrays import Matrix
 from ompl_ext.triangulate import triangles
 

@@ -28,8 +28,8 @@ from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
 from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, World, is_in_goal
 from kraft.text import suggestion
-from kraft.vehicles import CAR_CONTROLS
-from kraft.vehicles.config import FORCE, STEEPEST, CarDimensions, Robot, felt_gravity
+from kraft.vehicles import CAR_CONTROLS, FORCE, STEEPEST, felt_gravity
+from kraft.vehicles.config import CarDimensions, Robot
 from kraft.vehicles.load import load_vehicle, natural_robot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance

@@ -82,7 +82,7 @@ def whole_segment(part: Part, log: int, step: float) -> Segment:
 def segment_between(part: Part, log: int, step: float, first: int, last: int, resting: bool) -> Segment:
     """Segment of a part from pose `first` to the pose before `last`, in steps of at most `step` s."""
     begin, end = float(part.pose_times[first]), float(part.pose_times[last - 1])
-    steps = max(1, math.ceil((end - begin) / step - 1e-9))
+    steps = max(1, math.ceil((end - begin) / step - 0.05))
     return Segment(log, part, begin, steps, max(end - begin, 1e-6) / steps, slice(first, last), resting)
 
 

@@ -5,7 +5,7 @@ lag; its mean over a step is a difference of integrals.  Where the delay or the 
 with a hat (triangular) function twice as wide as the step instead of a box: the derivative with respect to delay and
 lag is then continuous, so that the optimiser does not stop where a jump of the command crosses into the next step.
 Both functions have the same area and centre.  What moves a vehicle with a dead zone or brakes is not the mean of two
-commands.  `ActuatorModel.split` therefore splits each step where a command jumps; the length of the two parts is a
+commands.  `ActuatorModel.split` therefore splits a step where a command jumps; the length of the two parts is a
 continuous function of the delay.
 
 Dynamics: friction of the drive is an auxiliary parameter.  While the vehicle moves, friction reduces the throttle by a
@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import solve_banded
 
-from kraft.sysid.chains import Segment
+from kraft.sysid.chains import Segment, pose_steps
 from kraft.sysid.parameters import Parameters, speed_index
-from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
 
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 SPLIT_MIN = 0.01
 """Least share of a step that is split off."""
+POSE_SPLIT_MIN = 0.07
+"""The same for the beginning or end up to a pose: a chord is as far from the path there as in the middle of a half."""
 LAG_MIN = 1e-6
 """Lag below which a control counts as immediate, s."""
 
@@ -55,6 +57,7 @@ class ActuatorModel:
             for control in self._controls
         ]
         self._drives = _drives(segments)
+        self._poses = np.concatenate([_pose_within(s) for s in segments])
         self._last: tuple[bytes, Matrix, Floats] | None = None
         self._lags = [parameters.auxiliary_index(f"lag_{control}") for control in self._controls]
         self._dead_bands = [parameters.auxiliary_index(f"dead_band_{control}") for control in self._controls]
@@ -80,15 +83,16 @@ class ActuatorModel:
                     slopes[drive.rows, k, j] = slope
         return means, slopes
 
-    def split(self, rho: Floats) -> tuple[Floats, Floats]:
-        """Share (N,) of each step after which a command jumps, and mean controls (N, 2, nu) before and after that.
+    def split(self, rho: Floats, *, halved: bool) -> tuple[Floats, Floats]:
+        """Share (N,) of each step after which it is split, 1 if it is not, and mean controls (N, 2, nu) of its parts.
 
-        Of several jumps in a step the largest counts; a step without one is split in the middle.
+        A step is split where a command jumps, where the largest of several jumps is; one without a jump in the middle
+        if `halved`, else where a pose was observed in it.
         """
         total = sum(s.steps for s in self._segments)
         shares, means = np.empty(total), np.empty((total, 2, len(self._controls)))
         for drive in self._drives:
-            share = self._jumps(drive, rho)
+            share = self._jumps(drive, rho, np.full(len(drive.rows), 0.5) if halved else self._poses[drive.rows])
             shares[drive.rows] = share
             edges = np.stack([drive.begin, drive.begin + share * drive.h, drive.begin + drive.h])
             for k in range(len(self._controls)):
@@ -97,11 +101,11 @@ class ActuatorModel:
                     values = np.sign(values) * np.maximum(np.abs(values) - rho[j], 0.0)
                 lag = float(rho[self._lags[k]]) if self._lags[k] >= 0 else 0.0
                 once = _integrals(times, values, (edges - self._delay(k, rho)).ravel(), lag).once.reshape(edges.shape)
-                means[drive.rows, :, k] = (np.diff(once, axis=0) / np.diff(edges, axis=0)).T
+                means[drive.rows, :, k] = (np.diff(once, axis=0) / np.maximum(np.diff(edges, axis=0), 1e-12)).T
         return shares, means
 
-    def _jumps(self, drive: _Drive, rho: Floats) -> Floats:
-        """Share (n,) of each step of a drive after which its largest jump acts, a half for those without one."""
+    def _jumps(self, drive: _Drive, rho: Floats, without: Floats) -> Floats:
+        """Share (n,) of each step of a drive after which its largest jump acts; `without` (n,) where there is none."""
         jumps, sizes = [], []
         for k, full in enumerate(self._ranges):
             times, values = self._commanded(drive, k)
@@ -111,7 +115,7 @@ class ActuatorModel:
         order = np.argsort(np.concatenate(jumps), kind="stable")
         at, size = np.concatenate(jumps)[order], np.concatenate(sizes)[order]
         low, high = (np.searchsorted(at, drive.begin + s * drive.h) for s in (SPLIT_MIN, 1.0 - SPLIT_MIN))
-        share, largest = np.full(len(drive.begin), 0.5), np.zeros(len(drive.begin))
+        share, largest = without, np.zeros(len(drive.begin))
         for i in range(int((high - low).max(initial=0))):
             own = np.flatnonzero(low + i < high)
             found = low[own] + i
@@ -162,6 +166,15 @@ class _Drive:
     """(n,) s"""
     h: Floats
     """(n,) durations, s"""
+
+
+def _pose_within(segment: Segment) -> Floats:
+    """(steps,) share of each step of a segment after which a pose was observed in it, 1 if none was."""
+    within = np.ones(segment.steps)
+    step, share = pose_steps(segment)
+    inside = (share > POSE_SPLIT_MIN) & (share < 1.0 - POSE_SPLIT_MIN)
+    within[step[inside]] = share[inside]
+    return within
 
 
 def _drives(segments: Sequence[Segment]) -> list[_Drive]:
@@ -266,6 +279,10 @@ DIFFERENCE_STEP = 1e-4
 """Relative step of central differences: errors of 1e-8 by curvature and of 1e-12 by rounding."""
 
 
+PROBES = 8
+"""Number of parameter vectors, and of states with each, at which dependences are sought."""
+
+
 class Dynamics:
     """Steps of a vehicle's motion and their derivatives with respect to all of rho, of `nx` components."""
 
@@ -304,6 +321,21 @@ class Dynamics:
             follows = rising / (1.0 + rising * by_throttle[:, self._speed])
             full -= by_throttle[:, :, None] * (follows[:, None] * full[:, self._speed])[:, None, :]
         return after, full
+
+    def causes(self, components: Sequence[int]) -> Bools:
+        """Components (np,) of rho that move some components of the state, by differences at random points."""
+        p, rng = self._parameters, np.random.default_rng(0)
+        bounds, h = p.vehicle.control_bounds, np.full(PROBES, 0.05)
+        moved = np.zeros((self.nx, self.nx + self.nu + len(p.names)), dtype=bool)
+        for _ in range(PROBES):
+            x, u = rng.uniform(-1.0, 1.0, (PROBES, self.nx)), rng.uniform(bounds[:, 0], bounds[:, 1], (PROBES, self.nu))
+            slopes = self.linearise(x, u, rng.uniform(p.low, p.high), h)[1]
+            moved |= np.any(slopes != 0.0, axis=0)
+        own = np.isin(np.arange(self.nx), components)
+        for _ in range(self.nx):  # and what moves those that move these
+            own |= np.any(moved[own, : self.nx], axis=0)
+        found: Bools = np.any(moved[own, self.nx + self.nu :], axis=0)
+        return found
 
     def simulate(self, start: Matrix, u: Floats, rho: Floats, h: Floats, own: Matrix | None = None) -> Floats:
         """Open-loop motions (steps + 1, m, nx) from `start` (m, nx) with `u` (steps, m, nu) and steps of `h` s.

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
@@ -26,7 +26,7 @@ from kraft.sysid.dynamics import DIFFERENCE_STEP, ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
-from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, stacked
+from kraft.sysid.problem import NoiseModel, Point, Problem, assemble
 from kraft.sysid.smoothing import NEIGHBOURS
 from kraft.sysid.windows import Acting, Variation, Windows, controls_in_parts, places
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
@@ -38,6 +38,8 @@ POSITION_FREE, YAW_FREE, SPEED_FREE, YAW_RATE_FREE, HIDDEN_FREE = 0.005, 0.01, 0
 curves; others, which follow from the commands, in their unit."""
 CONVERGED = 1e-5
 """Relative decrease of the cost by a step below which a fit has converged, if the one before was as small."""
+NEARLY_LINEAR = 0.01
+"""Relative decrease of the cost by a step up to which derivatives are kept for the next one."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-7, 1e7
 LEAD, SETTLING = 1.0, 1.0
 """Time before a window whose commands show components of its initial state that poses do not show, and time for which
@@ -47,6 +49,8 @@ VARIATION_MIN = 0.1
 MISFIT_FREEDOM = 3.0
 """Degrees of freedom of Student's distribution of a window's misfit: its poses err together, so that a window which the
 model does not explain (a start against stiction, a hand on the car) counts little as a whole."""
+CHUNK = 32
+"""Number of windows whose derivatives are multiplied at once: they remain in the processor's cache."""
 COMMANDS_KEPT = 8
 """Number of actuator parameters whose commands are kept."""
 EXPECTED_KEPT = 3
@@ -140,11 +144,15 @@ class MultiStep:
         self._expected[key] = found  # the last one is the newest
         return found.copy()
 
-    def _expect(self, rho: Floats) -> Matrix:
+    def _expect(self, rho: Floats, alike: Matrix | None = None) -> Matrix:
+        """Expected initial states; what poses do not show as in `alike`, where rho makes no difference to it."""
         states = self._shown_alike(self._observed[0], np.zeros(len(rho)), rho)
-        if self._hidden:
+        if self._hidden and alike is not None:
+            states[:, self._hidden] = alike[:, self._hidden]
+        elif self._hidden:
             acting = self._controls_before(rho)
-            before = self.problem.dynamics.simulate(states, acting.controls, rho, acting.h)[-1]
+            order, lane = acting.window, acting.lane
+            before = self.problem.dynamics.simulate(states[order], acting.controls, rho, acting.h)[-1][lane]
             states[:, self._hidden] = before[:, self._hidden]
         return np.hstack([states, np.zeros((len(states), len(self._varying)))])
 
@@ -154,18 +162,21 @@ class MultiStep:
         if key not in self._commands_before:
             if len(self._commands_before) >= COMMANDS_KEPT:
                 del self._commands_before[next(iter(self._commands_before))]
-            led = controls_in_parts(self._actuators_before, chains_of(self._leads, len(self._leads)), rho)
+            chains = chains_of(self._leads, len(self._leads))
+            led = controls_in_parts(self._actuators_before, chains, rho, halved=self.windows.halved)
             settling = round(SETTLING / float(self.windows.h.min()))
             held = np.repeat(led.controls[:1], settling, axis=0)
-            durations = np.concatenate([np.tile(self.windows.h, (settling, 1)), led.h])
-            self._commands_before[key] = Acting(np.concatenate([held, led.controls]), durations)
+            durations = np.concatenate([np.tile(self.windows.h[led.window], (settling, 1)), led.h])
+            controls = np.concatenate([held, led.controls])
+            self._commands_before[key] = replace(led, controls=controls, h=durations, first=led.first + settling)
         return self._commands_before[key]
 
     @cached_property
     def _leads(self) -> list[Segment]:
         """The time before each window, in as many steps for each."""
         steps = math.ceil(LEAD / float(self.windows.h.min()))
-        return [replace(s, begin=s.begin - steps * s.h, steps=steps) for s in self.windows.segments]
+        none = slice(0, 0)
+        return [replace(s, begin=s.begin - steps * s.h, steps=steps, poses=none) for s in self.windows.segments]
 
     @cached_property
     def _actuators_before(self) -> ActuatorModel:
@@ -178,14 +189,20 @@ class MultiStep:
         shown = {speed_index(vehicle), *(vehicle.index(name) for name in ("x", "y", "theta", *YAW_RATES))}
         return [k for k in range(self._nx) if k not in shown]
 
+    @cached_property
+    def _moves_hidden(self) -> Bools:
+        """(np,) which components of rho make a difference to what poses do not show."""
+        moved = self.problem.dynamics.causes(self._hidden)
+        moved[self._acting] = True
+        return moved
+
     def shifted(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
         """Initial states for `rho` that differ from the expected ones as those for `before` do, with the same poses."""
-        return self._shifted(states, before, rho, self.prior_states(rho))
+        return self._shifted(states, before, rho, self.prior_states(rho) - self.prior_states(before))
 
-    def _shifted(self, states: Matrix, before: Floats, rho: Floats, expected: Matrix) -> Matrix:
+    def _shifted(self, states: Matrix, before: Floats, rho: Floats, change: Matrix) -> Matrix:
         moved = self._shown_alike(states, before, rho)
-        if self._hidden:
-            moved[:, self._hidden] += (expected - self.prior_states(before))[:, self._hidden]
+        moved[:, self._hidden] += change[:, self._hidden]
         return moved
 
     def _shown_alike(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
@@ -201,31 +218,27 @@ class MultiStep:
         """Point with given parameters, each window beginning as the smoothed poses do."""
         return Point(self.prior_states(rho), np.empty((0, 0)), rho.copy())
 
-    def predict(self, starts: Sequence[Matrix], rhos: Sequence[Floats]) -> Floats:
-        """Poses (m, W, n, 3) of all windows, m times: from the states starts[i] (W, nx + nv) with rhos[i] (np,)."""
-        w, observation = self.windows, self.problem.observation
-        poses = np.empty((len(rhos), *w.since.shape, 3))
-        controls = [self._controls(rho) for rho in rhos]
-
-        def predict_one(i: int) -> None:
-            acting, step, share = controls[i]
-            states = self._simulated(starts[i], rhos[i], acting)
-            observation.of_windows(states, step, share, rhos[i], poses[i])
-
-        in_parallel(predict_one, range(len(rhos)))
+    def predict(self, start: Matrix, rho: Floats) -> Floats:
+        """Poses (W, n, 3) of all windows from their unknowns `start` (W, nx + nv) with rho (np,)."""
+        poses = np.empty((*self.windows.since.shape, 3))
+        acting, step, share = self._controls(rho)
+        states = self._simulated(start, rho, acting)
+        self.problem.observation.of_windows(states, acting.lane, step, share, rho, poses)
         return poses
 
     def _simulated(self, start: Matrix, rho: Floats, acting: Acting) -> Floats:
-        """States (2 steps + 1, W, nx) of all windows from their unknowns (W, nx + nv)."""
+        """States (parts + 1, W, nx) of all windows, by lane, from their unknowns (W, nx + nv)."""
         values = np.tile(self.problem.parameters.model_values(rho), (len(start), 1))
         values[:, self._varying] += start[:, self._nx :]
-        states = np.ascontiguousarray(start[:, : self._nx])
-        return self.problem.dynamics.simulate(states, acting.controls, rho, acting.h, values)
+        states = np.ascontiguousarray(start[acting.window, : self._nx])
+        return self.problem.dynamics.simulate(states, acting.controls, rho, acting.h, values[acting.window])
 
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""
-        states = self._simulated(point.states, point.rho, self._controls(point.rho)[0])
-        return stacked(states[::2], self.problem.chains)
+        acting = self._controls(point.rho)[0]
+        states, steps = self._simulated(point.states, point.rho, acting), np.diff(self.problem.chains.first) - 1
+        found = np.split(acting.first, np.cumsum(steps)[:-1])
+        return np.concatenate([states[np.append(f, -1), i] for f, i in zip(found, acting.lane, strict=True)])
 
     def _controls(self, rho: Floats) -> tuple[Acting, Ints, Matrix]:
         """Controls that act in the windows, and `places` of the poses; those of a few actuator parameters are kept."""
@@ -233,14 +246,13 @@ class MultiStep:
         if key not in self._commands:
             if len(self._commands) >= COMMANDS_KEPT:
                 del self._commands[next(iter(self._commands))]
-            acting = controls_in_parts(self.problem.actuators, self.problem.chains, rho)
-            self._commands[key] = (acting, *places(acting, self.windows))
+            acting = controls_in_parts(self.problem.actuators, self.problem.chains, rho, halved=self.windows.halved)
+            self._commands[key] = (acting, *places(acting, self.problem.chains, self.windows))
         return self._commands[key]
 
     def residuals(self, point: Point) -> Floats:
         """(W, n, 3) predicted less observed, 0 where there is no pose."""
-        predicted = self.predict([point.states], [point.rho])[0]
-        off: Floats = (predicted - self.windows.poses) * self.windows.seen[..., None]
+        off: Floats = (self.predict(point.states, point.rho) - self.windows.poses) * self.windows.seen[..., None]
         if not self.problem.observation.turns:
             off[..., 2] = 0.0
         return off
@@ -274,44 +286,71 @@ class MultiStep:
         misfit: Floats = 2.0 * self.noise.losses(off, self.sigmas).sum(axis=1) / self._counts
         return misfit
 
-    def linearise(self, point: Point) -> None:
-        """Derivatives of all residuals by differences: every window once per component, in one rollout."""
+    def linearise(self, point: Point, again: bool = True) -> None:
+        """Residuals, and derivatives of all of them by differences: every window once per component, in one rollout.
+
+        Derivatives are kept if not `again`: near the optimum weights and residuals change, and these hardly do.
+        """
         self._point = point
+        if not again:
+            self._off = self.residuals(point)
+            return
         nx, p = self._nx + len(self._varying), self.problem.parameters
         changes = DIFFERENCE_STEP * np.maximum(np.abs(point.rho), 0.1)
         changes = np.where(point.rho + changes > p.high, -changes, changes)
         pose = [p.vehicle.index(name) for name in ("x", "y", "theta") if name in p.vehicle.state]
         others = [k for k in range(nx) if k not in pose]
         changed = [point.rho + changes * (np.arange(len(changes)) == k) for k in self._free.tolist()]
-        expected = in_parallel(lambda i: self._expect(changed[i]), range(len(changed)))
-        starts = [point.states]  # a lever turns about the tracked point
-        starts += [self._shifted(point.states, point.rho, *each) for each in zip(changed, expected, strict=True)]
-        rhos = [point.rho, *changed]
-        for k in others:
-            rhos.append(point.rho)
-            starts.append(point.states + DIFFERENCE_STEP * (np.arange(nx) == k))
-        poses, seen, count = self.predict(starts, rhos), self.windows.seen[..., None], len(self._free)
-        base = poses[0]
-        self._off = (base - self.windows.poses) * seen
-        slopes = np.moveaxis(poses[1:] - base, 0, -1) * seen[..., None]
-        self._by_rho = slopes[..., :count] / changes[self._free]
-        self._by_start = np.zeros((*base.shape, nx))
-        self._by_start[..., others] = slopes[..., count:] / DIFFERENCE_STEP
-        self._by_pose(base, seen)
+        for rho in changed:  # kept, so that threads only read
+            self._controls(rho)
+            if self._hidden:
+                self._controls_before(rho)
+        base, known = self.predict(point.states, point.rho), self.prior_states(point.rho)
+        self._off = (base - self.windows.poses) * self.windows.seen[..., None]
+        self._slopes = np.zeros((nx + len(changed), *base.shape))
+
+        def by_state(k: int) -> None:
+            moved = self.predict(point.states + DIFFERENCE_STEP * (np.arange(nx) == k), point.rho)
+            self._slopes[k] = (moved - base) / DIFFERENCE_STEP
+
+        def by_rho(i: int) -> None:
+            k, rho = self._free[i], changed[i]
+            change = self._expect(rho, None if self._moves_hidden[k] else known) - known
+            states = self._shifted(point.states, point.rho, rho, change)  # a lever turns about the tracked point
+            self._slopes[nx + i] = (self.predict(states, rho) - base) / changes[k]
+
+        in_parallel(by_state, others)
+        in_parallel(by_rho, range(len(changed)))
+        self._by_pose(base)
         if not self.problem.observation.turns:
             self._off[..., 2] = 0.0
 
-    def _by_pose(self, base: Floats, seen: Bools) -> None:
+    def _by_pose(self, base: Floats) -> None:
         """Derivatives by the initial pose: the motion moves and turns with it."""
         vehicle = self.problem.parameters.vehicle
-        self._by_start[..., 0, vehicle.index("x")] = self._by_start[..., 1, vehicle.index("y")] = 1.0
+        self._slopes[vehicle.index("x"), ..., 0] = self._slopes[vehicle.index("y"), ..., 1] = 1.0
         if vehicle.index("theta") >= 0:
             centre = self._point.states[:, [vehicle.index("x"), vehicle.index("y")]]
-            arm = base[..., :2] - centre[:, None]
-            k = vehicle.index("theta")
-            self._by_start[..., 0, k], self._by_start[..., 1, k] = -arm[..., 1], arm[..., 0]
-            self._by_start[..., 2, k] = 1.0
-        self._by_start *= seen[..., None]
+            arm, turned = base[..., :2] - centre[:, None], self._slopes[vehicle.index("theta")]
+            turned[..., 0], turned[..., 1], turned[..., 2] = -arm[..., 1], arm[..., 0], 1.0
+
+    def _squares(self) -> Floats:
+        """(W, unknowns + 1, unknowns + 1) sums of weighted products of the derivatives, the last being residuals."""
+        trust = (MISFIT_FREEDOM + 1.0) / (MISFIT_FREEDOM + self._misfit(self._off))
+        weight = trust[:, None] * self.noise.weights(self._off, self.sigmas) * self.windows.seen
+        root = np.sqrt(weight)[..., None] / self.sigmas
+        size, count = len(self._slopes), len(root)
+
+        def of_some(first: int) -> Floats:
+            own = slice(first, first + CHUNK)
+            scaled = np.empty((size + 1, *root[own].shape))
+            np.multiply(self._slopes[:, own], root[own], out=scaled[:-1])
+            np.multiply(self._off[own], root[own], out=scaled[-1])
+            lanes = np.moveaxis(scaled.reshape(*scaled.shape[:2], -1), 1, 0)
+            found: Floats = lanes @ np.swapaxes(lanes, 1, 2)
+            return found
+
+        return np.concatenate(in_parallel(of_some, range(0, count, CHUNK)))
 
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate the windows, then the means of the drives; `damping` raises the windows' information by that share.
@@ -319,29 +358,25 @@ class MultiStep:
         With rho the means are the columns of the windows' factors; their prior connects them to the windows.
         """
         nx, nv, free, count = self._nx, len(self._varying), self._free, len(self.windows.segments)
-        known, rows = len(free), 3 * self.windows.since.shape[1]
-        trust = (MISFIT_FREEDOM + 1.0) / (MISFIT_FREEDOM + self._misfit(self._off))
-        weight = (trust[:, None] * self.noise.weights(self._off, self.sigmas))[..., None] / self.sigmas**2
-        a = self._by_start.reshape(count, rows, nx + nv)
-        b = self._by_rho.reshape(count, rows, known)
-        w, r = weight.reshape(count, rows), self._off.reshape(count, rows)
+        known, squares = len(free), self._squares()
+        slopes = squares[:, :-1, -1]
         self._mean, varied = self._means(self._point.states)
         prior = np.hstack([self._observed[1] ** -2.0, np.tile(self._within, (count, 1))])
         deviation = self._point.states - self.prior_states(self._point.rho)
         deviation[:, nx:] = varied
-        wa, diagonal, ends = a * w[..., None], np.arange(nx + nv), np.arange(nv)
-        information = np.swapaxes(wa, 1, 2) @ a
+        diagonal, ends, own_states = np.arange(nx + nv), np.arange(nv), slice(0, nx + nv)
+        information = squares[:, own_states, own_states].copy()
         information[:, diagonal, diagonal] += prior
         information[:, diagonal, diagonal] *= 1.0 + damping
         cross, own = np.zeros((count, nx + nv, known + nv)), np.zeros((count, known + nv, known + nv))
         slope = np.zeros((count, known + nv))
-        cross[:, :, :known] = np.swapaxes(wa, 1, 2) @ b
+        cross[:, :, :known] = squares[:, own_states, nx + nv : -1]
         cross[:, nx + ends, known + ends] = -self._within
-        own[:, :known, :known] = np.swapaxes(b * w[..., None], 1, 2) @ b
+        own[:, :known, :known] = squares[:, nx + nv : -1, nx + nv : -1]
         own[:, known + ends, known + ends] = self._within
-        slope[:, :known] = ((b * w[..., None]) * r[..., None]).sum(axis=1)
+        slope[:, :known] = slopes[:, nx + nv :]
         slope[:, known:] = -varied * self._within
-        gradient = (wa * r[..., None]).sum(axis=1) + prior * deviation
+        gradient = slopes[:, own_states] + prior * deviation
         self._solved = np.linalg.solve(information, np.concatenate([cross, gradient[..., None]], axis=2))
         own -= np.swapaxes(cross, 1, 2) @ self._solved[..., :-1]
         slope -= np.einsum("wxr,wx->wr", cross, self._solved[..., -1])
@@ -400,7 +435,7 @@ def fit(
     """
     p = graph.problem.parameters
     point, cost, damping, converged, iterations = start, graph.cost(start), DAMPING_INITIAL, False, 0
-    small = False
+    small, fresh = False, True
     graph.linearise(point)
     while iterations < most and not converged:
         factors = graph.reduce(damping)
@@ -409,10 +444,14 @@ def fit(
         lower = graph.cost(candidate)
         if lower <= cost:
             before, small = small, cost - lower <= tolerance * cost
-            iterations, converged = iterations + 1, before and small
+            iterations, converged = iterations + 1, before and small and fresh
+            fresh = not converged and (small or cost - lower > NEARLY_LINEAR * cost)
             point, cost, damping = candidate, lower, max(0.2 * damping, DAMPING_MIN)
-            graph.linearise(point)
+            graph.linearise(point, again=fresh)
             on_iteration(iterations, cost)
+        elif not fresh:
+            graph.linearise(point)
+            fresh = True
         else:
             damping, converged = 5.0 * damping, damping > DAMPING_MAX
     return Optimum(point, cost, converged, iterations, graph.reduce(0.0))

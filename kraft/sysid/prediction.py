@@ -50,7 +50,7 @@ WINDOW_LENGTH = 3.0
 HISTORY_PROCESS_FACTOR = 3.0
 """Process noise in the history of a window over that of an identification: the initial state shall follow the poses
 even if the parameters are wrong."""
-HISTORY_ITERATIONS, HISTORY_CONVERGED = 15, 1e-4
+HISTORY_ITERATIONS, HISTORY_CONVERGED = 15, 1e-3
 """Most iterations of the fit of a history, and the relative decrease of its cost below which it has converged."""
 HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
@@ -58,6 +58,8 @@ RECENT = 0.3
 """Time before a window whose poses show its speed and turning rate, s."""
 HORIZONS = (1.0, 2.0, 3.0)
 """Times after the beginning of a window at which errors are evaluated, s."""
+BIN = 0.1
+"""Width of a bin of time since a window's beginning, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +187,7 @@ class Predictor:
             states[w, : self.graph.problem.dynamics.nx] = _at_rest(
                 self.graph.problem.parameters, rho, self.observed[w, 0]
             )
-        found: Floats = self._windows.predict([states], [rho])[0]
-        return found
+        return self._windows.predict(states, rho)
 
 
 def _history(piece: Piece) -> Segment:
@@ -275,6 +276,25 @@ def window_errors(predicted: Sequence[Window]) -> PredictionErrors:
         len(predicted),
         int(later.sum()),
     )
+
+
+def error_over_time(windows: Sequence[Window], columns: Sequence[int]) -> tuple[Floats, Floats]:
+    """Time since the start of the windows (s), and the root mean square error of pose columns at it."""
+    since = np.concatenate([window.times - window.times[0] for window in windows])
+    off = np.concatenate([(window.predicted - window.poses)[:, list(columns)] for window in windows])
+    squared = np.sum(off**2, axis=1)
+    bins = np.round(since / BIN).astype(int)
+    known = np.unique(bins[bins > 0])
+    return known * BIN, np.sqrt([float(np.mean(squared[bins == k])) for k in known])
+
+
+def median_error_log(windows: Sequence[Window]) -> str:
+    """Name of the log with the median error."""
+    errors: dict[str, list[float]] = {}
+    for window in windows:
+        errors.setdefault(window.log, []).append(float(np.mean(np.hypot(*(window.predicted - window.poses)[:, :2].T))))
+    means = sorted((float(np.mean(found)), name) for name, found in errors.items())
+    return means[len(means) // 2][1]
 
 
 def _rms(values: Floats, chosen: Bools) -> float:

@@ -60,11 +60,14 @@ class Observation:
             poses[:, 1] += lever * s + side * c
         return poses
 
-    def of_windows(self, states: Floats, step: Ints, share: Matrix, rho: Floats, out: Floats) -> None:
-        """Write the poses `out` (W, n, 3) of the states (steps + 1, W, nx), at steps (W, n) and shares of them."""
+    def of_windows(self, states: Floats, lane: Ints, step: Ints, share: Matrix, rho: Floats, out: Floats) -> None:
+        """Write the poses `out` (W, n, 3) of the states (steps + 1, W, nx), at steps (W, n) and shares of them.
+
+        The states of window w are those of `lane[w]`.
+        """
         shown = np.array([self._x, self._y, self._theta], dtype=np.int64)
         parts = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
-        poses_of_windows(states, step, share, shown, np.array([*parts], dtype=np.float64), out)
+        poses_of_windows(states, lane, step, share, shown, np.array([*parts], dtype=np.float64), out)
 
     def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
         """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
@@ -99,15 +102,18 @@ class Observation:
         return difference
 
 
-def _poses_of_windows(states: Floats, step: Ints, share: Matrix, shown: Ints, offset: Floats, out: Floats) -> None:
+def _poses_of_windows(
+    states: Floats, lane: Ints, step: Ints, share: Matrix, shown: Ints, offset: Floats, out: Floats
+) -> None:
     for w in range(step.shape[0]):
+        i = lane[w]
         for j in range(step.shape[1]):
             k, e = step[w, j], share[w, j]
-            x = (1.0 - e) * states[k, w, shown[0]] + e * states[k + 1, w, shown[0]]
-            y = (1.0 - e) * states[k, w, shown[1]] + e * states[k + 1, w, shown[1]]
+            x = (1.0 - e) * states[k, i, shown[0]] + e * states[k + 1, i, shown[0]]
+            y = (1.0 - e) * states[k, i, shown[1]] + e * states[k + 1, i, shown[1]]
             yaw = 0.0
             if shown[2] >= 0:
-                yaw = (1.0 - e) * states[k, w, shown[2]] + e * states[k + 1, w, shown[2]]
+                yaw = (1.0 - e) * states[k, i, shown[2]] + e * states[k + 1, i, shown[2]]
                 if offset[0] != 0.0 or offset[1] != 0.0:
                     c, s = math.cos(yaw), math.sin(yaw)
                     x += offset[0] * c - offset[1] * s
@@ -119,8 +125,8 @@ def _poses_of_windows(states: Floats, step: Ints, share: Matrix, shown: Ints, of
 poses_of_windows = compiled(
     _poses_of_windows, folder=cache_folder(f"poses-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")
 )
-"""poses_of_windows(states, step, share, shown, offset, out): see `Observation.of_windows`; `shown` (3,) are the indices
-of x, y and yaw in the state, `offset` (3,) lever, side and yaw offset."""
+"""poses_of_windows(states, lane, step, share, shown, offset, out): see `Observation.of_windows`; `shown` (3,) are the
+indices of x, y and yaw in the state, `offset` (3,) lever, side and yaw offset."""
 
 
 @dataclass(frozen=True, eq=False)

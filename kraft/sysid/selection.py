@@ -1,9 +1,10 @@
-"""Model selection: which auxiliary parameters are significant, relevant and distinguishable from other parameters.
+"""Model selection: which parameters the data show.
 
-Backward elimination on the linearised graph: of the auxiliary parameters that are not, the one whose removal increases
-the cost least is removed, and so on; then the remaining parameters are fitted again.  The uncertainty of an auxiliary
-parameter is the larger of that under the stated noise and that between logs: a few logs may agree by chance about a
-parameter that they hardly identify.
+Auxiliary parameters are kept that are significant, relevant and distinguishable from other parameters, by backward
+elimination on the linearised graph: of those that are not, the one whose removal increases the cost least is removed,
+and so on; then the remaining parameters are fitted again.  The uncertainty of an auxiliary parameter is the larger of
+that under the stated noise and that between logs: a few logs may agree by chance about a parameter that they hardly
+identify.  A term of a model is judged by the likelihood with it and without it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.sysid.interface import CORRELATION_REMOVED, Settings
-from kraft.sysid.optimiser import Uncertainty, inverse
+from kraft.sysid.optimiser import Optimum, Uncertainty, held_at_bounds, inverse
 from kraft.sysid.parameters import (
     Parameters,
     affects_motion,
@@ -37,6 +38,8 @@ SIGNIFICANCE = 3.0
 """Least distance from 0 of an auxiliary parameter that is kept, in standard deviations."""
 STD_RATIO_MAX = 0.5
 """Largest standard deviation of an auxiliary parameter that is kept, over that of its prior."""
+GAIN_MIN = 4.0
+"""Least decrease of the cost by a term that the likelihood shows: one without effect has it once in 200 times."""
 
 
 def requested_names(settings: Settings) -> frozenset[str]:
@@ -124,6 +127,51 @@ def _significant(name: str, value: float, variance: float, prior: float) -> bool
     """Whether an auxiliary parameter is significant, not negligible, and more certain than its prior."""
     std = float(np.sqrt(variance))
     return abs(value) >= max(NEGLIGIBLE[name], SIGNIFICANCE * std) and std <= STD_RATIO_MAX * prior
+
+
+def size_of_term(p: Parameters, optimum: Optimum, name: str) -> float:
+    """Distance of a term from its neutral value in standard deviations of its prior."""
+    k = p.index(name)
+    return abs(float(optimum.point.rho[k]) - _neutral(p, k)) / p.specs[k].std
+
+
+def is_shown(p: Parameters, optimum: Optimum, name: str, gain: float) -> bool:
+    """Whether a term is more probable than none, by Laplace's approximation of the likelihood of its size.
+
+    Where folds differ more than noise explains, the `gain`, the decrease of the cost by the term, counts as much less.
+    """
+    factors, rho = optimum.factors, optimum.point.rho
+    held = held_at_bounds(factors, p.low - rho, p.high - rho)
+    if held[p.index(name)]:
+        return False
+    free = p.free & ~held
+    k, count = int(np.count_nonzero(free[: p.index(name)])), len(factors.gradient)
+    covariance = inverse(factors.total_information[np.ix_(free, free)])
+    influence = (factors.gradient[:, free] - factors.gradient[:, free].mean(axis=0)) @ covariance[k]
+    between = float(influence @ influence) * count / (count - 1)  # Huber's sandwich, of independent folds
+    disagreement = max(1.0, between / float(covariance[k, k]))
+    narrowed = math.log(p.specs[p.index(name)].std / math.sqrt(disagreement * covariance[k, k]))
+    return gain / disagreement > max(narrowed, GAIN_MIN)
+
+
+def costs_of_terms(p: Parameters, optimum: Optimum, terms: Iterable[str]) -> dict[str, float]:
+    """Increase of the linearised cost by switching off each term."""
+    factors, rho = optimum.factors, optimum.point.rho
+    total, held = factors.total_information, held_at_bounds(factors, p.low - rho, p.high - rho)
+    cost = {}
+    for name in terms:
+        k = p.index(name)
+        others = p.free & ~held & (np.arange(len(rho)) != k)
+        follow = np.linalg.lstsq(total[np.ix_(others, others)], total[others, k], rcond=None)[0]
+        cost[name] = float(0.5 * (total[k, k] - total[k, others] @ follow) * (_neutral(p, k) - rho[k]) ** 2)
+    return cost
+
+
+def _neutral(p: Parameters, k: int) -> float:
+    """Value at which a term is off."""
+    neutral = p.specs[k].neutral
+    assert neutral is not None, "only terms have a neutral value"
+    return neutral
 
 
 def check_settings(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from kraft.sysid.interface import Noise
-from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
@@ -89,9 +90,34 @@ def smoothed(times: Floats, poses: Matrix, at: Floats) -> tuple[Matrix, Matrix]:
     if count < 3:  # a parabola needs three
         slope = (poses[-1] - poses[0]) / max(times[-1] - times[0], 1e-9)
         return poses[0] + (at - times[0])[:, None] * slope, np.tile(slope, (len(at), 1))
-    nearest = np.clip(np.searchsorted(times, at) - count // 2, 0, len(times) - count)
-    index = nearest[:, None] + np.arange(count)
-    since, z = times[index] - at[:, None], poses[index]
+    index = _nearest(times, at, count)
+    return _parabolas(times[index] - at[:, None], poses[index])
+
+
+def smoothed_each(parts: Sequence[Part], at: Floats) -> tuple[Matrix, Matrix]:
+    """Pose and its rates (k, 3) of each of k parts at the time `at` (k,): as `smoothed`, of all parts at once."""
+    enough = [i for i, part in enumerate(parts) if len(part.pose_times) >= NEIGHBOURS]
+    found, rates = np.empty((len(parts), 3)), np.empty((len(parts), 3))
+    if enough:
+        index = [_nearest(parts[i].pose_times, at[i : i + 1], NEIGHBOURS)[0] for i in enough]
+        since = np.stack([parts[i].pose_times[own] - at[i] for i, own in zip(enough, index, strict=True)])
+        poses = np.stack([parts[i].poses[own] for i, own in zip(enough, index, strict=True)])
+        found[enough], rates[enough] = _parabolas(since, poses)
+    for i in set(range(len(parts))) - set(enough):
+        one = smoothed(parts[i].pose_times, parts[i].poses, at[i : i + 1])
+        found[i], rates[i] = one[0][0], one[1][0]
+    return found, rates
+
+
+def _nearest(times: Floats, at: Floats, count: int) -> Ints:
+    """(k, count) indices of the poses about the times `at` (k,)."""
+    first = np.clip(np.searchsorted(times, at) - count // 2, 0, len(times) - count)
+    index: Ints = first[:, None] + np.arange(count)
+    return index
+
+
+def _parabolas(since: Matrix, z: Floats) -> tuple[Matrix, Matrix]:
+    """Poses and their rates (k, 3) at the time 0 of robust parabolas through poses `z` (k, m, 3) at times (k, m)."""
     scale = np.max(np.abs(since), axis=1)[:, None] + 1e-9
     tau = since / scale
     weight = (1.0 - 0.9 * np.abs(tau) ** 3)[:, :, None] * np.ones(3)
@@ -99,7 +125,7 @@ def smoothed(times: Floats, poses: Matrix, at: Floats) -> tuple[Matrix, Matrix]:
     spread = np.median(np.abs(z - middle), axis=1)[:, None] + 1e-3
     robust = np.abs(z - middle) < 6.0 * spread  # initial classification of outliers
     basis = np.stack([np.ones_like(tau), tau, tau**2], axis=2)  # (k, m, 3)
-    coefficients = np.zeros((len(at), 3, 3))
+    coefficients = np.zeros((len(z), 3, 3))
     for _ in range(3):
         w = weight * robust
         normal = np.einsum("kma,kmb,kmc->kcab", basis, basis, w) + 1e-6 * np.eye(3)

@@ -32,18 +32,11 @@ import numpy as np
 from kraft.sysid.initial_values import InitialSearch, drive_values
 from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit, in_parallel
-from kraft.sysid.optimiser import (
-    OnIteration,
-    Optimum,
-    bounded_step,
-    held_at_bounds,
-    inverse,
-    step_with,
-    without_fold,
-)
+from kraft.sysid.optimiser import OnIteration, Optimum, bounded_step, step_with, without_fold
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import NoiseModel, Point, noise_model
+from kraft.sysid.selection import costs_of_terms, is_shown, size_of_term
 from kraft.sysid.smoothing import measured_noise, thinned
 from kraft.sysid.windows import Variation, cut, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
@@ -78,8 +71,6 @@ NEGLIGIBLE: Final = 0.04
 """Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
 NEGLIGIBLE_OFFSET: Final = 0.02
 """The same for a structure that lacks an offset of the poses."""
-GAIN_MIN: Final = 4.0
-"""Least decrease of the cost by a term that is switched on again: one without effect has it once in 200 times."""
 PATH_COST: Final = 2.0
 """Most by which the cost of a term may be larger than its increase on the path, whose fits are not at their ends."""
 SIZE_MIN: Final = 0.15
@@ -155,7 +146,8 @@ class StructureSearch:
         self.growth: Floats = np.array(FIRST_GROWTH)
         stated = variation_of(self.parameters(()), settings)
         self.variation = Variation.of(tuple(stated), np.array(list(stated.values())))
-        self.windows = windows_of(segments, [part for _, part in found], folds_of(segments, len(logs)))
+        windows = windows_of(segments, [part for _, part in found], folds_of(segments, len(logs)))
+        self.windows = replace(windows, halved=window is not None)  # errors of steps add up in long windows
         self._pieces = pieces_of(logs, settings, settings.horizon)
         self._predictors: list[Predictor] = []
 
@@ -330,7 +322,7 @@ class StructureSearch:
         }
         for name in sorted(lost, key=lambda name: -lost[name][0]):
             cost, before = lost[name]
-            if _size(before, name) < SIZE_MIN or not _is_shown(before, name, PATH_COST * cost):
+            if not _gains(before, name, PATH_COST * cost):
                 continue
             more = self._with(structure, name, before)
             gain = structure.optimum.cost - more.optimum.cost
@@ -405,7 +397,8 @@ class StructureSearch:
         if idle:
             found.append(self.without(found[0], *idle))
         while found[-1].terms and not self._too_few(found):
-            found.append(self.without(found[-1], _cheapest(found[-1])))
+            costs = _linearised_costs(found[-1])
+            found.append(self.without(found[-1], min(costs, key=lambda name: costs[name])))
         return found
 
     @staticmethod
@@ -448,37 +441,15 @@ def is_near(structure: Structure, best: Structure, share: float) -> bool:
     return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
 
 
-def _size(structure: Structure, name: str) -> float:
-    """Distance of a term from its neutral value in standard deviations of its prior."""
-    p = structure.graph.problem.parameters
-    k = p.index(name)
-    neutral = p.specs[k].neutral
-    assert neutral is not None  # it is a term
-    return abs(float(structure.optimum.point.rho[k]) - neutral) / p.specs[k].std
-
-
 def _is_shown(structure: Structure, name: str, gain: float) -> bool:
-    """Whether a term is more probable than none, by Laplace's approximation of the likelihood of its size.
-
-    Where folds differ more than noise explains, the `gain`, the decrease of the cost by the term, counts as much less.
-    """
-    p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
-    held = held_at_bounds(factors, p.low - rho, p.high - rho)
-    if held[p.index(name)]:
-        return False
-    free = p.free & ~held
-    k, count = int(np.count_nonzero(free[: p.index(name)])), len(factors.gradient)
-    covariance = inverse(factors.total_information[np.ix_(free, free)])
-    influence = (factors.gradient[:, free] - factors.gradient[:, free].mean(axis=0)) @ covariance[k]
-    between = float(influence @ influence) * count / (count - 1)  # Huber's sandwich, of independent folds
-    disagreement = max(1.0, between / float(covariance[k, k]))
-    narrowed = math.log(p.specs[p.index(name)].std / math.sqrt(disagreement * covariance[k, k]))
-    return gain / disagreement > max(narrowed, GAIN_MIN)
+    """Whether the likelihood shows a term by the decrease `gain` of the cost."""
+    return is_shown(structure.graph.problem.parameters, structure.optimum, name, gain)
 
 
 def _gains(structure: Structure, name: str, gain: float) -> bool:
-    """Whether a term is as large as in cars, and more probable than none by the decrease `gain` of the cost."""
-    return _size(structure, name) >= SIZE_MIN and _is_shown(structure, name, gain)
+    """Whether a term is as large as in cars, and shown by the decrease `gain` of the cost."""
+    size = size_of_term(structure.graph.problem.parameters, structure.optimum, name)
+    return size >= SIZE_MIN and _is_shown(structure, name, gain)
 
 
 def _last_with(path: Sequence[Structure], name: str) -> Structure:
@@ -486,30 +457,9 @@ def _last_with(path: Sequence[Structure], name: str) -> Structure:
     return next(structure for structure in reversed(path) if name in structure.terms)
 
 
-def _cheapest(structure: Structure) -> str:
-    """Term whose switching off raises the linearised cost least."""
-    cost = _linearised_costs(structure)
-    return min(cost, key=lambda name: cost[name])
-
-
 def _linearised_costs(structure: Structure) -> dict[str, float]:
     """Increase of the linearised cost by switching off each term."""
-    p, factors, rho = structure.graph.problem.parameters, structure.optimum.factors, structure.optimum.point.rho
-    held = held_at_bounds(factors, p.low - rho, p.high - rho)
-    cost = {}
-    for name in structure.terms:
-        k = p.index(name)
-        neutral = p.specs[k].neutral
-        assert neutral is not None  # candidates have one
-        move = neutral - rho[k]
-        others = p.free & ~held & (np.arange(len(rho)) != k)
-        total = factors.total_information
-        schur = (
-            total[k, k]
-            - total[k, others] @ np.linalg.lstsq(total[np.ix_(others, others)], total[others, k], rcond=None)[0]
-        )
-        cost[name] = float(0.5 * schur * move**2)
-    return cost
+    return costs_of_terms(structure.graph.problem.parameters, structure.optimum, structure.terms)
 
 
 def _error_growth(graph: MultiStep, point: Point) -> Floats:

@@ -17,8 +17,7 @@ from kraft.sysid.chains import Chains, Segment, pose_steps, segment_between
 from kraft.sysid.dynamics import ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.interface import Settings
-from kraft.sysid.problem import padded
-from kraft.sysid.smoothing import begins_at_rest, smoothed
+from kraft.sysid.smoothing import begins_at_rest, smoothed_each
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 
 if TYPE_CHECKING:
@@ -58,6 +57,8 @@ class Windows:
     """(W, 3) poses and rates at the beginnings, smoothed with those before and after"""
     interval: float
     """between the poses that they were smoothed from, s"""
+    halved: bool = False
+    """whether every step is integrated in two parts"""
 
     @property
     def folds(self) -> int:
@@ -70,10 +71,7 @@ def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, k
 
     With `known` (W,) the windows are histories up to that time, whose later poses are not seen.
     """
-    beginnings = [
-        smoothed(part.pose_times, part.poses, np.array([s.begin])) for s, part in zip(segments, parts, strict=True)
-    ]
-    first = SmoothedPoses(*(np.concatenate(each) for each in zip(*beginnings, strict=True)))
+    first = SmoothedPoses(*smoothed_each(parts, np.array([s.begin for s in segments])))
     apart = [np.median(np.diff(part.pose_times)) for part in parts if len(part.pose_times) > 1]
     interval = float(np.median(apart)) if apart else max(s.h for s in segments)
     most = max(len(s.part.pose_times[s.poses]) for s in segments)
@@ -123,32 +121,51 @@ def folds_of(segments: Sequence[Segment], logs: int) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """Controls that act in W windows, each step in two parts."""
+    """Controls that act in W windows, in parts of steps one after the other; at most `parts` of them.
+
+    Lanes are the windows in the order of their number of parts, since neighbours are integrated together.
+    """
 
     controls: Floats
-    """(2 steps, W, nu)"""
+    """(parts, W, nu) by lane, zeros beyond the last part of a window"""
     h: Matrix
-    """(2 steps, W) durations, s"""
+    """(parts, W) durations by lane, s; 0 beyond the last part"""
+    first: Ints
+    """(N,) part with which each step of the chains begins"""
+    window: Ints
+    """(W,) of each lane"""
+    lane: Ints
+    """(W,) of each window"""
 
 
-def controls_in_parts(actuators: ActuatorModel, chains: Chains, rho: Floats) -> Acting:
-    """Controls in the steps of all chains, split where commands jump; zeros beyond the last step of a chain."""
-    share, means = actuators.split(rho)
-    parts = np.column_stack([share, 1.0 - share]) * chains.h[:, None]
-    both = padded(np.concatenate([means, parts[..., None]], axis=2).reshape(len(means), -1), chains)
-    steps, count, size = both.shape
-    halves = np.moveaxis(both.reshape(steps, count, 2, size // 2), 2, 1).reshape(2 * steps, count, size // 2)
-    return Acting(np.ascontiguousarray(halves[..., :-1]), np.ascontiguousarray(halves[..., -1]))
+def controls_in_parts(actuators: ActuatorModel, chains: Chains, rho: Floats, *, halved: bool) -> Acting:
+    """Controls in the steps of all chains, those in which a command jumps in two parts, or all if `halved`."""
+    share, means = actuators.split(rho, halved=halved)
+    steps = np.diff(chains.first) - 1
+    window, split = np.repeat(np.arange(len(steps)), steps), share < 1.0
+    ends = np.cumsum(1 + split)
+    before = np.concatenate([[0], ends])[chains.first[:-1] - np.arange(len(steps))]  # parts of the windows before
+    first = ends - 1 - split - before[window]
+    parts = np.bincount(window, 1 + split).astype(np.int64)
+    order = np.argsort(parts, kind="stable")
+    lane = np.argsort(order, kind="stable")
+    shape = (int(parts.max()), len(steps))
+    controls, h = np.zeros((*shape, means.shape[2])), np.zeros(shape)
+    for part, own, length in ((0, slice(None), share), (1, split, 1.0 - share)):
+        at = first[own] + part, lane[window[own]]
+        controls[at], h[at] = means[own, part], (length * chains.h)[own]
+    return Acting(controls, h, first, order, lane)
 
 
-def places(acting: Acting, windows: Windows) -> tuple[Ints, Matrix]:
+def places(acting: Acting, chains: Chains, windows: Windows) -> tuple[Ints, Matrix]:
     """Part of a step (W, n) in which each pose was observed, and share (W, n) of that part."""
-    row = np.arange(len(windows.step))[:, None]
-    first, second = acting.h[2 * windows.step, row], acting.h[2 * windows.step + 1, row]
-    since = windows.share * (first + second)
-    late = since > first
-    part = np.where(late, second, first)
-    return 2 * windows.step + late, (since - np.where(late, first, 0.0)) / np.where(part > 0.0, part, 1.0)
+    lane = acting.lane[:, None]
+    begin = acting.first[windows.step + (chains.first[:-1] - np.arange(len(lane)))[:, None]]
+    since = windows.share * windows.h[:, None]
+    late = since > acting.h[begin, lane] + 1e-12
+    part = begin + late
+    since -= np.where(late, acting.h[begin, lane], 0.0)
+    return part, np.minimum(since / acting.h[part, lane], 1.0)
 
 
 WITHIN_SHARE: Final = 0.05

@@ -1,10 +1,12 @@
 """Vehicle models, each a derivative over tuples, and their loading; parameters are in `configs/vehicles/`.
 
-Here is what all of them have in common: whether a vehicle is a car, and the units of controls where it states them.
+Here is what all of them have in common: whether a vehicle is a car, the units of controls where it states them, and the
+force by a slope of the floor.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -38,3 +40,16 @@ def control_title(vehicle: Vehicle, name: str) -> str:
     """Name of a control in words, with its unit where that is known."""
     words, unit = name.replace("_", " "), control_unit(vehicle, name)
     return f"{words}, {unit}" if unit else words
+
+
+FORCE: Final = ("a_x", "a_y")
+"""Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""
+GRAVITY: Final = 9.81  # m/s^2
+STEEPEST: Final = math.sin(math.radians(40.0))
+"""Largest slope of a floor, rise per metre of it; a force that stands for a larger one has another cause."""
+
+
+def felt_gravity(vehicle: Vehicle) -> float:
+    """Force per mass by a slope of 1, m/s^2, on a vehicle that states its share of gravity."""
+    assert vehicle.gravity_share is not None, "a slope drives only a vehicle that states its share"
+    return GRAVITY * vehicle.gravity_share

@@ -5,7 +5,6 @@ Scenarios state the true robot with the same keys.  Only the simulation reads it
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,26 +25,16 @@ from kraft.config.schema import Length, Name, NonNegative, Positive, StrictModel
 from kraft.config.yaml_reader import KeyPath, Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
+from kraft.vehicles import FORCE
 from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle
-from ompl_ext.vehicle import ParameterRange, Vehicle
+from ompl_ext.vehicle import ParameterRange
 
 Symbol = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Quantity = Annotated[float, Field(ge=-1e9, le=1e9)]
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 Text = Annotated[str, StringConstraints(min_length=1)]
 Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
-FORCE = ("a_x", "a_y")
-"""Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""
-GRAVITY = 9.81  # m/s^2
-STEEPEST = math.sin(math.radians(40.0))
-"""Largest slope of a floor, rise per metre of it; a force that stands for a larger one has another cause."""
 SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
-
-
-def felt_gravity(vehicle: Vehicle) -> float:
-    """Force per mass by a slope of 1, m/s^2, on a vehicle that states its share of gravity."""
-    assert vehicle.gravity_share is not None, "a slope drives only a vehicle that states its share"
-    return GRAVITY * vehicle.gravity_share
 
 
 def _model_reference(text: str) -> str:

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
@@ -14,7 +15,6 @@ from kraft.files import check_all
 from kraft.logs.discover import check_paths
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import load_mapping
-from kraft.plot.style import check_picture
 from kraft.sysid.acceptance import (
     PredictionEvaluation,
     evaluate_predictions,
@@ -250,9 +250,12 @@ def _checked(request: SysidRequest) -> tuple[BaseVehicle, Settings]:
         lambda: None if mapping is None else load_mapping(mapping),
         lambda: check_holdout(request.holdout),
         lambda: None if out is None else check_vehicle_target(out),
-        lambda: None if plot is None else check_picture(plot),
-        lambda: _check_next(request),
     ]
+    if plot is not None:
+        from kraft.plot import check_picture
+
+        checks.append(partial(check_picture, plot))
+    checks.append(lambda: _check_next(request))
     problems.of(lambda: check_all(*checks))
     problems.check()
     assert base is not None, "every problem was raised"

@@ -28,6 +28,7 @@ AT_STEP = AT_PARAMETERS + NP * WIDTH
 AT_NEXT = AT_STEP + WIDTH
 SPEED = VEHICLE.rest_indices[0] if VEHICLE.rest else -1  # of its direction forces depend: brakes, friction
 CROSSING_ROUNDS = 4  # false position on a nearly linear speed: to the order of 1e-6 of a step
+VECTOR, SINGLE_MAX = 8, 2  # lanes that are advanced at once; those beyond a multiple that are advanced one by one
 BLOCK = AT_NEXT + NX * WIDTH
 
 derivative = VEHICLE.derivative
@@ -93,6 +94,43 @@ def add_change(first: int, lanes: int, j: int, change: float, factor: float, blo
             jacobian[first + i, k, j] += factor * block[AT_NEXT + k * WIDTH + i]
 
 
+@part
+def load_motions(first: int, lanes: int, start: Matrix, p: Matrix, block: Floats) -> None:
+    """Fill the working block with the states and the parameters of lanes first ... first + lanes - 1."""
+    for i in range(lanes):
+        for k in range(NX):
+            block[k * WIDTH + i] = start[first + i, k]
+        for k in range(NP):
+            block[AT_PARAMETERS + k * WIDTH + i] = p[first + i, k]
+
+
+@part
+def store_states(first: int, lanes: int, block: Floats, at: int, states: Matrix) -> None:
+    """Copy the states of some lanes, at index `at` of the working block, to rows first ... first + lanes - 1."""
+    for i in range(lanes):
+        for k in range(NX):
+            states[first + i, k] = block[at + k * WIDTH + i]
+
+
+@part
+def whole_vectors(lanes: int) -> int:
+    """Number of lanes to advance: the last few of a vector take as long one by one as a whole vector does."""
+    rest = lanes % VECTOR
+    return lanes + (VECTOR - rest) if rest > SINGLE_MAX else lanes
+
+
+@part
+def last_step(first: int, lanes: int, h: Matrix) -> int:
+    """Number of steps (rows of `h`) of those of some lanes that have most."""
+    steps = len(h)
+    while steps > 0:
+        for i in range(lanes):
+            if h[steps - 1, first + i] != 0.0:
+                return steps
+        steps -= 1
+    return 0
+
+
 def _linearise(
     x: Matrix, u: Matrix, p: Floats, h: Floats, change: Floats, block: Floats, after: Matrix, jacobian: Floats
 ) -> None:
@@ -121,32 +159,30 @@ def _simulate(
 ) -> None:
     """Open-loop motions: `states` (steps + 1, m, nx) from `start` (m, nx) with controls `u` (steps, m, nu).
 
-    Lane i of m has parameters `p` (m, np); its step k takes h[k, i] s.  With `to_standstill` a step in which the speed
-    changes its sign is split there.
+    Lane i of m has parameters `p` (m, np); its step k takes h[k, i] s, 0 beyond its last one.  With `to_standstill` a
+    step in which the speed changes its sign is split there.
     """
     for first in range(0, len(start), WIDTH):
         lanes = min(WIDTH, len(start) - first)
-        for i in range(lanes):
-            for k in range(NX):
-                block[k * WIDTH + i] = start[first + i, k]
-                states[0, first + i, k] = start[first + i, k]
-            for k in range(NP):
-                block[AT_PARAMETERS + k * WIDTH + i] = p[first + i, k]
-        for step in range(len(u)):
+        steps, wide = last_step(first, lanes, h), whole_vectors(lanes)
+        load_motions(first, lanes, start, p, block)
+        store_states(first, lanes, block, 0, states[0])
+        for step in range(steps):
             for i in range(lanes):
                 block[AT_STEP + i] = h[step, first + i]
                 for k in range(NU):
                     block[AT_CONTROL + k * WIDTH + i] = u[step, first + i, k]
-            step_lanes(block, lanes)
+            step_lanes(block, wide)
             if to_standstill and SPEED >= 0:
                 for i in range(lanes):
                     if block[SPEED * WIDTH + i] * block[AT_NEXT + SPEED * WIDTH + i] < 0.0:
                         step_over_standstill(block, i)
+            store_states(first, lanes, block, AT_NEXT, states[step + 1])
             for i in range(lanes):
                 for k in range(NX):
-                    value = block[AT_NEXT + k * WIDTH + i]
-                    block[k * WIDTH + i] = value
-                    states[step + 1, first + i, k] = value
+                    block[k * WIDTH + i] = block[AT_NEXT + k * WIDTH + i]
+        for step in range(steps, len(u)):
+            store_states(first, lanes, block, 0, states[step + 1])
 
 
 _VECTOR, _MATRIX, _CUBE = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]

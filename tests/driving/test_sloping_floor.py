@@ -19,7 +19,7 @@ from kraft.scenario.truth import Tilt
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.vehicles.config import GRAVITY
+from kraft.vehicles import GRAVITY
 from ompl_ext.arrays import Floats
 
 CAMERA = LevelCamera((1.0, 3.0, 5.0), MARKER_HEIGHT, (0.0, 0.0))

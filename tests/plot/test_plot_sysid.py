@@ -12,10 +12,11 @@ from support.sysid import estimated, fake_evaluation, fake_identification, fake_
 
 from kraft.errors import InputError
 from kraft.plot.style import plot_style
-from kraft.plot.sysid import compose, error_over_time, median_error_log, plot_identification
+from kraft.plot.sysid import compose, plot_identification
 from kraft.plot.sysid_logs import compose_logs, most_excited_log, plot_logs, speeds
 from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import Identification, LogFit, ModelTrial, PartFit
+from kraft.sysid.prediction import error_over_time, median_error_log
 from kraft.vehicles.load import load_vehicle
 
 MUSHR = load_vehicle("mushr")

@@ -12,7 +12,8 @@ import pytest
 from kraft.sysid.interface import Settings
 from kraft.sysid.optimiser import RhoFactors
 from kraft.sysid.parameters import parameters_of
-from kraft.sysid.structure import Structure, StructureSearch, _is_shown, chosen
+from kraft.sysid.selection import is_shown
+from kraft.sysid.structure import Structure, StructureSearch, chosen
 from kraft.vehicles.config import load_vehicle_config
 
 FOLDS = 8
@@ -93,4 +94,4 @@ def with_slide(value: float, std: float, scatter: float = 0.0) -> Structure:
     ids=["by all folds", "by chance", "folds that disagree", "far smaller than in cars", "at its bound"],
 )
 def test_the_likelihood_shows_a_term_that_is_more_probable_than_none(term: Structure, gain: float, shown: bool) -> None:
-    assert _is_shown(term, "slide", gain) is shown
+    assert is_shown(term.graph.problem.parameters, term.optimum, "slide", gain) is shown

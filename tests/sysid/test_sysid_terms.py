@@ -122,12 +122,15 @@ def test_a_step_is_split_where_a_command_jumps() -> None:
     actuators = ActuatorModel([whole_segment(part, 0, 0.05)], parameters)
     rho = parameters.nominal.copy()
     rho[parameters.index("delay")] = 0.02
-    share, means = actuators.split(rho)
+    share, means = actuators.split(rho, halved=False)
     assert share[[2, 6]] == pytest.approx([0.6, 0.9])  # 0.13 and 0.345 s
     np.testing.assert_allclose(means[2], [[0.2, 0.0], [1.0, 0.0]], atol=1e-12)
     np.testing.assert_allclose(means[6], [[1.0, 0.0], [-0.5, 0.3]], atol=1e-12)
     others = np.delete(share, [0, 2, 6])
-    np.testing.assert_allclose(others, 0.5)
+    np.testing.assert_allclose(others, 1.0)
+    np.testing.assert_allclose(means[4, 0], [1.0, 0.0], atol=1e-12)
+    halves = actuators.split(rho, halved=True)[0]
+    np.testing.assert_allclose(np.delete(halves, [0, 2, 6]), 0.5)
 
 
 def test_neutral_values_switch_the_terms_off() -> None:

@@ -23,7 +23,8 @@ from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ran
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
-from kraft.vehicles.config import FORCE, STEEPEST, felt_gravity, load_vehicle_config
+from kraft.vehicles import FORCE, STEEPEST, felt_gravity
+from kraft.vehicles.config import load_vehicle_config
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
