@@ -35,7 +35,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from kraft.driving.control.sampling import moved
+from kraft.driving.control.sampling import Updates, moved
 from kraft.driving.control_settings import Nmpc
 from kraft.driving.geodesic import interpolated
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
@@ -89,12 +89,13 @@ class NmpcController:
         self._solution: Solution | None = None
         self._last = model.rest
         self._time = 0.0
+        self._updates = Updates(settings.predicted_hz)
         self.unsolved = 0
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the last solution and the law; share the solver, the model and the map."""
         result = copy.copy(self)
-        result.law = copy.deepcopy(self.law, memo)
+        result.law, result._updates = copy.deepcopy(self.law, memo), copy.deepcopy(self._updates, memo)
         return result
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
@@ -102,7 +103,10 @@ class NmpcController:
         if reference.kind is ReferenceKind.CONTINGENCY:
             self._solution = None
             return self.law.command(estimate, reference)
-        return self._model.clamped(self.solve(estimate, reference).controls[0])
+        if self._solution is None or self._updates.are_due(estimate.time):
+            return self._model.clamped(self.solve(estimate, reference).controls[0])
+        self._last = moved(self._solution.controls, (estimate.time - self._time) / self._settings.step)[0]
+        return self._model.clamped(self._last)
 
     def solve(self, estimate: Estimate, reference: Reference) -> Solution:
         """The optimum from the estimate on."""
