@@ -320,7 +320,10 @@ class CorrelatedFilter(PoseFilter):
         after = covariances + gains @ (covariance - before) @ gains.transpose(0, 2, 1)
         after = 0.5 * (after + after.transpose(0, 2, 1))
         self._posteriors = [
-            replace(posterior, mean=posterior.mean + gain @ (slope - posterior.mean[floor]), covariance=changed)
+            Posterior(
+                posterior.time, posterior.mean + gain @ (slope - posterior.mean[floor]), changed,
+                posterior.observation, posterior.outliers,
+            )  # fmt: skip
             for posterior, gain, changed in zip(posteriors, gains, after, strict=True)
         ]
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
