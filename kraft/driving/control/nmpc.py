@@ -192,7 +192,7 @@ class _Problem:
         The functions of CasADi are made once for the controllers of a process that are alike, as those of its trials
         are: that takes as long as a hundred commands.
         """
-        vehicle = model.vehicle
+        ca, vehicle = casadi_of(), model.vehicle
         self._sizes = len(vehicle.state), len(model.low), settings.steps
         key = (
             settings, vehicle.derivative, vehicle.actuation, vehicle.state, vehicle.rest_indices, model.low.tobytes(),
@@ -202,11 +202,10 @@ class _Problem:
         if solver is None:
             if len(_SOLVERS) >= SOLVERS:
                 _SOLVERS.clear()
-            solver = _SOLVERS[key] = self._solver(settings, model, centres)
+            solver = _SOLVERS[key] = self._solver(ca, settings, model, centres)
         self._optimum = solver()
 
-    def _solver(self, settings: Nmpc, model: VehicleModel, centres: Matrix) -> Solver:
-        ca = casadi_of()
+    def _solver(self, ca: Any, settings: Nmpc, model: VehicleModel, centres: Matrix) -> Solver:
         nx, nu, n = self._sizes
         np_ = len(model.parameters)
         step = _runge_kutta(ca, symbolic_derivative(model.vehicle), nx, nu, np_, settings.step)

@@ -321,9 +321,12 @@ class CorrelatedFilter(PoseFilter):
         after = 0.5 * (after + after.transpose(0, 2, 1))
         self._posteriors = [
             Posterior(
-                posterior.time, posterior.mean + gain @ (slope - posterior.mean[floor]), changed,
-                posterior.observation, posterior.outliers,
-            )  # fmt: skip
+                posterior.time,
+                posterior.mean + gain @ (slope - posterior.mean[floor]),
+                changed,
+                posterior.observation,
+                posterior.outliers,
+            )
             for posterior, gain, changed in zip(posteriors, gains, after, strict=True)
         ]
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
