@@ -21,6 +21,7 @@ TOPICS = (
     "peers_table",
     "tuning",
     "commands",
+    "predictions",
     "scaling",
     "maps",
     "goals",

@@ -109,11 +109,15 @@ def drive(k: int, seeds: int) -> Drive:
 
 def drive_case(case: Case, entry: Entry, seed: int) -> Drive:
     """One trial of a row in an entry."""
-    method = case.load()
+    return drive_method(case.load(), entry, seed, case.name)
+
+
+def drive_method(method: Method, entry: Entry, seed: int, name: str) -> Drive:
+    """One trial of a method in an entry; `name` is that of its row."""
     vehicle = load_vehicle(method.planner.vehicle or entry.scenario.vehicle)
     found = run_trial(TrialSpec(entry.scenario, method, vehicle, seed))
     return Drive(
-        case.name, entry.name, seed, str(found.outcome), found.time, found.obstacle, found.contingencies, found.missed
+        name, entry.name, seed, str(found.outcome), found.time, found.obstacle, found.contingencies, found.missed
     )
 
 

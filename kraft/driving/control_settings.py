@@ -82,6 +82,8 @@ class Predictive(StrictModel):
     """commands per second"""
     objective: Literal["goal", "plan"] = "goal"
     """`goal` drives to the goal by the cost-to-go, `plan` tracks the plan"""
+    predicted_hz: Rate = 4.0
+    """times a second that the controls are computed anew where the closed loop is only predicted"""
 
 
 class RolloutCost(Predictive):

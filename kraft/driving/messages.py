@@ -14,6 +14,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import TreeView
 
 
@@ -215,7 +216,8 @@ class Cycle:
 
     `parameters` (np,) are those of the vehicle if they are estimated.  `commitment` is the message to the car,
     `delivered` whether it arrives.  `stopping` is the predicted motion of the contingency on board until standstill;
-    None if the car stays on the plan.  `proposed` is whether there was a plan to check.
+    None if the car stays on the plan.  `proposed` is whether there was a plan to check.  `blocked` are what has blocked
+    the vehicle so far, which counts as obstacles beside those of the map.
     """
 
     number: int
@@ -243,6 +245,7 @@ class Cycle:
     delivered: bool = True
     parameters: Floats | None = None
     proposed: bool = True
+    blocked: tuple[Polygon, ...] = ()
 
     @property
     def commitment(self) -> Commitment:

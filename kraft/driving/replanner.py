@@ -445,4 +445,5 @@ class Replanner:
             stopping=self._with_delta(stopping, cycle_start) if self._switches and stopping is not None else None,
             parameters=estimate.parameters,
             proposed=proposal.plan is not None,
+            blocked=self._blocked,
         )

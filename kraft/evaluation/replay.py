@@ -12,7 +12,8 @@ integers.  Poses are (x, y, theta) in m and rad, times are in s of the trial.
 - `seen`: time of each observation, and observed minus true pose.
 - `watchdog`: ticks at which the watchdog stopped the car.  `boxes`: pose of each movable box at each tick.
 - `cycles`: a list; the polylines `plan` and `contingency` have x and y at times that are multiples of `GRID`,
-  `predicted` has poses and delta(v) within the cycle.  `sent` is false if the message was lost.
+  `predicted` has poses and delta(v) within the cycle, `blocked` the corners of what has blocked the vehicle.  `sent` is
+  false if the message was lost.
 
 Trees are a second text of the same kind: for each cycle points of whole branches, as x and y relative to the point
 before, and the number of that point.
@@ -196,6 +197,8 @@ def _cycle(cycle: Cycle, vehicle: Vehicle) -> dict[str, Any]:
         content["origin"] = str(cycle.contingency_origin)
     if (cost := finite(cycle.cost_to_goal)) is not None:
         content["cost"] = round(cost, 2)
+    if cycle.blocked:
+        content["blocked"] = [[series(polygon.vertices[:, k], POINT) for k in range(2)] for polygon in cycle.blocked]
     if not cycle.delivered:
         content["sent"] = False
     return content

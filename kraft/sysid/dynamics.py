@@ -234,8 +234,9 @@ def box_means(times: Floats, values: Floats, begin: Floats, h: Floats) -> Means:
 def hat_means(times: Floats, values: Floats, begin: Floats, h: Floats, lag: float) -> Means:
     """Means weighted with a hat function that reaches half a step beyond each step; `lag` is in s."""
     found = _integrals(times, values, np.concatenate([begin - 0.5 * h, begin + 0.5 * h, begin + 1.5 * h]), lag)
-    signals = (found.twice, found.once, found.twice_by_lag)
-    return Means(*(np.diff(each.reshape(3, -1), 2, axis=0)[0] / h**2 for each in signals))
+    square = h**2
+    parts = (each.reshape(3, -1) for each in (found.twice, found.once, found.twice_by_lag))
+    return Means(*(((after - here) - (here - before)) / square for before, here, after in parts))
 
 
 def _integrals(times: Floats, values: Floats, at: Floats, lag: float) -> _Integrals:

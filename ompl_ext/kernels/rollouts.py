@@ -50,14 +50,16 @@ load_parameters, load_low, load_high = _planner.load_parameters, _planner.load_l
 AT_INPUT, AT_STEP, AT_OUTSIDE = _planner.AT_INPUT, _planner.AT_STEP, _planner.AT_OUTSIDE
 AT_COS, AT_SIN = _checks.AT_COS, _checks.AT_SIN
 # The working block: that of `lanes`, the controls of all rollouts of a batch, those of the lanes; the rollout of a
-# lane, its clearance and the one that is enough, a place in the clearance field and the value there
+# lane, its clearance and the one that is enough, a place in the clearance field and the value there; the clearance of
+# the disc round the whole footprint
 AT_CUT = AT_INPUT + _planner.NI * WIDTH
 AT_CONTROL = AT_CUT + NU * WIDTH
 AT_ROLLOUT = AT_CONTROL + NU * WIDTH
 AT_CLEARANCE = AT_ROLLOUT + WIDTH
 AT_ENOUGH = AT_CLEARANCE + WIDTH
 AT_ROW, AT_COLUMN, AT_VALUE = AT_ENOUGH + WIDTH, AT_ENOUGH + 2 * WIDTH, AT_ENOUGH + 3 * WIDTH
-BLOCK = AT_VALUE + WIDTH
+AT_WHOLE = AT_VALUE + WIDTH
+BLOCK = AT_WHOLE + WIDTH
 
 
 @inlined
@@ -134,7 +136,10 @@ def look_up(lanes: int, ahead: float, aside: float, problem: Problem, block: Flo
 
 @part
 def clearances(lanes: int, weight: Floats, problem: Problem, block: Floats) -> None:
-    """Clearance of every lane (m), see `clearance`, and the one that is enough."""
+    """Clearance of every lane (m), see `clearance`, and the one that is enough.
+
+    Where the disc round the whole footprint has enough in all lanes, the other discs are left out.
+    """
     discs, reach, origin = problem.discs, problem.scalar[REACH], 0.0
     margin, at_rest, per_speed = weight[ROLLOUT_MARGIN], problem.scalar[DELTA], problem.scalar[DELTA_PER_SPEED]
     for i in range(lanes):
@@ -146,6 +151,15 @@ def clearances(lanes: int, weight: Floats, problem: Problem, block: Floats) -> N
             if block[AT_OUTSIDE + i] == 0.0:
                 block[AT_CLEARANCE + i] = clearance(problem, x, y, c, s, block[AT_ENOUGH + i])
         return
+    look_up(lanes, origin, origin, problem, block)
+    near = int64(0)
+    for i in range(lanes):
+        block[AT_WHOLE + i] = block[AT_VALUE + i] - reach
+        near += 1 if block[AT_WHOLE + i] < block[AT_ENOUGH + i] else 0
+    if near == 0:
+        for i in range(lanes):
+            block[AT_CLEARANCE + i] = block[AT_WHOLE + i]
+        return
     for i in range(lanes):
         block[AT_CLEARANCE + i] = block[AT_ENOUGH + i]
     for k in range(len(discs)):
@@ -153,9 +167,8 @@ def clearances(lanes: int, weight: Floats, problem: Problem, block: Floats) -> N
         look_up(lanes, discs[k, 0], discs[k, 1], problem, block)
         for i in range(lanes):
             block[AT_CLEARANCE + i] = min(block[AT_CLEARANCE + i], block[AT_VALUE + i] - radius)
-    look_up(lanes, origin, origin, problem, block)
     for i in range(lanes):
-        block[AT_CLEARANCE + i] = max(block[AT_CLEARANCE + i], block[AT_VALUE + i] - reach)  # of the disc round it all
+        block[AT_CLEARANCE + i] = max(block[AT_CLEARANCE + i], block[AT_WHOLE + i])
 
 
 @inlined

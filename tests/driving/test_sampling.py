@@ -15,8 +15,8 @@ from support.replanner import drive, mushr, start, turns
 from kraft.driving.clearance import Solvers
 from kraft.driving.contingencies import contingency_reference, plan_reference
 from kraft.driving.control import make_controller
-from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, updated
-from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi
+from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, Updates, updated
+from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings, load_method
@@ -151,6 +151,46 @@ def test_a_copy_sends_the_same_commands_and_leaves_the_controller_as_it_is() -> 
         commands.append(np.array(sent))
     assert np.array_equal(*commands)
     assert not np.array_equal(commands[0][0], mppi(seed=2).command(Estimate(0.0, MOVING, 0.0), way(MOVING)))
+
+
+@pytest.mark.parametrize(
+    "settings", [Mppi(kind="mppi", rollouts=1000), Dwa(kind="dwa"), Nmpc(kind="nmpc")], ids=lambda each: each.kind
+)
+def test_a_copy_computes_its_controls_less_often_and_comes_almost_to_the_same_place(
+    settings: Mppi | Dwa | Nmpc, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if settings.kind == "nmpc":
+        pytest.importorskip("casadi")
+    due = list[float]()
+    asked = Updates.are_due
+
+    def counted(self: Updates, time: float) -> bool:
+        if found := asked(self, time):
+            due.append(time)
+        return found
+
+    monkeypatch.setattr(Updates, "are_due", counted)
+    controller, ends, state, path = make_controller(settings, model(), solvers().checking), [], MOVING, way(MOVING)
+    for k in range(15):  # has found its way
+        state = model().advance(state, controller.command(Estimate(k / 30, state, 0.0), path), 1 / 30)
+    copied = copy.deepcopy(controller)
+    for each, updates in ((copied, [0.5, 0.75]), (controller, [k / 30 for k in range(15, 25)])):
+        at = state
+        due.clear()
+        for k in range(15, 25):
+            at = model().advance(at, each.command(Estimate(k / 30, at, 0.0), path), 1 / 30)
+        assert due == pytest.approx(updates, abs=1 / 30)
+        ends.append(at)
+    assert math.dist(ends[0][:2], ends[1][:2]) < 0.02
+
+
+def test_a_prediction_of_a_controller_at_rest_begins_with_an_update() -> None:
+    updates = Updates(4.0)
+    assert [updates.are_due(time) for time in (0.0, 0.1, 0.1)] == [True] * 3
+    copied = copy.deepcopy(updates)
+    assert [copied.are_due(time) for time in (0.1, 0.2, 0.34, 0.35)] == [True, False, False, True]
+    copied.restart()
+    assert copied.are_due(0.36)
 
 
 @pytest.mark.parametrize("settings", [Mppi(kind="mppi", rollouts=200), Dwa(kind="dwa")], ids=lambda each: each.kind)

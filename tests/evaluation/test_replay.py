@@ -18,6 +18,7 @@ from kraft.evaluation.journal import REPLAYS, Journal, Replays, TrialRow
 from kraft.evaluation.replay import GRID, POINTS, Replay, packed, replay_of, series, unpacked, values_of
 from kraft.trial.result import TrialSpec
 from ompl_ext.kernels.specialise import kernels
+from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import TreeView
 
 KEY = ("turns", "kraft", 3)
@@ -50,6 +51,19 @@ def test_a_replay_has_every_tick_and_cycle_of_its_trial() -> None:
     assert list(drive["command"]) == list(spec.vehicle.controls)
     assert replay_of(spec, result) == replay
     assert replay_of(spec, replace(result, steps=())) is None
+
+
+def test_a_replay_has_what_blocked_the_vehicle_in_the_cycles_that_know_it() -> None:
+    spec = TrialSpec.load("turns", "kraft", seed=0)
+    result = fake_trials.quick(spec)
+    corners = np.array([[1.0, 2.0], [1.4, 2.0], [1.4, 2.2], [1.0, 2.2]])
+    free = result.cycles[0]
+    replay = replay_of(spec, replace(result, cycles=(free, replace(free, blocked=(Polygon(corners),)))))
+    assert replay is not None
+    before, after = unpacked(replay.drive)["cycles"]
+    assert "blocked" not in before
+    (polygon,) = after["blocked"]
+    assert np.column_stack([values_of(axis) for axis in polygon]) == pytest.approx(corners, abs=0.006)
 
 
 def test_branches_of_a_tree_are_whole_and_its_lines_follow_the_edges() -> None:

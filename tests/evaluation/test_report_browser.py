@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 from support import fake_trials
 
 from kraft.evaluation import Evaluation, evaluate, evaluator
 from kraft.evaluation.journal import REPLAYS, Replays
-from kraft.evaluation.replay import unpacked, values_of
+from kraft.evaluation.replay import packed, series, unpacked, values_of
 from kraft.evaluation.report import write_report
 from kraft.evaluation.report.server import ReportServer
 from kraft_cli.work.run import run_command
@@ -266,6 +267,34 @@ def test_the_legend_names_only_what_the_floor_plan_has(tab: Page, driven: Driven
         tab.locator(f"#stage .{name}").evaluate("e => getComputedStyle(e).fill") for name in ("start", "nose")
     )
     assert start != nose
+
+
+def test_what_blocked_the_car_is_drawn_from_the_cycle_on_that_knows_it(
+    tab: Page, driven: Driven, tmp_path: Path
+) -> None:
+    open_trial(tab, driven.url)
+    entry = tab.locator("label:has(input[data-layer=blocked])")
+    assert not entry.is_visible()
+    folder = tmp_path / "blocked"
+    shutil.copytree(driven.folder, folder)
+    lines = [json.loads(line) for line in (folder / REPLAYS).read_text().splitlines()]
+    for line in lines:
+        drive = unpacked(line["drive"])
+        for cycle in drive["cycles"][2:]:
+            cycle["blocked"] = [[series(np.array(axis), 0.01) for axis in ([1.0, 1.4, 1.4, 1.0], [2.0, 2.0, 2.2, 2.2])]]
+        line["drive"] = packed(drive)
+    (folder / REPLAYS).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    _, path = write_report(folder)
+    open_trial(tab, path.as_uri())
+    assert entry.is_visible()
+    times = [cycle["t"] for cycle in driven.drive("kraft", 0)["cycles"]]
+    seek(tab, times[1])
+    assert not tab.get_attribute("#stage .blocked", "d")
+    seek(tab, times[2])
+    assert tab.get_attribute("#stage .blocked", "d") == "M1.000 2.000L1.400 2.000L1.400 2.200L1.000 2.200z"
+    assert "1 assumed obstacle where the car was blocked" in tab.inner_text("#replay-cycle")
+    entry.click()
+    assert not tab.locator("#stage .blocked").is_visible()
 
 
 def test_wrong_links_and_trials_without_a_replay_say_so(tab: Page, driven: Driven, tmp_path: Path) -> None:

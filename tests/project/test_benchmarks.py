@@ -32,6 +32,7 @@ from benchmarks import (
     peers_table,
     planner,
     polish,
+    predictions,
     random_arenas,
     safety,
     scaling,
@@ -52,7 +53,9 @@ from benchmarks.random_scenes import RandomScene, random_scene
 from benchmarks.report import Report, Target, row
 from benchmarks.scenes import endless, scene
 from benchmarks.synthetic_logs import synthetic_logs
+from kraft.driving.control_settings import Predictive
 from kraft.driving.method import Method, load_method
+from kraft.evaluation.suite import Entry
 from kraft.recording import experiment as design
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
@@ -445,6 +448,29 @@ def test_the_time_of_a_command_and_of_all_rows_is_that_of_the_trials(monkeypatch
     assert found["nmpc: one command"] == 3.0
     assert report.rows[0].met is False
     assert report.notes[-1] == "480 trials of each of the 9 rows: 36 min on two cores."
+
+
+def test_predictions_are_compared_in_pairs_that_differ_in_their_updates_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    driven = []
+
+    def drive(method: Method, entry: Entry, seed: int, name: str) -> peers_table.Drive:
+        driven.append((method, entry.name, seed))
+        assert isinstance(method.controller, Predictive)
+        fewer = method.controller.predicted_hz < method.controller.rate_hz
+        outcome = "collision" if fewer and entry.name == "boxes" else "success"
+        return peers_table.Drive(name, entry.name, seed, outcome, 9.0 if fewer else 10.0, None, 1, 0)
+
+    monkeypatch.setattr(peers_table, "drive_method", drive)
+    monkeypatch.setattr(peers_table, "compile_all", lambda: None)
+    report = predictions.run(SMOKE)
+    assert len(driven) == 2 * len(predictions.ROWS) * len(peers_table.entries())
+    for (with_all, *place), (fewer, *other) in zip(driven[::2], driven[1::2], strict=True):
+        assert place == other
+        changes = {"controller": {"predicted_hz": fewer.controller.predicted_hz}}
+        assert tuning.changed(with_all, changes).model_dump() == fewer.model_dump()
+    assert quantities(report)["mppi: time with fewer updates, as a share of that with all"] == pytest.approx(0.9)
+    lines = report.tables["pairs"]
+    assert lines[1] == ["mppi", "36", "36 / 35", "0 / 1", "1 / 1", "10 / 9", "0.9 to 0.9"]
 
 
 def test_peers_are_tuned_with_as_many_settings_each_and_ranked_by_successes_collisions_and_time() -> None:

@@ -27,7 +27,7 @@ import inspect
 import itertools
 import math
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import reduce
 from types import ModuleType, SimpleNamespace
@@ -35,7 +35,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from kraft.driving.control.sampling import moved
+from kraft.driving.control.sampling import Updates, moved
 from kraft.driving.control_settings import Nmpc
 from kraft.driving.geodesic import interpolated
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
@@ -89,12 +89,13 @@ class NmpcController:
         self._solution: Solution | None = None
         self._last = model.rest
         self._time = 0.0
+        self._updates = Updates(settings.predicted_hz)
         self.unsolved = 0
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the last solution and the law; share the solver, the model and the map."""
         result = copy.copy(self)
-        result.law = copy.deepcopy(self.law, memo)
+        result.law, result._updates = copy.deepcopy(self.law, memo), copy.deepcopy(self._updates, memo)
         return result
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
@@ -102,7 +103,10 @@ class NmpcController:
         if reference.kind is ReferenceKind.CONTINGENCY:
             self._solution = None
             return self.law.command(estimate, reference)
-        return self._model.clamped(self.solve(estimate, reference).controls[0])
+        if self._solution is None or self._updates.are_due(estimate.time):
+            return self._model.clamped(self.solve(estimate, reference).controls[0])
+        self._last = moved(self._solution.controls, (estimate.time - self._time) / self._settings.step)[0]
+        return self._model.clamped(self._last)
 
     def solve(self, estimate: Estimate, reference: Reference) -> Solution:
         """The optimum from the estimate on."""
@@ -183,10 +187,27 @@ class _Problem:
     """Nonlinear program of one vehicle, with everything that changes between commands as its parameters."""
 
     def __init__(self, settings: Nmpc, model: VehicleModel, centres: Matrix) -> None:
-        """`centres` (discs, 2) of the discs, in the frame of the body (m)."""
-        ca = casadi_of()
-        nx, nu, np_, n = len(model.vehicle.state), len(model.low), len(model.parameters), settings.steps
-        self._sizes = nx, nu, n
+        """`centres` (discs, 2) of the discs, in the frame of the body (m).
+
+        The functions of CasADi are made once for the controllers of a process that are alike, as those of its trials
+        are: that takes as long as a hundred commands.
+        """
+        ca, vehicle = casadi_of(), model.vehicle
+        self._sizes = len(vehicle.state), len(model.low), settings.steps
+        key = (
+            settings, vehicle.derivative, vehicle.actuation, vehicle.state, vehicle.rest_indices, model.low.tobytes(),
+            model.high.tobytes(), len(model.parameters), centres.tobytes(),
+        )  # fmt: skip
+        solver = _SOLVERS.get(key)
+        if solver is None:
+            if len(_SOLVERS) >= SOLVERS:
+                _SOLVERS.clear()
+            solver = _SOLVERS[key] = self._solver(ca, settings, model, centres)
+        self._optimum = solver()
+
+    def _solver(self, ca: Any, settings: Nmpc, model: VehicleModel, centres: Matrix) -> Solver:
+        nx, nu, n = self._sizes
+        np_ = len(model.parameters)
         step = _runge_kutta(ca, symbolic_derivative(model.vehicle), nx, nu, np_, settings.step)
         states, controls, lack = ca.SX.sym("x", nx, n), ca.SX.sym("u", nu, n), ca.SX.sym("s", n)
         start, parameters = ca.SX.sym("x0", nx), ca.SX.sym("p", np_)
@@ -223,7 +244,7 @@ class _Problem:
             np.concatenate([np.full(nx * n, np.inf), np.tile(model.high, n), np.full(n, np.inf)]),
             np.concatenate([np.zeros(nx * n), np.full(len(free), np.inf)]),
         )  # fmt: skip
-        self._optimum = (_ipopt if settings.solver == "ipopt" else _sequential)(ca, program, settings.iterations)
+        return (_ipopt if settings.solver == "ipopt" else _sequential)(ca, program, settings.iterations)
 
     def solve(self, guess: Solution, parameters: Floats, targets: Matrix, planes: Floats, last: Floats) -> Solution:
         """Optimum near `guess`, whose states follow the model; `last` (nu,) is the control before."""
@@ -257,37 +278,46 @@ class _Program:
 
 Optimum = Callable[[Floats, Floats], tuple[Floats, float, bool]]
 """Function of first values and parameters: values and cost of the optimum, and whether it is one."""
+Solver = Callable[[], Optimum]
+"""Function that makes an optimum function with memory of its own."""
+SOLVERS: Final = 8
+"""Largest number of solvers that are kept."""
+_SOLVERS: Final[dict[Hashable, Solver]] = {}
 SOLVED: Final = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 """IPOPT's words for an optimum."""
 
 
-def _ipopt(ca: Any, program: _Program, iterations: int) -> Optimum:
+def _ipopt(ca: Any, program: _Program, iterations: int) -> Solver:
     options = {
         "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE,
         "ipopt.max_iter": iterations, "ipopt.mu_init": 1e-2, "ipopt.acceptable_tol": 10.0 * TOLERANCE,
         "ipopt.acceptable_iter": 3,
     }  # fmt: skip
     content = {"x": program.variables, "f": program.cost, "g": program.rows, "p": program.given}
-    solver = ca.nlpsol("nmpc", "ipopt", content, options)
     bounds = {"lbx": program.low, "ubx": program.high, "lbg": np.zeros(len(program.most)), "ubg": program.most}
 
-    def optimum(first: Floats, given: Floats) -> tuple[Floats, float, bool]:
-        found = solver(x0=first, p=given, **bounds)
-        if solver.stats()["return_status"] not in SOLVED:
-            return first, math.inf, False
-        return np.asarray(found["x"]).ravel(), float(found["f"]), True
+    def make() -> Optimum:
+        solver = ca.nlpsol("nmpc", "ipopt", content, options)
 
-    return optimum
+        def optimum(first: Floats, given: Floats) -> tuple[Floats, float, bool]:
+            found = solver(x0=first, p=given, **bounds)
+            if solver.stats()["return_status"] not in SOLVED:
+                return first, math.inf, False
+            return np.asarray(found["x"]).ravel(), float(found["f"]), True
+
+        return optimum
+
+    return make
 
 
-def _sequential(ca: Any, program: _Program, iterations: int) -> Optimum:
+def _sequential(ca: Any, program: _Program, iterations: int) -> Solver:
     """Gauss-Newton steps, each halved until the cost of what the vehicle then drives is lower.
 
     The optimum is found if no step promises a lower cost, or a full one lowers it as the quadratic program predicts.
     """
     x, p, low, high = program.variables, program.given, program.low, program.high
     (cost,) = ca.substitute([program.cost], [x], [program.driven])
-    drive = _Buffered(ca.Function("drive", [x, p], [program.driven, cost]))
+    driving = ca.Function("drive", [x, p], [program.driven, cost])
     curvature = ca.DM(ca.hessian(program.curved, x)[0])
     slopes = [program.rows, ca.gradient(program.cost, x), ca.jacobian(program.rows, x)]
     linear = ca.Function("linear", [x, p], slopes)
@@ -297,8 +327,11 @@ def _sequential(ca: Any, program: _Program, iterations: int) -> Optimum:
     rows, gradient, jacobian = linear(now, given)
     bounds = {"lbx": low - now, "ubx": high - now, "lba": -rows, "uba": program.most - rows}
     step = quadratic(h=curvature, g=gradient, a=jacobian, **bounds)
-    descent = _Buffered(ca.Function("descent", [now, given], [step["x"], step["cost"]]))
+    descending = ca.Function("descent", [now, given], [step["x"], step["cost"]])
+    return lambda: _sequence(_Buffered(driving), _Buffered(descending), iterations)
 
+
+def _sequence(drive: _Buffered, descent: _Buffered, iterations: int) -> Optimum:
     def optimum(first: Floats, given: Floats) -> tuple[Floats, float, bool]:
         values, cost = drive(first, given)
         for _ in range(iterations):

@@ -77,6 +77,36 @@ class Rollouts:
         return np.column_stack([x, y, np.cos(theta), np.sin(theta), v])
 
 
+class Updates:
+    """Whether a command needs new controls: every command does, but of those of a copy only some in a second.
+
+    A copy predicts the closed loop.  Between two updates it sends the controls that the last one has chosen for that
+    time, as the controller itself would almost do.
+    """
+
+    def __init__(self, predicted_hz: float) -> None:
+        """`predicted_hz` is the number of updates of a copy in a second."""
+        self._predicted, self._period = 1.0 / predicted_hz, 0.0
+        self._last: float | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Those of a prediction, which begins with an update."""
+        result = copy.copy(self)
+        result._period, result._last = self._predicted, None
+        return result
+
+    def are_due(self, time: float) -> bool:
+        """Whether the command at `time` (s) needs new controls; then it counts as the last one that had them."""
+        if self._last is not None and self._last <= time < self._last + self._period - 1e-9:
+            return False
+        self._last = time
+        return True
+
+    def restart(self) -> None:
+        """Let the next command have new controls."""
+        self._last = None
+
+
 class MppiController:
     """Model predictive path integral control: the mean of sampled controls, weighted by the costs of their rollouts."""
 
@@ -88,13 +118,14 @@ class MppiController:
         self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed % 2**63, 0x3991])))
         self._nominal = self._at_rest()
         self._noise = np.empty((settings.steps, len(self._deviation), settings.rollouts), np.float32)  # working memory
+        self._updates = Updates(settings.predicted_hz)
         self._time: float | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the plan of controls, the random generator and the law; share model, map and working memory."""
         result = copy.copy(self)
         result._nominal, result._random = self._nominal.copy(), copy.deepcopy(self._random, memo)
-        result.law = copy.deepcopy(self.law, memo)
+        result.law, result._updates = copy.deepcopy(self.law, memo), copy.deepcopy(self._updates, memo)
         return result
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
@@ -104,7 +135,7 @@ class MppiController:
             return self.law.command(estimate, reference)
         settings = self._settings
         self._shift(estimate.time)
-        for _ in range(settings.iterations):
+        for _ in range(settings.iterations if self._updates.are_due(estimate.time) else 0):
             costs = self._rollouts.costs(
                 estimate, reference, self._nominal, self._drawn(), self._noise, settings.hold, settings.gamma
             )
@@ -127,6 +158,7 @@ class MppiController:
         """Move the controls to `time` (s), with the last one held; begin with those at rest after a contingency."""
         if self._time is None or time < self._time - 1e-9:
             self._nominal = self._at_rest()
+            self._updates.restart()
         else:
             self._nominal = moved(self._nominal, (time - self._time) / self._settings.step)
         self._time = time
@@ -159,20 +191,28 @@ class DwaController:
         self._nominal = np.zeros((steps, len(model.low)))
         self._arcs = np.ascontiguousarray(self._controls.T[None], dtype=np.float32)
         self._noise = np.empty((steps, *self._arcs.shape[1:]), np.float32)  # working memory
+        self._updates = Updates(settings.predicted_hz)
+        self._chosen = model.rest
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the law; the arcs never change."""
         result = copy.copy(self)
-        result.law = copy.deepcopy(self.law, memo)
+        result.law, result._updates = copy.deepcopy(self.law, memo), copy.deepcopy(self._updates, memo)
         return result
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time; if every arc collides, that of the first stopping manoeuvre."""
         if reference.kind is ReferenceKind.CONTINGENCY:
+            self._updates.restart()
             return self.law.command(estimate, reference)
+        if self._updates.are_due(estimate.time):
+            self._chosen = self._best(estimate, reference)
+        return self._chosen.copy()
+
+    def _best(self, estimate: Estimate, reference: Reference) -> Floats:
         costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs, self._noise, len(self._nominal))
         best = int(costs.argmin())
         if costs[best] >= self._collision:
             return self._model.clamped(stop_control(self._model.vehicle, estimate.state, 0))
-        chosen: Floats = self._controls[best].copy()
+        chosen: Floats = self._controls[best]
         return chosen

@@ -25,7 +25,7 @@ from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.vehicles import FORCE, STEEPEST, felt_gravity
 from kraft.vehicles.config import load_vehicle_config
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
 DELAY: Final = "delay"
@@ -300,6 +300,11 @@ class CorrelatedFilter(PoseFilter):
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
         self._errors = PoseErrorModel(model, settings.offset_time)
         super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, self._errors)
+        self._components = np.arange(self._errors.size - ERRORS, self._errors.size)
+        self._by_state = np.zeros((3, self._errors.size))
+        for measured in (self._pose, self._part(CORRELATED), self._part(OFFSET)):
+            self._by_state[range(3), measured] = 1.0
+        """derivative of a pose by the state, on a level floor"""
         self._spread = stated_spread(model.vehicle) if settings.identify else np.zeros((0, len(model.parameters)))
         offset = settings.position_offset, settings.position_offset, math.radians(settings.heading_offset_deg)
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
@@ -321,15 +326,21 @@ class CorrelatedFilter(PoseFilter):
         after = covariances + gains @ (covariance - before) @ gains.transpose(0, 2, 1)
         after = 0.5 * (after + after.transpose(0, 2, 1))
         self._posteriors = [
-            replace(posterior, mean=posterior.mean + gain @ (slope - posterior.mean[floor]), covariance=changed)
+            Posterior(
+                posterior.time,
+                posterior.mean + gain @ (slope - posterior.mean[floor]),
+                changed,
+                posterior.observation,
+                posterior.outliers,
+                posterior.doubted_since,
+            )
             for posterior, gain, changed in zip(posteriors, gains, after, strict=True)
         ]
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
 
-    def _part(self, part: slice) -> list[int]:
+    def _part(self, part: slice) -> Ints:
         """Indices of a part of the pose error, or of the floor, into the state."""
-        first = self._process_model.size - ERRORS
-        return list(range(first, first + ERRORS))[part]
+        return self._components[part]
 
     def set_noise(self, noise: NoiseEstimate) -> None:
         """Set the noise of poses from now on."""
@@ -382,20 +393,18 @@ class CorrelatedFilter(PoseFilter):
     def _rate_variance(self, mean: Floats, control: Floats) -> Floats:
         """Variance (nx,) of the derivative of the vehicle's state by the uncertainty of the parameters."""
         parameters = self._model.parameters
-        tried = np.vstack([parameters, parameters + SPREAD_STEP * self._spread])
+        tried = np.empty((1 + len(self._spread), len(parameters)))
+        tried[0], tried[1:] = parameters, parameters + SPREAD_STEP * self._spread
         rates = self._model.rates(mean[: len(self._model.vehicle.state)], control, tried)
         variance: Floats = np.square((rates[1:] - rates[0]) / SPREAD_STEP).sum(axis=0)
         return variance
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
-        jacobian = np.zeros((3, len(mean)))
-        jacobian[range(3), self._pose] = 1.0
-        pose = mean[self._pose]
+        jacobian, pose = self._by_state.copy(), mean[self._pose]
         if self._camera is not None:
             pose, found = self._camera.linearised(pose, mean[self._part(FLOOR)])
             jacobian[:, self._pose], jacobian[:, self._part(FLOOR)] = found[:, :3], found[:, 3:]
         for part in (CORRELATED, OFFSET):
-            jacobian[range(3), self._part(part)] = 1.0
             pose = pose + mean[self._part(part)]
         cross = covariance @ jacobian.T
         return pose, cross, jacobian @ cross
@@ -460,6 +469,7 @@ class PoseErrorModel:
         self.times[FLOOR] = math.inf
         """time constants of the components of the pose error and the floor, s"""
         self.size = self._motion.size + len(self.times)
+        self._last = np.arange(self._motion.size, self.size)
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx + 9,) after holding a control (nu,) for `duration` s."""
@@ -472,7 +482,7 @@ class PoseErrorModel:
         kept = np.exp(-duration / self.times)
         full = np.zeros((self.size, self.size))
         full[:-ERRORS, :-ERRORS] = jacobian
-        full[range(-ERRORS, 0), range(-ERRORS, 0)] = kept
+        full[self._last, self._last] = kept
         return np.concatenate([after, kept * state[-ERRORS:]]), full
 
 

@@ -79,7 +79,7 @@ class PoseFilter:
         self._model = model
         self._process_model = process_model or ExcessSpeedModel(model)
         heading, drift = math.radians(settings.heading_noise_deg), math.radians(settings.heading_drift_deg)
-        self._pose = [model.x, model.y, model.theta]
+        self._pose = np.array([model.x, model.y, model.theta])
         self._pose_block = np.ix_(self._pose, self._pose)
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
         self._variance_rate = np.zeros(self._process_model.size)  # variance that the model adds per second
@@ -165,7 +165,7 @@ class PoseFilter:
         noise = self._noise
         whitened = np.linalg.solve(np.linalg.cholesky(pose_covariance + noise), innovation)
         outliers: tuple[Floats, ...] = ()
-        if (distance := float(np.linalg.norm(whitened))) > self._limit:
+        if (distance := math.sqrt(float(whitened @ whitened))) > self._limit:
             outliers = (*posterior.outliers, whitened)
             agree = float(np.linalg.norm(np.mean(outliers, axis=0))) > self._limit
             if len(outliers) >= self._outliers_before_reset and agree:
@@ -211,8 +211,9 @@ class ExcessSpeedModel:
     def __init__(self, model: VehicleModel) -> None:
         self._model = model
         self.size = len(model.vehicle.state) + 1
-        self._varied = [k for k in range(self.size) if k not in (model.x, model.y)]
+        self._varied = np.array([k for k in range(self.size) if k not in (model.x, model.y)])
         """components on which the motion depends: the position is none of them"""
+        self._rows, self._identity = np.arange(1, 1 + len(self._varied)), np.eye(self.size)
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx + 1,) after holding a control (nu,) for `duration` s."""
@@ -222,10 +223,11 @@ class ExcessSpeedModel:
     def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
         """State (nx + 1,) after `duration` s and its Jacobian (nx + 1, nx + 1) with respect to the state before."""
         varied = self._varied
-        states = np.tile(state, (1 + len(varied), 1))
-        states[range(1, 1 + len(varied)), varied] += DIFFERENCE_STEP
+        states = np.empty((1 + len(varied), self.size))
+        states[:] = state
+        states[self._rows, varied] += DIFFERENCE_STEP
         after = self._advanced(states, control, duration)
-        jacobian = np.eye(self.size)
+        jacobian = self._identity.copy()
         jacobian[:, varied] = ((after[1:] - after[0]) / DIFFERENCE_STEP).T
         return after[0], jacobian
 
@@ -237,20 +239,20 @@ class ExcessSpeedModel:
         return states
 
     def _stepped(self, states: Matrix, control: Floats, duration: float) -> Matrix:
-        model, after = self._model, np.empty(states.shape)
-        after[:, :-1] = model.after(states[:, :-1], control, duration)
+        model = self._model
+        rows = model.after(states[:, :-1], control, duration).tolist()  # a few numbers each: faster without arrays
         decay = math.exp(-duration / EXCESS_TIME_CONSTANT)
         courses = model.courses(states[:, :-1], control)
-        for row, before, (curvature, slip) in zip(after, states, courses, strict=True):
-            excess = float(before[-1])
+        for row, before, (curvature, slip) in zip(rows, states.tolist(), courses, strict=True):
+            excess = before[-1]
             distance = excess * EXCESS_TIME_CONSTANT * (1.0 - decay)
             turn = curvature * distance
-            direction = 0.5 * float(before[model.theta] + row[model.theta]) + 0.5 * turn + slip
+            direction = 0.5 * (before[model.theta] + row[model.theta]) + 0.5 * turn + slip
             row[model.x] += distance * math.cos(direction)
             row[model.y] += distance * math.sin(direction)
             row[model.theta] += turn
-            row[-1] = decay * excess
-        return after
+            row.append(decay * excess)
+        return np.array(rows)
 
 
 def _chi_limit(confidence: float) -> float:
@@ -266,6 +268,8 @@ DIFFERENCE: Final = 1e-4
 """Step of the numeric derivatives, SI."""
 FLOOR_SIZE: Final = 2
 """Number of components of a floor: rise per metre of floor along x and along y."""
+STEPS: Final = DIFFERENCE * np.vstack([np.zeros(5), np.eye(5), -np.eye(5)])
+"""Changes (11, 5) of a pose and a floor for the derivatives."""
 
 
 @dataclass(frozen=True)
@@ -281,8 +285,7 @@ class LevelCamera:
 
     def linearised(self, pose: Floats, floor: Floats) -> tuple[Floats, Matrix]:
         """Measured pose (3,), and its Jacobian (3, 5) with respect to the pose and the floor."""
-        steps = DIFFERENCE * np.vstack([np.zeros(5), np.eye(5), -np.eye(5)])
-        seen = self._observed(pose + steps[:, :3], floor + steps[:, 3:])
+        seen = self._observed(pose + STEPS[:, :3], floor + STEPS[:, 3:])
         return seen[0], (seen[1:6] - seen[6:]).T / (2.0 * DIFFERENCE)
 
     def on_floor(self, poses: Matrix, floor: Floats) -> Matrix:
@@ -297,8 +300,9 @@ class LevelCamera:
         """Measured places (n, 2) of the marker for places (n, 2) of the vehicle, on a floor (2,) each."""
         x, y, z = self.position
         slope, away = floors, places - self.start
-        level = np.sqrt(np.maximum(1.0 - (slope * slope).sum(axis=1), 0.0))  # cosine of the angle of the slope
-        rise = (slope * away).sum(axis=1)
+        square, product = slope * slope, slope * away
+        level = np.sqrt(np.maximum(1.0 - (square[:, 0] + square[:, 1]), 0.0))  # cosine of the angle of the slope
+        rise = product[:, 0] + product[:, 1]
         marker = self.start + away - (rise / (1.0 + level) + self.marker_height)[:, None] * slope
         height = rise + self.marker_height * level
         stretch = (z - self.marker_height) / np.maximum(z - height, 0.1 * z)
@@ -322,8 +326,11 @@ class LevelCamera:
 
 def _mapped(poses: Matrix, place: Callable[[Matrix], Matrix]) -> Matrix:
     """Poses (n, 3) of which `place` maps the two points that show the heading; it stays within half a turn."""
-    along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    along = np.empty((len(poses), 2))
+    along[:, 0], along[:, 1] = HALF_LENGTH * np.cos(poses[:, 2]), HALF_LENGTH * np.sin(poses[:, 2])
     front, rear = place(poses[:, :2] + along), place(poses[:, :2] - along)
     turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
     turned -= math.tau * np.round(turned / math.tau)
-    return np.column_stack([0.5 * (front + rear), poses[:, 2] + turned])
+    mapped = np.empty((len(poses), 3))
+    mapped[:, :2], mapped[:, 2] = 0.5 * (front + rear), poses[:, 2] + turned
+    return mapped

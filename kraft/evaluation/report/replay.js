@@ -94,6 +94,7 @@ class Drive {
       ...cycle,
       plan: rowsOf(cycle.plan),
       contingency: cycle.contingency ? rowsOf(cycle.contingency) : null,
+      blocked: (cycle.blocked ?? []).map(rowsOf),
       predicted: rowsOf(cycle.predicted.pose),
       predictedTimes: cycle.predicted.pose[0][2].map((_, i, all) =>
         cycle.predicted.t[0] + ((cycle.predicted.t[1] - cycle.predicted.t[0]) * i) / (all.length - 1)),
@@ -162,6 +163,7 @@ class Stage {
     this.trail.classList.add("trail");
     this.band = add("band", "g");
     this.sweep = this.band.appendChild(draw("path"));
+    this.blocked = add("blocked");
     this.plan = add("plan");
     this.contingency = add("contingency");
     this.seen = add("seen");
@@ -207,6 +209,7 @@ class Stage {
   showCycle(cycle, tree) {
     this.cycle = cycle;
     const stop = cycle.kind === "contingency";
+    this.blocked.setAttribute("d", cycle.blocked.map((corners) => path(corners, true)).join(""));
     this.tree.setAttribute("d", tree);
     this.plan.setAttribute("d", stop ? "" : path(cycle.plan));
     this.contingency.setAttribute("d", path(stop ? cycle.plan : cycle.contingency ?? []));
@@ -370,13 +373,15 @@ class Player {
     this.play.focus();
   }
 
-  /** Fit legend and layout to the floor plan: what it does not have is not in the legend, a wide one is above the plots. */
+  /** Fit legend and layout to floor plan and drive: what they do not have is not in the legend, a wide plan is above the plots. */
   showThings() {
     const svg = this.stage.svg, { width, height } = svg.viewBox.baseVal;
     this.dialog.classList.toggle("landscape", width > 1.25 * height);
     for (const entry of this.dialog.querySelectorAll("[data-thing]")) entry.hidden = !svg.querySelector(`.${entry.dataset.thing}`);
     const hidden = this.dialog.querySelector("[data-thing]:not([hidden])") === null;
     this.dialog.querySelector("input[data-layer=hidden]").parentElement.hidden = hidden;
+    const blocked = this.drive.cycles.some((cycle) => cycle.blocked.length > 0);
+    this.dialog.querySelector("input[data-layer=blocked]").parentElement.hidden = !blocked;
   }
 
   /** Show trees too. */
@@ -419,6 +424,7 @@ class Player {
     if (cycle.sent === false) words.push(", its message was lost");
     words.push(cycle.reason ? `: ${cycle.reason}. ` : ". ");
     if (cycle.cost !== undefined) words.push(`${cycle.cost.toFixed(1)} s to the goal. `);
+    if (cycle.blocked.length > 0) words.push(`${cycle.blocked.length} assumed obstacle${cycle.blocked.length > 1 ? "s" : ""} where the car was blocked. `);
     words.push(`${cycle.nodes} nodes after ${cycle.iterations} iterations`);
     if (this.planning[k] !== undefined) words.push(` in ${this.planning[k].toFixed(0)} ms`);
     this.cycle.replaceChildren(...words, ".");
