@@ -12,13 +12,24 @@ from pydantic.fields import FieldInfo
 from support.paths import ROOT
 
 from kraft.config import bundled
-from kraft.driving.clearance import HYSTERESIS, NARROW, SOON, STEADY
+from kraft.driving.clearance import (
+    EXCESS,
+    HYSTERESIS,
+    LATER_DELAY,
+    LATER_DELTA,
+    LATER_GROWTH,
+    NARROW,
+    NEAR,
+    SOON,
+    STEADY,
+)
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
-from kraft.driving.estimation.adaptive import DRIVE_MAX
+from kraft.driving.estimation.adaptive import DRIVE_MAX, MOVED_AFTER, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.sliding_window import PRIOR_CORRELATION, PRIOR_POSES
+from kraft.driving.estimation.sliding_window import LAG, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
-from kraft.driving.proposer import PATIENCE, RISE, STALLED
+from kraft.driving.proposer import PATIENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED
+from kraft.driving.replanner import ROOM
 from kraft.driving.rest import CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS
@@ -148,7 +159,12 @@ def test_quoted_constants_are_those_in_the_code() -> None:
     for text in (
         f"its rest needs only {HYSTERESIS:g} of the clearance", f"costs over {STALLED:g} s more than what was left",
         f"costs at most {RETAINED_TOLERANCE:g} s more", f"a stop of less than {DRIVE_MAX:g} s",
-        f"the settings count as {PRIOR_POSES:g} poses, and as {PRIOR_CORRELATION:g} correlation times",
+        f"the settings count as {PRIOR_SAMPLES:g} independent poses, and as {PRIOR_CORRELATION:g} correlation times",
+        f"that are {LAG:g} s apart", f"than its noise explains for {MOVED_AFTER:g} s", f"A car slower than {SLOW:g} m/s gets",
+        f"cheaper by {PROGRESS * PROGRESS_TIME:g} s in {PROGRESS_TIME:g} s", f"with {100 * ROOM:g} cm of clearance",
+        f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
+        f"a growth of at most {LATER_GROWTH:g} m/s, and at most {LATER_DELAY:g} s for the speed",
+        f"exceed it by at most {100 * EXCESS:g} % of its width",
         f"from 0 to {DELAY_MAX:g} s", f"| none | {SOON:g} cycles |",
         f"has not reached the goal after {PATIENCE:g} `iterations` gives way",
         f"less than {RISE:g} s more than the plan that is then found at the lower level",
