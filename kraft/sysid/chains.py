@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -19,6 +19,10 @@ from ompl_ext.arrays import Floats, Ints, Matrix
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
+
+
+STEP_EXCESS: Final = 0.05
+"""Share of a step by which a segment may be longer than its steps: poses jitter, and would not be at ends of steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +84,9 @@ def whole_segment(part: Part, log: int, step: float) -> Segment:
 
 
 def segment_between(part: Part, log: int, step: float, first: int, last: int, resting: bool) -> Segment:
-    """Segment of a part from pose `first` to the pose before `last`, in steps of at most `step` s."""
+    """Segment of a part from pose `first` to the pose before `last`, in steps of at most about `step` s."""
     begin, end = float(part.pose_times[first]), float(part.pose_times[last - 1])
-    steps = max(1, math.ceil((end - begin) / step - 0.05))
+    steps = max(1, math.ceil((end - begin) / step - STEP_EXCESS))
     return Segment(log, part, begin, steps, max(end - begin, 1e-6) / steps, slice(first, last), resting)
 
 
